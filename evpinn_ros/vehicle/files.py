@@ -1,0 +1,201 @@
+"""Vehicle files: one YAML file per car model, read strictly.
+
+A wrong file is refused with its path, the line and the reason; nothing is guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.share import share_directory
+from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
+
+MAX_FILE_BYTES = 100_000
+
+
+class Constant(NamedTuple):
+    """A quantity of the vehicle file that is not learned."""
+
+    lower: float
+    upper: float
+    unit: str
+
+
+CONSTANTS: Mapping[str, Constant] = {
+    "frontal_area": Constant(0.1, 20.0, "m^2"),
+    "air_density": Constant(0.5, 2.0, "kg/m^3"),
+    "beta": Constant(-2.0, 0.0, "m/s^2"),
+    "nominal_voltage": Constant(10.0, 2000.0, "V"),
+    "rotating_mass_factor": Constant(1.0, 1.5, "1"),
+    "battery_capacity": Constant(1e6, 5e9, "J"),
+}
+OPTIONAL_CONSTANTS = ("battery_capacity",)
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """One car model: what is known of it, and the prior of every parameter to be learned.
+
+    Attributes:
+        key: short name, the file's stem.
+        name: name for people.
+        can_profile: profile in `config/can/` for its bus, or None.
+        frontal_area: m^2.
+        air_density: kg/m^3, used while no temperature is known.
+        beta: deceleration threshold of regeneration, m/s^2 (eq. 20).
+        nominal_voltage: V, used when a log holds power alone.
+        rotating_mass_factor: effective over static mass when accelerating (wheels, rotor).
+        battery_capacity: usable energy, J, NaN if unknown.
+        priors: one `Prior` for each of `PARAMETER_NAMES`.
+    """
+
+    key: str
+    name: str
+    can_profile: str | None
+    frontal_area: float
+    air_density: float
+    beta: float
+    nominal_voltage: float
+    rotating_mass_factor: float
+    battery_capacity: float
+    priors: Mapping[str, Prior]
+
+    @property
+    def initial(self) -> Parameters:
+        """The prior values, the start of every estimate (eq. 24, 25)."""
+        return Parameters(*(self.priors[name].value for name in PARAMETER_NAMES))
+
+
+def vehicle_names() -> list[str]:
+    """Names of the vehicle files that come with the package."""
+    return sorted(path.stem for path in _vehicle_directory().glob("*.yaml"))
+
+
+def load_vehicle(name_or_path: str | Path) -> Vehicle:
+    """Read a vehicle file given by its name (`tesla_model_3_lr`) or by its path.
+
+    Raises:
+        InputError: no such file, or the file is wrong; the text has file, line and reason.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = _vehicle_directory() / f"{name_or_path}.yaml"
+        if not path.is_file():
+            known = ", ".join(vehicle_names())
+            raise InputError(
+                f"no vehicle named '{name_or_path}'; known are {known}, or give a path"
+            )
+    return _parse(path)
+
+
+def _vehicle_directory() -> Path:
+    return share_directory() / "config" / "vehicles"
+
+
+def _parse(path: Path) -> Vehicle:
+    root = _Section(path, _compose(path), "vehicle file")
+    constants = {key: root.section(key).constant(key) for key in CONSTANTS if root.has(key)}
+    parameters = root.section("parameters")
+    priors = {name: parameters.section(name).prior(name) for name in PARAMETER_NAMES}
+    parameters.refuse_unknown(PARAMETER_NAMES)
+    root.refuse_unknown(("name", "can_profile", "parameters", *CONSTANTS))
+    for key in CONSTANTS:
+        if key not in constants and key not in OPTIONAL_CONSTANTS:
+            raise root.error(f"'{key}' is missing")
+    constants.setdefault("battery_capacity", math.nan)
+    return Vehicle(
+        key=path.stem,
+        name=root.text("name"),
+        can_profile=root.text("can_profile") if root.has("can_profile") else None,
+        priors=priors,
+        **constants,
+    )
+
+
+def _compose(path: Path) -> yaml.Node:
+    try:
+        text = path.read_bytes()[: MAX_FILE_BYTES + 1]
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    if len(text) > MAX_FILE_BYTES:
+        raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a vehicle file")
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise InputError(f"{path}:{line}: not YAML: {error.problem}") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not YAML: {error}".replace("\n", " ")) from error
+    if node is None:
+        raise InputError(f"{path}: the file is empty")
+    return node
+
+
+class _Section:
+    """One mapping of the file with its line numbers, so that every error can name its line."""
+
+    def __init__(self, path: Path, node: yaml.Node, title: str) -> None:
+        self._path, self._node, self._title = path, node, title
+        if not isinstance(node, yaml.MappingNode):
+            raise self.error(f"{title}: expected 'key: value' lines")
+        self._items: dict[str, tuple[yaml.Node, yaml.Node]] = {}
+        for key, value in node.value:
+            if key.value in self._items:
+                raise self.error(f"'{key.value}' is given twice", key)
+            self._items[key.value] = (key, value)
+
+    def error(self, reason: str, node: yaml.Node | None = None) -> InputError:
+        line = (node or self._node).start_mark.line + 1
+        return InputError(f"{self._path}:{line}: {reason}")
+
+    def has(self, key: str) -> bool:
+        return key in self._items
+
+    def section(self, key: str) -> _Section:
+        return _Section(self._path, self._value(key), f"{self._title}, {key}")
+
+    def text(self, key: str) -> str:
+        node = self._value(key)
+        if not isinstance(node, yaml.ScalarNode) or not node.value:
+            raise self.error(f"'{key}' must be text", node)
+        return str(node.value)
+
+    def number(self, key: str, lower: float, upper: float) -> float:
+        node = self._value(key)
+        try:
+            value = float(node.value)
+        except (TypeError, ValueError):
+            raise self.error(f"'{key}' must be a number", node) from None
+        if not lower <= value <= upper:
+            reason = f"{self._title}: {key} = {value:g} is outside [{lower:g}, {upper:g}]"
+            raise self.error(reason, node)
+        return value
+
+    def constant(self, name: str) -> float:
+        self.refuse_unknown(("value", "source"))
+        self.text("source")
+        return self.number("value", CONSTANTS[name].lower, CONSTANTS[name].upper)
+
+    def prior(self, name: str) -> Prior:
+        self.refuse_unknown(("value", "std", "source"))
+        limits = LIMITS[name]
+        value = self.number("value", limits.lower, limits.upper)
+        std = self.number("std", 1e-9, limits.upper)
+        return Prior(value, std, self.text("source"))
+
+    def refuse_unknown(self, known: tuple[str, ...]) -> None:
+        for name, (key, _) in self._items.items():
+            if name not in known:
+                raise self.error(f"unknown key '{name}'; known are {', '.join(known)}", key)
+
+    def _value(self, key: str) -> yaml.Node:
+        if key not in self._items:
+            raise self.error(f"{self._title}: '{key}' is missing")
+        return self._items[key][1]

@@ -1,0 +1,91 @@
+"""What battery power, speed and grade alone determine of a car.
+
+In the `wheel_power` form of the dynamics eta, mu, mass and C_d enter battery power only through
+products, so (eta, mu, mass, C_d) -> (s eta, mu / s, s mass, s C_d) changes nothing that could be
+measured. The combinations below are what is left; absolute values need a prior or a known mass.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.vehicle.physics import drag_force, grade_force, inertia_force, rolling_force
+
+
+class Identifiable(NamedTuple):
+    """The combinations that data determine; floats, arrays or tensors alike.
+
+    Attributes:
+        mass_over_eta: m / eta, kg.
+        drag_area_over_eta: A C_d / eta, m^2.
+        c_rr: coefficient of rolling resistance.
+        regeneration: eta mu, share of the braking energy counted at the battery, 0..1.
+        p_aux: auxiliary power, W.
+    """
+
+    mass_over_eta: Any
+    drag_area_over_eta: Any
+    c_rr: Any
+    regeneration: Any
+    p_aux: Any
+
+
+IDENTIFIABLE_NAMES = Identifiable._fields
+
+
+def identifiable(parameters: Parameters, area: float) -> Identifiable:
+    """The identifiable combinations of a full set of parameters; area in m^2."""
+    return Identifiable(
+        mass_over_eta=parameters.mass / parameters.eta,
+        drag_area_over_eta=area * parameters.c_d / parameters.eta,
+        c_rr=parameters.c_rr,
+        regeneration=parameters.eta * parameters.mu,
+        p_aux=parameters.p_aux,
+    )
+
+
+def traction_power(
+    speed: Any,
+    acceleration: Any,
+    combined: Identifiable,
+    *,
+    air_density: Any,
+    grade: Any = 0.0,
+    rotating_mass_factor: float = 1.0,
+) -> Any:
+    """Wheel power over eta: W / eta of `physics.battery_power`, W, before regeneration."""
+    mass = combined.mass_over_eta
+    force = (
+        drag_force(speed, combined.drag_area_over_eta, air_density)
+        + rolling_force(mass, combined.c_rr, grade)
+        + grade_force(mass, grade)
+        + inertia_force(mass * rotating_mass_factor, acceleration)
+    )
+    return speed * force
+
+
+def combined_power(
+    speed: Any,
+    acceleration: Any,
+    combined: Identifiable,
+    *,
+    air_density: Any,
+    grade: Any = 0.0,
+    rotating_mass_factor: float = 1.0,
+) -> Any:
+    """Battery power in the `wheel_power` form from the identifiable combinations, W.
+
+    Equals `physics.battery_power` of any parameters with these combinations, up to the inertia
+    of rotating parts, which scales the acceleration term here.
+    """
+    traction = traction_power(
+        speed,
+        acceleration,
+        combined,
+        air_density=air_density,
+        grade=grade,
+        rotating_mass_factor=rotating_mass_factor,
+    )
+    driving = (traction > 0) * 1.0
+    return traction * (driving + (1.0 - driving) * combined.regeneration) + combined.p_aux

@@ -1,0 +1,55 @@
+"""The parameters of a car, their units, and what is believed of them before driving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+PARAMETER_NAMES = ("eta", "mu", "mass", "c_rr", "c_d", "p_aux")
+
+
+class Parameters(NamedTuple):
+    """One value of each parameter; floats, arrays or tensors alike.
+
+    Attributes:
+        eta: motor efficiency, battery to wheel, 0..1.
+        mu: regeneration efficiency, wheel to battery, 0..1 (see `RegenForm` for the paper's use).
+        mass: vehicle mass, kg.
+        c_rr: coefficient of rolling resistance.
+        c_d: coefficient of aerodynamic drag.
+        p_aux: auxiliary power, W.
+    """
+
+    eta: Any
+    mu: Any
+    mass: Any
+    c_rr: Any
+    c_d: Any
+    p_aux: Any
+
+
+class Limits(NamedTuple):
+    """Physically possible range of a parameter, both ends included."""
+
+    lower: float
+    upper: float
+
+
+LIMITS: Mapping[str, Limits] = {
+    "eta": Limits(0.05, 1.0),
+    "mu": Limits(0.0, 1.0),
+    "mass": Limits(100.0, 60_000.0),
+    "c_rr": Limits(0.001, 0.1),
+    "c_d": Limits(0.05, 2.0),
+    "p_aux": Limits(0.0, 50_000.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is believed of one parameter before driving: value, 1-sigma and where it is from."""
+
+    value: float
+    std: float
+    source: str
