@@ -1,0 +1,87 @@
+from pathlib import Path
+import re
+
+from setuptools import find_packages, setup
+
+NAME = "evpinn_ros"
+VERSION = re.search(r'^__version__ = "(.+)"$', Path(NAME, "__init__.py").read_text(), re.M)[1]
+
+
+def shared_files(*folders):
+    """Every file below these folders, grouped as `data_files` wants it: kept where it lies."""
+    files = sorted(path for folder in folders for path in Path(folder).rglob("*"))
+    files = [path for path in files if path.is_file() and path.suffix != ".pyc"]
+    for folder in sorted({path.parent for path in files}):
+        yield f"share/{NAME}/{folder}", [str(path) for path in files if path.parent == folder]
+
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description="Onboard estimation of an electric car's parameters, power and energy",
+    maintainer="The evpinn_ros maintainers",
+    maintainer_email="maintainers@evpinn-ros.example",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"], f"{NAME}.energy": ["rknn_weights.npz"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *shared_files("config", "launch", "bags"),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    install_requires=[
+        "cantools",
+        "lz4",
+        "matplotlib",
+        "mcap",
+        "numpy",
+        "python-can[multicast]",
+        "pyyaml",
+        "rich",
+        "rosbags",
+        "scipy",
+        "torch",
+        "typer",
+        "zstandard",
+    ],
+    extras_require={
+        # rclpy and Fast DDS as wheels, for a machine without a ROS 2 installation.
+        "ros": [
+            "ros-rclpy[fastrtps]",
+            "ros-builtin-interfaces",
+            "ros-diagnostic-msgs",
+            "ros-geometry-msgs",
+            "ros-nav-msgs",
+            "ros-rcl-interfaces",
+            "ros-rosgraph-msgs",
+            "ros-sensor-msgs",
+            "ros-std-msgs",
+            "ros-std-srvs",
+            "ros-trajectory-msgs",
+        ],
+        "dev": [
+            "colcon-core",
+            "colcon-python-setup-py",
+            "colcon-ros",
+            "hypothesis",
+            "mypy",
+            "pyserial",
+            "pytest",
+            "pytest-timeout",
+            "pytest-xdist",
+            "ruff",
+            "setuptools>=70.1",
+            "types-PyYAML",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            "can_bridge = evpinn_ros.nodes.can_bridge:main",
+            "energy = evpinn_ros.nodes.energy:main",
+            "estimator = evpinn_ros.nodes.estimator:main",
+            "evpinn = evpinn_ros.cli.main:main",
+        ],
+    },
+)

@@ -1,0 +1,147 @@
+"""The shape of the house: who may know whom, and what a core never does."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "evpinn_ros"
+
+# From the ground up. A part may import what lies below it, and nothing beside or above it.
+LAYERS = [
+    {"", "errors"},
+    {"share", "yaml_section"},
+    {"vehicle"},
+    {"signals"},
+    {"can", "energy", "estimation"},
+    {"nodes.topics"},  # with the messages the contract of the topics: no ROS, so bags share it
+    {"nodes.messages"},
+    {"nodes.plan_messages", "nodes.estimate_messages"},
+    {"bags"},
+    {"simulation"},
+    {"replay"},
+    {"report"},
+    {"nodes"},
+    {"cli"},
+    {"__main__"},
+]
+RANKS = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
+CORES = {"vehicle", "signals", "estimation", "energy"}
+
+LONGEST_FILE = 400
+CLOCKS = {"time", "datetime"}
+UNSAFE_MODULES = {"dill", "joblib", "marshal", "pickle", "shelve"}
+UNSAFE_YAML = {"yaml.load", "yaml.load_all", "yaml.full_load", "yaml.unsafe_load"}
+
+
+def modules() -> Iterator[tuple[str, ast.Module]]:
+    """Every module of the package: its name below `evpinn_ros`, and its syntax tree."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        name = ".".join(part for part in parts if part != "__init__")
+        yield name, ast.parse(path.read_text(), str(path))
+
+
+MODULES = dict(modules())
+
+
+def part_of(module: str) -> str:
+    """The part of the house that a module belongs to."""
+    whole = ".".join(module.split(".")[:2])
+    return whole if whole in RANKS else module.partition(".")[0]
+
+
+def imports(name: str) -> Iterator[str]:
+    """The full name of everything a module imports, at its top or inside a function."""
+    is_package = (PACKAGE / name.replace(".", "/")).is_dir()
+    for node in ast.walk(MODULES[name]):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            origin = node.module or ""
+            if node.level:
+                own = ["evpinn_ros", *filter(None, name.split("."))]
+                up = len(own) - node.level + is_package
+                origin = ".".join([*own[:up], *filter(None, [origin])])
+            yield from (f"{origin}.{alias.name}" for alias in node.names)
+
+
+def calls(tree: ast.Module) -> Iterator[tuple[str, ast.Call]]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func), node
+
+
+def ros_packages() -> set[str]:
+    manifest = ElementTree.parse(ROOT / "package.xml")
+    depends = {tag.text for tag in manifest.iter("exec_depend")}
+    return {name for name in depends if not name.startswith("python3-")} | {"ament_index_python"}
+
+
+def without_ros() -> list[str]:
+    """Every module but the nodes themselves."""
+    return [name for name in MODULES if part_of(name) != "nodes" or name == "nodes"]
+
+
+def test_every_module_has_its_layer() -> None:
+    assert {part_of(name) for name in MODULES} <= RANKS.keys()
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_dependencies_point_down(name: str) -> None:
+    own = part_of(name)
+    for imported in imports(name):
+        top, _, inside = imported.partition(".")
+        if top == "evpinn_ros":
+            other = part_of(inside)
+            # The version and the like: `from evpinn_ros import __version__`.
+            other = other if other in RANKS else ""
+            assert other == own or RANKS[other] < RANKS[own], f"{name} imports {imported}"
+
+
+@pytest.mark.parametrize("name", without_ros())
+def test_only_nodes_know_ros(name: str) -> None:
+    known = {imported.partition(".")[0] for imported in imports(name)}
+    assert not known & ros_packages()
+
+
+def test_everything_but_the_nodes_loads_without_ros() -> None:
+    names = [f"evpinn_ros.{name}".rstrip(".") for name in without_ros() if name != "__main__"]
+    code = (
+        "import importlib, sys\n"
+        f"sys.modules.update(dict.fromkeys({ros_packages()}))\n"
+        f"for name in {names}:\n"
+        "    importlib.import_module(name)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_file_holds_two_things() -> None:
+    files = [*ROOT.glob("*.py")]
+    files += [
+        path for name in ("evpinn_ros", "launch", "test") for path in (ROOT / name).rglob("*.py")
+    ]
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in files}
+    assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if part_of(name) in CORES])
+def test_cores_read_no_clock(name: str) -> None:
+    assert not {imported.partition(".")[0] for imported in imports(name)} & CLOCKS
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_files_are_read_safely(name: str) -> None:
+    assert not {imported.partition(".")[0] for imported in imports(name)} & UNSAFE_MODULES
+    for function, call in calls(MODULES[name]):
+        options = {keyword.arg: ast.unparse(keyword.value) for keyword in call.keywords}
+        assert function not in UNSAFE_YAML, ast.unparse(call)
+        assert options.get("allow_pickle", "False") == "False", ast.unparse(call)
+        if function == "torch.load":
+            assert options.get("weights_only") == "True", ast.unparse(call)

@@ -1,0 +1,185 @@
+"""What leaves the checkout: the wheel, the colcon install, and the dependencies both declare."""
+
+import ast
+from configparser import ConfigParser
+from email import message_from_string
+from importlib import import_module
+import os
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+from xml.etree import ElementTree
+from zipfile import ZipFile
+
+import pytest
+
+import evpinn_ros
+
+ROOT = Path(__file__).resolve().parents[1]
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
+DEPENDS = {tag.text for tag in MANIFEST.iter("exec_depend")}
+ROS_PACKAGES = {name for name in DEPENDS if not name.startswith("python3-")}
+EXECUTABLES = {"can_bridge", "energy", "estimator", "evpinn"}
+
+# What is imported: its name at the package index and its rosdep key, where it has one.
+NAMES = {
+    "can": ("python-can", "python3-can"),
+    "cantools": ("cantools", "python3-cantools-pip"),
+    "lz4": ("lz4", None),
+    "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "mcap": ("mcap", None),
+    "numpy": ("numpy", "python3-numpy"),
+    "rich": ("rich", "python3-rich"),
+    "rosbags": ("rosbags", "python3-rosbags-pip"),
+    "scipy": ("scipy", "python3-scipy"),
+    "torch": ("torch", "python3-torch"),
+    "typer": ("typer", "python3-typer"),
+    "yaml": ("pyyaml", "python3-yaml"),
+    "zstandard": ("zstandard", None),
+}
+
+
+def run(*command: object, **options: object) -> str:
+    done = subprocess.run(
+        [str(part) for part in command], stdin=subprocess.DEVNULL, capture_output=True, **options
+    )
+    assert done.returncode == 0, (done.stdout + done.stderr).decode()
+    return done.stdout.decode()
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy to build from, so that no build leaves anything behind in the checkout."""
+    copy = tmp_path_factory.mktemp("source") / "evpinn_ros"
+    unwanted = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install")
+    return shutil.copytree(ROOT, copy, ignore=unwanted)
+
+
+@pytest.fixture(scope="module")
+def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> ZipFile:
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel")
+    run(*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source)
+    return ZipFile(next(folder.glob("*.whl")))
+
+
+@pytest.fixture(scope="module")
+def installed(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The install space of `colcon build`."""
+    space = tmp_path_factory.mktemp("colcon")
+    colcon = (sys.executable, "-m", "colcon", "--log-base", space / "log")
+    bases = ("--build-base", space / "build", "--install-base", space / "install")
+    home = {"COLCON_HOME": str(space)}
+    run(*colcon, "build", "--paths", source, *bases, cwd=space, env=os.environ | home)
+    return space / "install"
+
+
+def in_workspace(installed: Path, *command: object) -> str:
+    """The output of a command in a shell that sourced the workspace, away from the checkout."""
+    return run("sh", "-c", '. ./local_setup.sh && "$@"', "sh", *command, cwd=installed)
+
+
+def read_info(wheel: ZipFile, name: str) -> str:
+    return wheel.read(f"evpinn_ros-{evpinn_ros.__version__}.dist-info/{name}").decode()
+
+
+def requirements(wheel: ZipFile, without_extra: str = "none") -> set[str]:
+    lines = message_from_string(read_info(wheel, "METADATA")).get_all("Requires-Dist")
+    kept = [line for line in lines if f'extra == "{without_extra}"' not in line]
+    return {re.match(r"[\w-]+", line)[0].lower() for line in kept}
+
+
+def third_party_imports(folder: str) -> set[str]:
+    names = set()
+    for path in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                names.add(node.module)
+    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"evpinn_ros"}
+
+
+def test_version_is_one(wheel: ZipFile) -> None:
+    metadata = message_from_string(read_info(wheel, "METADATA"))
+    assert metadata["Version"] == MANIFEST.findtext("version") == evpinn_ros.__version__
+
+
+def test_manifest_is_an_ament_python_package() -> None:
+    assert MANIFEST.get("format") == "3"
+    assert MANIFEST.findtext("name") == "evpinn_ros"
+    assert MANIFEST.findtext("export/build_type") == "ament_python"
+
+
+def test_manifest_declares_what_is_imported() -> None:
+    imported = third_party_imports("evpinn_ros") | third_party_imports("launch")
+    keys = {NAMES[name][1] for name in imported - ROS_PACKAGES} - {None}
+    assert keys <= DEPENDS
+
+
+def test_wheel_declares_what_is_imported(wheel: ZipFile) -> None:
+    imported = third_party_imports("evpinn_ros")
+    needed = {NAMES[name][0] for name in imported - ROS_PACKAGES}
+    needed |= {f"ros-{name.replace('_', '-')}" for name in imported & ROS_PACKAGES}
+    assert needed <= requirements(wheel, without_extra="dev")
+
+
+def test_constraints_pin_every_requirement(wheel: ZipFile) -> None:
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = {line.partition("==")[0].lower() for line in lines if "==" in line}
+    assert pinned == requirements(wheel)
+
+
+def test_wheel_holds_every_file(wheel: ZipFile) -> None:
+    files = {
+        path.relative_to(ROOT).as_posix()
+        for folder in ("evpinn_ros", "config", "launch")
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    assert "evpinn_ros/energy/rknn_weights.npz" in files
+    share = f"evpinn_ros-{evpinn_ros.__version__}.data/data/share/evpinn_ros/"
+    held = {name.removeprefix(share) for name in wheel.namelist()}
+    assert files <= held
+
+
+def test_every_executable_has_its_function(wheel: ZipFile) -> None:
+    entry_points = ConfigParser()
+    entry_points.read_string(read_info(wheel, "entry_points.txt"))
+    scripts = dict(entry_points["console_scripts"])
+    assert scripts.keys() == EXECUTABLES
+    for target in scripts.values():
+        module, _, function = target.partition(":")
+        assert callable(getattr(import_module(module), function)), target
+
+
+def test_colcon_installs_the_package(installed: Path) -> None:
+    prefix = installed / "evpinn_ros"
+    assert (prefix / "share/evpinn_ros/config/vehicles/generic.yaml").is_file()
+    assert (prefix / "share/evpinn_ros/package.xml").is_file()
+    assert (prefix / "share/ament_index/resource_index/packages/evpinn_ros").is_file()
+    assert {path.name for path in (prefix / "lib/evpinn_ros").iterdir()} == EXECUTABLES
+
+
+def test_colcon_install_uses_its_own_files(installed: Path) -> None:
+    code = "from evpinn_ros import share; print(share.__file__, share.share_directory())"
+    for path in in_workspace(installed, sys.executable, "-c", code).split():
+        assert Path(path).is_relative_to(installed / "evpinn_ros")
+
+
+def test_installed_command_runs(installed: Path) -> None:
+    assert "replay" in in_workspace(installed, "evpinn_ros/lib/evpinn_ros/evpinn", "--help")
+
+
+def test_installed_nodes_load(installed: Path) -> None:
+    """Everything an executable does, short of calling the function it found."""
+    code = (
+        "from importlib.metadata import distribution\n"
+        "for entry_point in distribution('evpinn_ros').entry_points:\n"
+        "    print(entry_point.load().__code__.co_filename)"
+    )
+    loaded = in_workspace(installed, sys.executable, "-c", code).split()
+    assert len(loaded) == len(EXECUTABLES)
+    assert all(Path(path).is_relative_to(installed) for path in loaded)
