@@ -11,13 +11,10 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
-
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
-
-MAX_FILE_BYTES = 100_000
+from evpinn_ros.yaml_section import Section, compose
 
 
 class Constant(NamedTuple):
@@ -100,10 +97,10 @@ def _vehicle_directory() -> Path:
 
 
 def _parse(path: Path) -> Vehicle:
-    root = _Section(path, _compose(path), "vehicle file")
-    constants = {key: root.section(key).constant(key) for key in CONSTANTS if root.has(key)}
+    root = compose(path, "vehicle file")
+    constants = {key: _constant(root.section(key), key) for key in CONSTANTS if root.has(key)}
     parameters = root.section("parameters")
-    priors = {name: parameters.section(name).prior(name) for name in PARAMETER_NAMES}
+    priors = {name: _prior(parameters.section(name), name) for name in PARAMETER_NAMES}
     parameters.refuse_unknown(PARAMETER_NAMES)
     root.refuse_unknown(("name", "can_profile", "parameters", *CONSTANTS))
     for key in CONSTANTS:
@@ -119,83 +116,15 @@ def _parse(path: Path) -> Vehicle:
     )
 
 
-def _compose(path: Path) -> yaml.Node:
-    try:
-        text = path.read_bytes()[: MAX_FILE_BYTES + 1]
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    if len(text) > MAX_FILE_BYTES:
-        raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a vehicle file")
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise InputError(f"{path}:{line}: not YAML: {error.problem}") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: not YAML: {error}".replace("\n", " ")) from error
-    if node is None:
-        raise InputError(f"{path}: the file is empty")
-    return node
+def _constant(section: Section, name: str) -> float:
+    section.refuse_unknown(("value", "source"))
+    section.text("source")
+    return section.number("value", CONSTANTS[name].lower, CONSTANTS[name].upper)
 
 
-class _Section:
-    """One mapping of the file with its line numbers, so that every error can name its line."""
-
-    def __init__(self, path: Path, node: yaml.Node, title: str) -> None:
-        self._path, self._node, self._title = path, node, title
-        if not isinstance(node, yaml.MappingNode):
-            raise self.error(f"{title}: expected 'key: value' lines")
-        self._items: dict[str, tuple[yaml.Node, yaml.Node]] = {}
-        for key, value in node.value:
-            if key.value in self._items:
-                raise self.error(f"'{key.value}' is given twice", key)
-            self._items[key.value] = (key, value)
-
-    def error(self, reason: str, node: yaml.Node | None = None) -> InputError:
-        line = (node or self._node).start_mark.line + 1
-        return InputError(f"{self._path}:{line}: {reason}")
-
-    def has(self, key: str) -> bool:
-        return key in self._items
-
-    def section(self, key: str) -> _Section:
-        return _Section(self._path, self._value(key), f"{self._title}, {key}")
-
-    def text(self, key: str) -> str:
-        node = self._value(key)
-        if not isinstance(node, yaml.ScalarNode) or not node.value:
-            raise self.error(f"'{key}' must be text", node)
-        return str(node.value)
-
-    def number(self, key: str, lower: float, upper: float) -> float:
-        node = self._value(key)
-        try:
-            value = float(node.value)
-        except (TypeError, ValueError):
-            raise self.error(f"'{key}' must be a number", node) from None
-        if not lower <= value <= upper:
-            reason = f"{self._title}: {key} = {value:g} is outside [{lower:g}, {upper:g}]"
-            raise self.error(reason, node)
-        return value
-
-    def constant(self, name: str) -> float:
-        self.refuse_unknown(("value", "source"))
-        self.text("source")
-        return self.number("value", CONSTANTS[name].lower, CONSTANTS[name].upper)
-
-    def prior(self, name: str) -> Prior:
-        self.refuse_unknown(("value", "std", "source"))
-        limits = LIMITS[name]
-        value = self.number("value", limits.lower, limits.upper)
-        std = self.number("std", 1e-9, limits.upper)
-        return Prior(value, std, self.text("source"))
-
-    def refuse_unknown(self, known: tuple[str, ...]) -> None:
-        for name, (key, _) in self._items.items():
-            if name not in known:
-                raise self.error(f"unknown key '{name}'; known are {', '.join(known)}", key)
-
-    def _value(self, key: str) -> yaml.Node:
-        if key not in self._items:
-            raise self.error(f"{self._title}: '{key}' is missing")
-        return self._items[key][1]
+def _prior(section: Section, name: str) -> Prior:
+    section.refuse_unknown(("value", "std", "source"))
+    limits = LIMITS[name]
+    value = section.number("value", limits.lower, limits.upper)
+    std = section.number("std", 1e-9, limits.upper)
+    return Prior(value, std, section.text("source"))

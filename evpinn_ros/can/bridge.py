@@ -1,0 +1,146 @@
+"""The bridge without ROS: frames in, readings out, and how the bus is doing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+
+STALE_PERIODS = 10
+PERIOD_WEIGHT = 0.05
+SHORTEST_PERIOD_NS = NANOSECONDS // 100
+LONGEST_PERIOD_NS = NANOSECONDS
+"""Period of the slowest signal worth waiting for, and of one not yet known."""
+
+_KINDS: Mapping[str, type[Reading]] = {"speed": SpeedReading, "battery": BatteryReading}
+
+
+@dataclass(frozen=True, slots=True)
+class SignalStatus:
+    """How one quantity arrives.
+
+    Attributes:
+        count: readings so far.
+        rate: readings per second, NaN until two came.
+        age: seconds since the last, NaN before the first.
+        stale: none for ten periods, or none ever.
+    """
+
+    count: int
+    rate: float
+    age: float
+    stale: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeStatus:
+    """One look at the bridge, for diagnostics.
+
+    Attributes:
+        ok: every quantity of the profile arrives.
+        text: the state in a few words.
+        frames: frames of the profile's ids.
+        unknown_frames: frames of other ids.
+        unknown_ids: how many other ids.
+        dropped: values not used, by reason (see `Decoder`).
+        signals: `speed` and `battery`, as far as the profile has them.
+    """
+
+    ok: bool
+    text: str
+    frames: int
+    unknown_frames: int
+    unknown_ids: int
+    dropped: Mapping[str, int]
+    signals: Mapping[str, SignalStatus]
+
+
+class CanBridge:
+    """Decodes the frames of one bus and watches over them; for one thread at a time.
+
+    A reading is made of one frame and told once: when a signal falls silent, nothing follows.
+    """
+
+    def __init__(self, profile: CanProfile) -> None:
+        self._decoder = Decoder(profile)
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in profile.messages}
+
+    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+        """The readings in a frame (see `Decoder.push`); never raises."""
+        readings = self._decoder.push(frame)
+        for reading in readings:
+            for name, arrivals in self._arrivals.items():
+                if isinstance(reading, _KINDS[name]):
+                    arrivals.push(reading.stamp_ns)
+        return readings
+
+    def status(self, now_ns: int) -> BridgeStatus:
+        """The state at `now_ns`, a time of the clock that stamped the frames."""
+        signals = {name: arrivals.status(now_ns) for name, arrivals in self._arrivals.items()}
+        stale = [name for name, signal in signals.items() if signal.stale]
+        text = self._suspicion(signals)
+        return BridgeStatus(
+            ok=not text and not stale,
+            text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
+            frames=self._decoder.known,
+            unknown_frames=self._decoder.unknown.total(),
+            unknown_ids=len(self._decoder.unknown),
+            dropped=dict(self._decoder.dropped),
+            signals=signals,
+        )
+
+    def _suspicion(self, signals: Mapping[str, SignalStatus]) -> str | None:
+        """What is wrong with the whole bus, most telling first."""
+        decoder = self._decoder
+        if not decoder.known:
+            return (
+                "no frame of this profile: another bus or car?" if decoder.unknown else "waiting"
+            )
+        if decoder.dropped.total() > sum(signal.count for signal in signals.values()):
+            return "most values are implausible: wrong profile?"
+        return None
+
+
+class _Arrivals:
+    """When the readings of one quantity came, and how often they usually do."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._last_ns: int | None = None
+        self._period_ns = math.nan
+
+    def push(self, stamp_ns: int) -> None:
+        self._count += 1
+        if self._last_ns is not None:
+            self._learn(stamp_ns - self._last_ns)
+        self._last_ns = max(stamp_ns, self._last_ns or stamp_ns)
+
+    def status(self, now_ns: int) -> SignalStatus:
+        age_ns = math.nan if self._last_ns is None else now_ns - self._last_ns
+        return SignalStatus(
+            count=self._count,
+            rate=NANOSECONDS / self._period_ns if self._period_ns else math.nan,
+            age=age_ns / NANOSECONDS,
+            stale=not age_ns <= self._patience_ns,  # NaN, never came, is stale too
+        )
+
+    @property
+    def _patience_ns(self) -> float:
+        known = math.isfinite(self._period_ns)
+        period_ns = self._period_ns if known else LONGEST_PERIOD_NS
+        return STALE_PERIODS * max(period_ns, SHORTEST_PERIOD_NS)
+
+    def _learn(self, interval_ns: int) -> None:
+        """Average the intervals, plainly at first; a silence counts as one long period at most."""
+        clipped = min(max(interval_ns, 0), LONGEST_PERIOD_NS)
+        intervals = self._count - 1
+        if intervals == 1:
+            self._period_ns = clipped
+        else:
+            weight = max(PERIOD_WEIGHT, 1 / intervals)
+            self._period_ns += weight * (clipped - self._period_ns)

@@ -1,0 +1,271 @@
+"""A CAN adapter, read in one thread, that survives silence, unplugging and a broken driver.
+
+Receive only: nothing here sends a frame. An adapter that takes `listen_only` (slcan does) should
+be given it, so that it does not even acknowledge the car's frames.
+
+Stamps follow one rule, chosen at the first frame after every opening: a driver that stamps with
+the epoch (more than 1e9 s) is believed; any other counts from a zero of its own, which is laid
+on the node's clock at that first frame.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+import errno
+import threading
+from typing import Any
+
+import can
+
+from evpinn_ros.can.frame import EPOCH_S, CanFrame, nanoseconds
+from evpinn_ros.errors import InputError
+
+RECEIVE_TIMEOUT_S = 0.1
+SILENT_AFTER_S = 1.0
+FIRST_BACKOFF_S = 0.5
+LAST_BACKOFF_S = 10.0
+GARBLED_PAUSE_S = 0.01
+
+DRIVERS: Mapping[str, str] = {
+    "gs_usb": "the Python package gs_usb",
+    "kvaser": "Kvaser's CANlib",
+    "pcan": "PEAK's PCAN-Basic",
+    "serial": "the Python package pyserial",
+    "slcan": "the Python package pyserial",
+    "udp_multicast": "the Python package msgpack",
+    "vector": "Vector's XL Driver Library",
+}
+"""What python-can needs beside itself for the adapters people have most."""
+
+
+class BusState(Enum):
+    """What the adapter is doing."""
+
+    CLOSED = "closed"
+    OPEN = "open"
+    SILENT = "silent: the car sleeps or this is another bus"
+    LOST = "lost: waiting to open it again"
+
+
+@dataclass(frozen=True, slots=True)
+class BusStatus:
+    """One look at the adapter.
+
+    Attributes:
+        state: now.
+        problem: the last fault in one line with what to do about it, or None.
+        counters: since the start: `frames`, `opened`, `lost`, `error_frames`, `remote_frames`,
+            `garbled` (the driver could not read a frame), `callback_errors`, `close_errors`.
+    """
+
+    state: BusState
+    problem: str | None
+    counters: Mapping[str, int]
+
+
+class BusReader:
+    """Reads one bus and hands every data frame to a callback.
+
+    `run` is for one thread of its own; `stop` and `status` may be called from any other.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        channel: str | int,
+        on_frame: Callable[[CanFrame], None],
+        now_ns: Callable[[], int],
+        **options: Any,
+    ) -> None:
+        """Remember how to open the bus.
+
+        Args:
+            interface: python-can's name of the driver: `socketcan`, `slcan`, `udp_multicast`...
+            channel: `can0`, `/dev/ttyACM0`...
+            on_frame: called in the thread of `run`; what it raises is counted, never a fault of
+                the bus.
+            now_ns: the node's clock, for adapters without an absolute one.
+            options: passed to `can.Bus` as they are (`bitrate`, `can_filters`, `listen_only`...).
+        """
+        self._interface, self._channel, self._options = interface, channel, options
+        self._on_frame, self._now_ns = on_frame, now_ns
+        self._bus: Any = None
+        self._stop = threading.Event()
+        self._state = BusState.CLOSED
+        self._problem: str | None = None
+        self._counters: Counter[str] = Counter()
+        self._offset_ns: int | None = None
+        self._silent_s = 0.0
+        self._backoff_s = FIRST_BACKOFF_S
+
+    def open(self) -> None:
+        """Open the bus, for a caller that would rather fail at the start than wait for it.
+
+        Raises:
+            InputError: it cannot be opened; the line says what to do.
+        """
+        try:
+            self._bus = can.Bus(
+                channel=self._channel,
+                interface=self._interface,
+                ignore_config=True,
+                **self._options,
+            )
+        except Exception as error:
+            # CanError, OSError, ValueError, NotImplementedError, AttributeError...: each driver
+            # has its own way to refuse, and all of them mean that there is no bus now.
+            self._problem = _explain(error, self._interface, self._channel)
+            raise InputError(self._problem) from error
+        self._state = BusState.OPEN
+        self._counters["opened"] += 1
+        self._offset_ns = None
+        self._silent_s = 0.0
+
+    def run(self) -> None:
+        """Read until `stop`; open the bus as often as it takes."""
+        try:
+            while not self._stop.is_set():
+                if self._bus is not None or self._reopen():
+                    self._receive()
+        finally:
+            self._close(BusState.CLOSED)
+
+    def stop(self) -> None:
+        """Make `run` return, within about a tenth of a second plus the driver's own time."""
+        self._stop.set()
+
+    def status(self) -> BusStatus:
+        """The state, the last problem and the counters so far."""
+        return BusStatus(self._state, self._problem, dict(self._counters))
+
+    def _reopen(self) -> bool:
+        try:
+            self.open()
+        except InputError:  # the reason stays in `problem`
+            self._state = BusState.LOST
+            self._back_off()
+            return False
+        return True
+
+    def _back_off(self) -> None:
+        self._stop.wait(self._backoff_s)
+        self._backoff_s = min(2 * self._backoff_s, LAST_BACKOFF_S)
+
+    def _receive(self) -> None:
+        try:
+            message = self._bus.recv(RECEIVE_TIMEOUT_S)
+        except (can.CanError, OSError) as error:
+            self._counters["lost"] += 1
+            self._problem = _explain(error, self._interface, self._channel)
+            self._close(BusState.LOST)
+            self._back_off()
+            return
+        except Exception as error:
+            # Half a line from a serial adapter: the driver's parser stumbles, the next line is
+            # good. The pause keeps a driver that always stumbles from burning the processor.
+            self._counters["garbled"] += 1
+            self._problem = f"{self._name}: garbled frame: {_one_line(error)}"
+            self._stop.wait(GARBLED_PAUSE_S)
+            return
+        if message is None:
+            self._silence()
+        else:
+            self._take(message)
+
+    def _silence(self) -> None:
+        self._silent_s += RECEIVE_TIMEOUT_S
+        if self._silent_s >= SILENT_AFTER_S:
+            self._state = BusState.SILENT
+
+    def _take(self, message: Any) -> None:
+        self._state, self._silent_s = BusState.OPEN, 0.0
+        # Only a frame proves the bus: one that opens and fails at once keeps backing off.
+        self._backoff_s = FIRST_BACKOFF_S
+        if message.is_error_frame:
+            self._counters["error_frames"] += 1
+        elif message.is_remote_frame:
+            self._counters["remote_frames"] += 1
+        else:
+            self._counters["frames"] += 1
+            self._deliver(self._frame(message))
+
+    def _deliver(self, frame: CanFrame) -> None:
+        try:
+            self._on_frame(frame)
+        except Exception as error:
+            self._counters["callback_errors"] += 1
+            self._problem = f"{self._name}: reader of the frames failed: {error!r}"
+
+    def _frame(self, message: Any) -> CanFrame:
+        stamp_ns = nanoseconds(message.timestamp)
+        if self._offset_ns is None:
+            epoch = message.timestamp > EPOCH_S
+            self._offset_ns = 0 if epoch else self._now_ns() - stamp_ns
+        return CanFrame(
+            stamp_ns + self._offset_ns,
+            message.arbitration_id,
+            bytes(message.data),
+            message.is_extended_id,
+        )
+
+    def _close(self, state: BusState) -> None:
+        bus, self._bus = self._bus, None
+        self._state = state
+        if bus is None:
+            return
+        try:
+            bus.shutdown()
+        except Exception as error:
+            # An unplugged adapter cannot be told to stop; it is gone already.
+            self._counters["close_errors"] += 1
+            self._problem = self._problem or f"{self._name}: closing failed: {_one_line(error)}"
+
+    @property
+    def _name(self) -> str:
+        return f"{self._interface} {self._channel}"
+
+
+def _explain(error: BaseException, interface: str, channel: str | int) -> str:
+    """The fault in one line: which bus, what the driver said, what a person can do."""
+    what = f"CAN bus {interface} {channel}: {_one_line(error)}"
+    remedy = _remedy(error, interface, channel)
+    return f"{what}; {remedy}" if remedy else what
+
+
+def _remedy(error: BaseException, interface: str, channel: str | int) -> str | None:
+    if interface not in can.VALID_INTERFACES:
+        return f"known interfaces are {', '.join(sorted(can.VALID_INTERFACES))}"
+    number = _errno(error)
+    if interface == "socketcan" and number in (errno.ENODEV, errno.ENETDOWN):
+        return f"try `sudo ip link set {channel} up type can bitrate 500000`"
+    if number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
+        return "this kernel has no CAN; try `sudo modprobe can_raw`"
+    if number in (errno.EACCES, errno.EPERM):
+        return "no permission; add the user to the group of the device (`dialout`)"
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
+        return "is the adapter plugged in, and the channel its name?"
+    if isinstance(error, (ValueError, TypeError)):
+        return "check channel, bitrate and the other bus options"
+    if number is None:
+        driver = DRIVERS.get(interface, "the driver")
+        return f"is {driver} installed, and the adapter plugged in?"
+    return None
+
+
+def _errno(error: BaseException) -> int | None:
+    """The system's error number, wherever the driver's layers of exceptions carry it."""
+    cause: BaseException | None = error
+    while cause is not None:
+        for name in ("errno", "error_code"):
+            number = getattr(cause, name, None)
+            if isinstance(number, int):
+                return number
+        cause = cause.__cause__ or cause.__context__
+    return None
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

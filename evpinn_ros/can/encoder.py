@@ -1,0 +1,77 @@
+"""From readings to frames: the inverse of the decoder, for simulated drives and tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import CanProfile, MessageRule
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+
+class Encoder:
+    """Writes the frames a car with this profile would send, counters and checksums included."""
+
+    def __init__(self, profile: CanProfile) -> None:
+        self._profile = profile
+        self._counters = dict.fromkeys(profile.messages, -1)
+
+    def speed(self, reading: SpeedReading) -> CanFrame:
+        """The frame with a speed.
+
+        Raises:
+            ValueError: the profile has no speed, or the car cannot show the value.
+        """
+        return self._frame("speed", reading.stamp_ns, [reading.speed])
+
+    def battery(self, reading: BatteryReading) -> CanFrame:
+        """The frame with voltage and current.
+
+        Raises:
+            ValueError: the profile has no battery, or the car cannot show the values.
+        """
+        return self._frame("battery", reading.stamp_ns, [reading.voltage, reading.current])
+
+    def state_of_charge(self, reading: BatteryReading) -> CanFrame:
+        """The frame with the state of charge.
+
+        Raises:
+            ValueError: the profile has no state of charge, or the car cannot show the value.
+        """
+        return self._frame("state_of_charge", reading.stamp_ns, [reading.state_of_charge])
+
+    def _frame(self, quantity: str, stamp_ns: int, values: Sequence[float]) -> CanFrame:
+        if quantity not in self._profile.messages:
+            raise ValueError(f"profile {self._profile.key} has no {quantity}")
+        rule = self._profile.messages[quantity]
+        message = rule.message
+        raw = {signal.name: 0 for signal in message.signals}
+        raw |= _raw_values(rule, values)
+        if rule.counter is not None:
+            bits = message.get_signal_by_name(rule.counter).length
+            self._counters[quantity] = (self._counters[quantity] + 1) % (1 << bits)
+            raw[rule.counter] = self._counters[quantity]
+        data = _with_checksum(rule, message.encode(raw, scaling=False, strict=False))
+        return CanFrame(stamp_ns, message.frame_id, data, message.is_extended_frame)
+
+
+def _raw_values(rule: MessageRule, values: Sequence[float]) -> dict[str, int]:
+    if rule.message.is_multiplexed():
+        raise ValueError(f"message {rule.message.name} is multiplexed: it can be read only")
+    raw = {}
+    for signal, value in zip(rule.signals, values, strict=True):
+        if not signal.lower <= value <= signal.upper:
+            bounds = f"[{signal.lower:g}, {signal.upper:g}]"
+            raise ValueError(f"{signal.name} = {value:g} is outside {bounds}")
+        raw[signal.name] = signal.raw(value)
+        if raw[signal.name] in signal.not_available:
+            raise ValueError(f"{signal.name} = {value:g} would read as 'not available'")
+    return raw
+
+
+def _with_checksum(rule: MessageRule, data: bytes) -> bytes:
+    if rule.checksum is None:
+        return data
+    before, after = data[: rule.checksum_byte], data[rule.checksum_byte + 1 :]
+    checksum = rule.checksum(rule.message.frame_id, before + after)
+    return before + bytes((checksum,)) + after

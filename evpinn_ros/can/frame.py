@@ -1,0 +1,36 @@
+"""One frame of a CAN bus, whatever adapter or log it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+EPOCH_S = 1e9
+"""Times above this count from 1970, times below it from the start of a log or an adapter."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrame:
+    """A data frame.
+
+    Attributes:
+        stamp_ns: when it was received, ns.
+        can_id: identifier, 11 bits, or 29 when `extended`.
+        data: 0 to 64 bytes.
+        extended: whether the identifier has 29 bits.
+    """
+
+    stamp_ns: int
+    can_id: int
+    data: bytes
+    extended: bool = False
+
+
+def nanoseconds(seconds: float) -> int:
+    """The stamp of a time in seconds, ns.
+
+    A float that holds an epoch is 240 ns coarse: it is rounded to the microsecond, which gives
+    back the digits that the log or the kernel wrote. Shorter times keep their nanoseconds.
+    """
+    if abs(seconds) > EPOCH_S:
+        return round(seconds * 1e6) * 1000
+    return round(seconds * 1e9)

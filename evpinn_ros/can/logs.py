@@ -1,0 +1,173 @@
+"""CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+import gzip
+from pathlib import Path
+from typing import IO, Any
+
+import can
+
+from evpinn_ros.can.frame import CanFrame, nanoseconds
+from evpinn_ros.errors import InputError
+
+_READERS: dict[str, Callable[..., Any]] = {
+    ".log": can.CanutilsLogReader,
+    # By default the reader drops the date of the log and starts at zero.
+    ".asc": lambda file: can.ASCReader(file, relative_timestamp=False),
+    ".blf": can.BLFReader,
+    ".trc": can.TRCReader,
+    ".csv": can.CSVReader,
+}
+LOG_SUFFIXES = tuple(_READERS)
+
+
+class LogFile:
+    """A CAN log on disk, read once by `frames()`; the attributes are complete after that.
+
+    Stamps are those of the log (`nanoseconds`). A log that does not tell the date starts near
+    zero; the date of an .asc has whole milliseconds at best.
+
+    Attributes:
+        path: of the log.
+        count: frames read so far.
+        skipped: what is not a data frame, by kind: `error_frame`, `remote_frame`.
+        problem: why reading stopped before the end, or the sign that the end is missing.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Find out the format.
+
+        Raises:
+            InputError: no such file, an empty one, or a suffix that is not a CAN log's.
+        """
+        self.path = Path(path)
+        self.count = 0
+        self.skipped: Counter[str] = Counter()
+        self.problem: str | None = None
+        suffixes = [suffix.lower() for suffix in self.path.suffixes]
+        self._gzipped = suffixes[-1:] == [".gz"]
+        self._suffix = "".join(suffixes[:-1][-1:] if self._gzipped else suffixes[-1:])
+        if self._suffix not in _READERS:
+            known = ", ".join(LOG_SUFFIXES)
+            raise InputError(f"{self.path}: not a CAN log; known are {known}, also as .gz")
+        try:
+            empty = self.path.stat().st_size == 0
+        except OSError as error:
+            raise InputError(f"{self.path}: {error.strerror}") from error
+        if empty:
+            raise InputError(f"{self.path}: the file is empty")
+
+    def frames(self) -> Iterator[CanFrame]:
+        """Every data frame up to the end, or up to the first damage, told in `problem`.
+
+        Raises:
+            InputError: the file cannot be opened, or there is no frame in it.
+        """
+        with self._open() as file:
+            lines = None if self._suffix == ".blf" else _Lines(file)
+            frames = self._read(lines or file)
+            while True:
+                # The readers are foreign code over a damaged file: whatever they raise says the
+                # same thing, that the log ends here. Only they are inside the try.
+                try:
+                    frame = next(frames, None)
+                except Exception as error:
+                    place = f"{self.path}:{lines.number}" if lines else str(self.path)
+                    self.problem = f"{place}: broken after {self.count} frames: {_say(error)}"
+                    break
+                if frame is None:
+                    break
+                self.count += 1
+                yield frame
+        if self.count == 0:
+            raise InputError(self.problem or f"{self.path}: no CAN frame in it")
+
+    def _open(self) -> IO[Any]:
+        opener: Callable[..., IO[Any]] = gzip.open if self._gzipped else open
+        try:
+            if self._suffix == ".blf":
+                return opener(self.path, "rb")
+            return opener(self.path, "rt", encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise InputError(f"{self.path}: {error.strerror}") from error
+
+    def _read(self, file: IO[Any] | _Lines) -> Iterator[CanFrame]:
+        reader = _READERS[self._suffix](file)
+        for message in reader:
+            if message.is_error_frame:
+                self.skipped["error_frame"] += 1
+            elif message.is_remote_frame:
+                self.skipped["remote_frame"] += 1
+            else:
+                yield CanFrame(
+                    nanoseconds(message.timestamp),
+                    message.arbitration_id,
+                    bytes(message.data),
+                    message.is_extended_id,
+                )
+        # These readers stop where the file stops and are content; gzip notices by itself.
+        if isinstance(file, _Lines):
+            cut_off = file.cut_off
+        else:
+            cut_off = not self._gzipped and reader.file_size > self.path.stat().st_size
+        if cut_off:
+            self.problem = f"{self.path}: cut off after {self.count} frames"
+
+
+class _Lines:
+    """The whole lines of a text file, as a file for the readers.
+
+    A last line without an end was cut: its digits would still parse, as other bytes than the
+    car sent, so it is kept back.
+    """
+
+    def __init__(self, file: IO[str]) -> None:
+        self.number, self.cut_off = 0, False
+        self.read, self.close = file.read, file.close
+        self._file = file
+
+    def __iter__(self) -> Iterator[str]:
+        return self
+
+    def __next__(self) -> str:
+        line = next(self._file)
+        self.number += 1
+        self.cut_off = not line.endswith("\n")
+        if self.cut_off:
+            raise StopIteration
+        return line
+
+
+def write_log(path: str | Path, frames: Iterable[CanFrame], channel: str = "can0") -> int:
+    """Write frames as a candump log (`candump -L`), stamps in microseconds.
+
+    Returns:
+        how many were written.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    count = 0
+    try:
+        with Path(path).open("w", encoding="ascii") as file:
+            for frame in frames:
+                file.write(_candump_line(frame, channel))
+                count += 1
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    return count
+
+
+def _candump_line(frame: CanFrame, channel: str) -> str:
+    seconds, rest = divmod(round(frame.stamp_ns / 1000), 1_000_000)
+    can_id = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
+    # Two marks and a digit of flags tell a CAN FD frame, the only one longer than 8 bytes.
+    mark = "##0" if len(frame.data) > 8 else "#"
+    return f"({seconds}.{rest:06d}) {channel} {can_id}{mark}{frame.data.hex().upper()}\n"
+
+
+def _say(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

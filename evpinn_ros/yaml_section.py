@@ -1,0 +1,119 @@
+"""Strict reading of YAML files written by people: every error names file, line and reason."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+import yaml
+
+from evpinn_ros.errors import InputError
+
+MAX_FILE_BYTES = 100_000
+
+
+def compose(path: Path, title: str) -> Section:
+    """Read the YAML file `path`; `title` says what it is ("vehicle file").
+
+    Raises:
+        InputError: no such file, not YAML, or not a mapping.
+    """
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    if len(text) > MAX_FILE_BYTES:
+        raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a {title}")
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise InputError(f"{path}:{line}: not YAML: {error.problem}") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not YAML: {error}".replace("\n", " ")) from error
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply, not a {title}") from None
+    if node is None:
+        raise InputError(f"{path}: the file is empty")
+    return Section(path, node, title)
+
+
+class Section:
+    """One mapping of a file with its line numbers, so that every error can name its line."""
+
+    def __init__(self, path: Path, node: yaml.Node, title: str) -> None:
+        self._path, self._node, self._title = path, node, title
+        if not isinstance(node, yaml.MappingNode):
+            raise self.error(f"{title}: expected 'key: value' lines")
+        self._items: dict[str, tuple[yaml.Node, yaml.Node]] = {}
+        for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise self.error(f"{title}: a key must be a word", key)
+            if key.value in self._items:
+                raise self.error(f"'{key.value}' is given twice", key)
+            self._items[key.value] = (key, value)
+
+    def error(self, reason: str, node: yaml.Node | None = None) -> InputError:
+        """The error to raise for this section, or for one `node` in it."""
+        line = (node or self._node).start_mark.line + 1
+        return InputError(f"{self._path}:{line}: {reason}")
+
+    def error_at(self, key: str, reason: str) -> InputError:
+        """The error to raise for the value of `key`."""
+        return self.error(reason, self._value(key))
+
+    def has(self, key: str) -> bool:
+        """Whether `key` is given."""
+        return key in self._items
+
+    def section(self, key: str) -> Section:
+        """The mapping under `key`."""
+        return Section(self._path, self._value(key), f"{self._title}, {key}")
+
+    def text(self, key: str) -> str:
+        """The text under `key`, never empty."""
+        node = self._value(key)
+        if not isinstance(node, yaml.ScalarNode) or not node.value:
+            raise self.error(f"'{key}' must be text", node)
+        return str(node.value)
+
+    def choice(self, key: str, known: Collection[str]) -> str:
+        """The text under `key`, one of `known`."""
+        word = self.text(key)
+        if word not in known:
+            reason = f"{self._title}: {key} '{word}' is not one of {', '.join(sorted(known))}"
+            raise self.error_at(key, reason)
+        return word
+
+    def number(self, key: str, lower: float, upper: float) -> float:
+        """The number under `key`, within [lower, upper]."""
+        return self._number(key, self._value(key), lower, upper)
+
+    def numbers(self, key: str, lower: float, upper: float) -> tuple[float, ...]:
+        """The list of numbers under `key`, each within [lower, upper]."""
+        node = self._value(key)
+        if not isinstance(node, yaml.SequenceNode):
+            raise self.error(f"'{key}' must be a list [...] of numbers", node)
+        return tuple(self._number(key, item, lower, upper) for item in node.value)
+
+    def refuse_unknown(self, known: Collection[str]) -> None:
+        """Raise when the section has a key that is not in `known`."""
+        for name, (key, _) in self._items.items():
+            if name not in known:
+                raise self.error(f"unknown key '{name}'; known are {', '.join(known)}", key)
+
+    def _number(self, key: str, node: yaml.Node, lower: float, upper: float) -> float:
+        try:
+            value = float(node.value)
+        except (TypeError, ValueError):
+            raise self.error(f"'{key}' must be a number", node) from None
+        if not lower <= value <= upper:
+            reason = f"{self._title}: {key} = {value:g} is outside [{lower:g}, {upper:g}]"
+            raise self.error(reason, node)
+        return value
+
+    def _value(self, key: str) -> yaml.Node:
+        if key not in self._items:
+            raise self.error(f"{self._title}: '{key}' is missing")
+        return self._items[key][1]

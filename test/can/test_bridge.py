@@ -1,0 +1,86 @@
+import math
+
+import pytest
+
+from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def profile():
+    return load_profile("nissan_leaf")
+
+
+def drive(bridge, profile, start_ms, end_ms, *, speed=True):
+    encoder = Encoder(profile)
+    readings = []
+    for time in range(start_ms, end_ms, 10):
+        readings += bridge.push(encoder.battery(BatteryReading(time * MS, 390.0, -20.0)))
+        if speed and time % 20 == 0:
+            readings += bridge.push(encoder.speed(SpeedReading(time * MS, 10.0)))
+    return readings
+
+
+def test_before_the_first_frame(profile):
+    status = CanBridge(profile).status(0)
+    assert not status.ok and status.text == "waiting"
+    assert math.isnan(status.signals["speed"].age) and math.isnan(status.signals["speed"].rate)
+
+
+def test_receiving(profile):
+    bridge = CanBridge(profile)
+    assert len(drive(bridge, profile, 0, 1000)) == 150
+    status = bridge.status(1000 * MS)
+    assert status.ok and status.text == "receiving"
+    assert status.frames == 150 and status.unknown_frames == 0 and not status.dropped
+    assert status.signals["battery"].rate == pytest.approx(100)
+    assert status.signals["speed"].rate == pytest.approx(50)
+    assert status.signals["speed"].age == pytest.approx(0.02)
+    assert status.signals["speed"].count == 50
+
+
+def test_stale_after_ten_periods_and_back(profile):
+    bridge = CanBridge(profile)
+    drive(bridge, profile, 0, 1000)
+    drive(bridge, profile, 1000, 1180, speed=False)
+    assert bridge.status(1180 * MS).ok
+    assert drive(bridge, profile, 1180, 1400, speed=False)
+    status = bridge.status(1400 * MS)
+    assert not status.ok and status.text == "no speed"
+    assert status.signals["speed"].stale and not status.signals["battery"].stale
+    drive(bridge, profile, 1400, 1500)
+    assert bridge.status(1500 * MS).ok
+    assert bridge.status(60_000 * MS).text == "no speed and no battery"
+
+
+def test_equal_stamps_do_not_end_patience(profile):
+    bridge = CanBridge(profile)
+    encoder = Encoder(profile)
+    for _ in range(3):
+        bridge.push(encoder.speed(SpeedReading(0, 10.0)))
+    signal = bridge.status(50 * MS).signals["speed"]
+    assert not signal.stale and math.isnan(signal.rate)
+
+
+def test_another_bus(profile):
+    bridge = CanBridge(profile)
+    bridge.push(CanFrame(0, 0x700, b""))
+    status = bridge.status(0)
+    assert status.text == "no frame of this profile: another bus or car?"
+    assert (status.frames, status.unknown_frames, status.unknown_ids) == (0, 1, 1)
+
+
+def test_wrong_profile_is_told(profile):
+    other = load_profile("tesla_model_3")
+    bridge = CanBridge(other)
+    encoder = Encoder(load_profile("tesla_model_3_2019"))
+    for time in range(100):
+        assert not bridge.push(encoder.battery(BatteryReading(time, 380.0, -20.0)))
+    status = bridge.status(100)
+    assert not status.ok and status.text == "most values are implausible: wrong profile?"
+    assert status.dropped == {"out_of_range": 100}

@@ -1,0 +1,294 @@
+"""The bus reader against real drivers: UDP multicast from another process, a serial adapter."""
+
+from contextlib import contextmanager
+import errno
+import os
+import subprocess
+import sys
+import threading
+import time
+import tty
+
+import can
+import pytest
+
+from evpinn_ros.can import bus as bus_module
+from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import LogFile, write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+GROUP = "239.74.163.77"
+NOW = 1_700_000_000_000_000_000
+
+
+def wait_for(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.005)
+
+
+@contextmanager
+def running(reader):
+    thread = threading.Thread(target=reader.run)
+    thread.start()
+    try:
+        yield
+    finally:
+        reader.stop()
+        thread.join(5)
+    assert not thread.is_alive()
+    assert reader.status().state is BusState.CLOSED
+
+
+SENDER = """
+import sys, time, can
+log, group, port = sys.argv[1:]
+with can.Bus(group, interface="udp_multicast", port=int(port), hop_limit=0) as bus:
+    for message in can.LogReader(log):
+        bus.send(message)
+        time.sleep(0.0005)
+"""
+
+
+def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
+    profile = load_profile("tesla_model_3")
+    encoder = Encoder(profile)
+    frames = []
+    for index in range(200):
+        stamp = NOW + index * 10_000_000
+        frames.append(encoder.battery(BatteryReading(stamp, 380.0, -index / 2)))
+        frames.append(encoder.speed(SpeedReading(stamp, index / 10)))
+    log = tmp_path / "drive.log"
+    write_log(log, frames)
+
+    port = 20_000 + os.getpid() % 20_000
+    received = []
+    reader = BusReader(
+        "udp_multicast", GROUP, received.append, time.time_ns, port=port, hop_limit=0
+    )
+    try:
+        reader.open()
+    except InputError as error:
+        pytest.skip(f"no multicast here: {error}")
+    with running(reader):
+        subprocess.run([sys.executable, "-c", SENDER, log, GROUP, str(port)], check=True)
+        wait_for(lambda: len(received) == len(frames))
+        wait_for(lambda: reader.status().state is BusState.SILENT)
+    assert reader.status().counters == {"opened": 1, "frames": len(frames)}
+    live, offline = Decoder(profile), Decoder(profile)
+    for frame, logged in zip(received, LogFile(log).frames(), strict=True):
+        assert abs(frame.stamp_ns - time.time_ns()) < 60 * 10**9
+        same_time = CanFrame(logged.stamp_ns, frame.can_id, frame.data, frame.extended)
+        assert repr(live.push(same_time)) == repr(offline.push(logged))
+
+
+class Adapter:
+    """A serial CAN adapter: the far end of a pseudo terminal, behind a name that stays."""
+
+    def __init__(self, link):
+        self.link = link
+        self.plug()
+
+    def plug(self):
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(os.ttyname(self.slave))
+
+    def unplug(self):
+        os.close(self.slave)
+        os.close(self.master)
+
+    def send(self, line=b"t13260098946700000000\r"):
+        os.write(self.master, line)
+
+
+def serial_reader(link, callback, clock=lambda: NOW):
+    return BusReader(
+        "slcan", str(link), callback, clock, bitrate=500_000, sleep_after_open=0.0, timeout=0.02
+    )
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr(bus_module, "FIRST_BACKOFF_S", 0.05)
+    monkeypatch.setattr(bus_module, "SILENT_AFTER_S", 0.2)
+
+
+def test_adapter_unplugged_and_plugged_again(tmp_path, quick):
+    adapter = Adapter(tmp_path / "adapter")
+    received = []
+    reader = serial_reader(adapter.link, received.append)
+    with running(reader):
+        wait_for(lambda: reader.status().state is BusState.OPEN)
+        adapter.send(b"t1326989467000000\r")
+        wait_for(lambda: len(received) == 1)
+        assert received[0].data == bytes.fromhex("989467000000")
+
+        adapter.unplug()
+        wait_for(lambda: reader.status().state is BusState.LOST)
+        cpu, wall = time.process_time(), time.monotonic()
+        time.sleep(0.5)
+        assert time.process_time() - cpu < 0.2 * (time.monotonic() - wall)
+        assert reader.status().state is BusState.LOST
+        assert "adapter" in reader.status().problem and "\n" not in reader.status().problem
+
+        adapter.plug()
+        wait_for(lambda: reader.status().state is BusState.OPEN)
+        adapter.send(b"t1326989467000000\r")
+        wait_for(lambda: len(received) == 2)
+        wait_for(lambda: reader.status().state is BusState.SILENT)
+    counters = reader.status().counters
+    assert counters["opened"] == 2 and counters["lost"] == 1 and counters["frames"] == 2
+    adapter.unplug()
+
+
+def test_garbled_serial_line_is_no_loss(tmp_path, quick):
+    adapter = Adapter(tmp_path / "adapter")
+    received = []
+    reader = serial_reader(adapter.link, received.append)
+    with running(reader):
+        wait_for(lambda: reader.status().state is BusState.OPEN)
+        adapter.send(b"tXYZ\r")
+        adapter.send(b"t1326989467000000\r")
+        wait_for(lambda: len(received) == 1)
+    assert reader.status().counters == {"opened": 1, "garbled": 1, "frames": 1}
+    adapter.unplug()
+
+
+class FakeBus:
+    """Answers `recv` from a list; an exception in it is raised, an empty list is silence."""
+
+    def __init__(self, script):
+        self.script = list(script)
+
+    def recv(self, timeout):
+        if not self.script:
+            time.sleep(0.001)
+            return None
+        answer = self.script.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def shutdown(self):
+        raise can.CanOperationError("gone")
+
+
+@pytest.fixture
+def scripted(monkeypatch, quick):
+    def make(*scripts):
+        buses = [FakeBus(script) for script in scripts]
+        monkeypatch.setattr(can, "Bus", lambda **_: buses.pop(0))
+
+    return make
+
+
+def message(timestamp, **kwargs):
+    return can.Message(timestamp=timestamp, arbitration_id=1, is_extended_id=False, **kwargs)
+
+
+def test_stamps_of_an_adapter_with_its_own_zero(scripted):
+    scripted(
+        [message(5.0), message(5.25), can.CanOperationError("unplugged", errno.ENODEV)],
+        [message(0.5), message(0.75)],
+    )
+    clock = iter([NOW, NOW + 10**10])
+    received = []
+    reader = BusReader("virtual", "x", received.append, lambda: next(clock))
+    with running(reader):
+        wait_for(lambda: len(received) == 4)
+    after = [frame.stamp_ns - NOW for frame in received]
+    assert after == [0, 250_000_000, 10**10, 10**10 + 250_000_000]
+
+
+def test_stamps_of_the_epoch_are_believed(scripted):
+    scripted([message(1549819403.028902)])
+    received = []
+    reader = BusReader("virtual", "x", received.append, lambda: NOW)
+    with running(reader):
+        wait_for(lambda: received)
+    assert received[0].stamp_ns == 1549819403028902000
+
+
+def test_failing_callback_is_no_failing_bus(scripted):
+    scripted([message(0.0), message(0.1)])
+
+    def fail(frame):
+        raise ZeroDivisionError("mine")
+
+    reader = BusReader("virtual", "x", fail, lambda: NOW)
+    with running(reader):
+        wait_for(lambda: reader.status().counters.get("callback_errors") == 2)
+        assert reader.status().state is BusState.OPEN
+    counters = reader.status().counters
+    assert counters == {"opened": 1, "frames": 2, "callback_errors": 2, "close_errors": 1}
+    assert "ZeroDivisionError('mine')" in reader.status().problem
+
+
+def test_error_and_remote_frames_are_counted(scripted):
+    scripted([message(0.0, is_error_frame=True), message(0.0, is_remote_frame=True)])
+    received = []
+    reader = BusReader("virtual", "x", received.append, lambda: NOW)
+    with running(reader):
+        wait_for(lambda: reader.status().counters.get("remote_frames") == 1)
+    assert not received and reader.status().counters["error_frames"] == 1
+
+
+def test_backoff_grows_until_a_frame_comes(scripted):
+    lost = [can.CanOperationError("flaky")]
+    scripted(lost, lost, lost, [message(0.0)])
+    received = []
+    reader = BusReader("virtual", "x", received.append, lambda: NOW)
+    start = time.monotonic()
+    with running(reader):
+        wait_for(lambda: received)
+    assert time.monotonic() - start >= 0.05 + 0.1 + 0.2
+    assert reader.status().counters["lost"] == 3
+
+
+def test_stop_interrupts_the_wait():
+    reader = BusReader("slcan", "/nowhere/adapter", print, lambda: NOW)
+    start = time.monotonic()
+    with running(reader):
+        wait_for(lambda: reader.status().state is BusState.LOST)
+    assert time.monotonic() - start < 0.4
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel", "options", "remedy"),
+    [
+        ("slcan", "/nowhere/adapter", {}, "is the adapter plugged in"),
+        ("nonsense", "x", {}, "known interfaces are "),
+        ("slcan", "", {}, "check channel, bitrate"),
+        ("pcan", "PCAN_USBBUS1", {}, "PCAN-Basic installed"),
+    ],
+)
+def test_open_says_what_to_do(interface, channel, options, remedy):
+    with pytest.raises(InputError) as error:
+        BusReader(interface, channel, print, lambda: NOW, **options).open()
+    assert remedy in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENODEV, "try `sudo ip link set can0 up type can bitrate 500000`"),
+        (errno.ENETDOWN, "try `sudo ip link set can0 up type can bitrate 500000`"),
+        (errno.EAFNOSUPPORT, "modprobe can_raw"),
+        (errno.EPERM, "no permission"),
+    ],
+)
+def test_socketcan_says_what_to_do(monkeypatch, number, remedy):
+    def fail(**_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(can, "Bus", fail)
+    with pytest.raises(InputError, match=remedy):
+        BusReader("socketcan", "can0", print, lambda: NOW).open()

@@ -1,0 +1,98 @@
+"""Whatever the bus sends, the decoder answers with readings a car can show, or with nothing."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import load_profile, profile_names
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+PROFILES = {name: load_profile(name) for name in profile_names()}
+
+
+@st.composite
+def frames(draw):
+    """A profile and a frame of one of its ids, its checksum right or random."""
+    profile = PROFILES[draw(st.sampled_from(sorted(PROFILES)))]
+    rule = profile.messages[draw(st.sampled_from(sorted(profile.messages)))]
+    data = bytearray(draw(st.binary(max_size=12)))
+    if rule.checksum and len(data) > rule.checksum_byte and draw(st.booleans()):
+        rest = bytes(data[: rule.checksum_byte] + data[rule.checksum_byte + 1 :])
+        data[rule.checksum_byte] = rule.checksum(rule.message.frame_id, rest)
+    return profile, CanFrame(draw(st.integers(0, 2**62)), rule.message.frame_id, bytes(data))
+
+
+@given(frames())
+@settings(max_examples=600, deadline=None)
+def test_every_payload_gives_a_plausible_reading_or_a_reason(case):
+    profile, frame = case
+    decoder = Decoder(profile)
+    readings = decoder.push(frame)
+    charge = profile.messages.get("state_of_charge")
+    silent = charge is not None and frame.can_id == charge.message.frame_id
+    assert silent or bool(readings) != bool(decoder.dropped)
+    for reading in readings:
+        assert reading.stamp_ns == frame.stamp_ns
+        if isinstance(reading, SpeedReading):
+            assert -12 < reading.speed < 80
+            assert 0 < reading.variance < 1
+        else:
+            assert 200 <= reading.voltage <= 500
+            assert -1500 <= reading.current <= 800
+
+
+@given(
+    name=st.sampled_from(sorted(PROFILES)),
+    speed=st.floats(0, 55),
+    voltage=st.floats(200, 460),
+    current=st.floats(-500, 400),
+    charge=st.floats(0, 1),
+)
+@settings(max_examples=300, deadline=None)
+def test_round_trip_within_half_a_step(name, speed, voltage, current, charge):
+    profile = PROFILES[name]
+    encoder, decoder = Encoder(profile), Decoder(profile)
+    written = BatteryReading(7, voltage, current, charge)
+    has_charge = "state_of_charge" in profile.messages
+    if has_charge:
+        decoder.push(encoder.state_of_charge(written))
+    (speed_back,) = decoder.push(encoder.speed(SpeedReading(6, speed)))
+    (battery_back,) = decoder.push(encoder.battery(written))
+    assert (speed_back.stamp_ns, battery_back.stamp_ns) == (6, 7)
+
+    def step(quantity, index=0):
+        return profile.messages[quantity].signals[index].resolution
+
+    def near(a, b, resolution):
+        return abs(a - b) <= resolution * (0.5 + 1e-9)
+
+    assert near(speed_back.speed, speed, step("speed"))
+    assert near(battery_back.voltage, voltage, step("battery", 0))
+    assert near(battery_back.current, current, step("battery", 1))
+    if has_charge:
+        assert near(battery_back.state_of_charge, charge, step("state_of_charge"))
+
+
+@pytest.mark.parametrize("name", sorted(PROFILES))
+def test_counters_run(name):
+    encoder, decoder = Encoder(PROFILES[name]), Decoder(PROFILES[name])
+    for _ in range(40):
+        assert decoder.push(encoder.speed(SpeedReading(0, 10.0)))
+        assert decoder.push(encoder.battery(BatteryReading(0, 380.0, -20.0)))
+    assert not decoder.dropped
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, -50.0, 200.0])
+def test_what_the_car_cannot_show_is_refused(speed):
+    with pytest.raises(ValueError, match="is outside"):
+        Encoder(PROFILES["tesla_model_3"]).speed(SpeedReading(0, speed))
+
+
+def test_missing_quantity_is_refused():
+    with pytest.raises(ValueError, match="profile tesla_model_s has no state_of_charge"):
+        Encoder(PROFILES["tesla_model_s"]).state_of_charge(BatteryReading(0, 380.0, 0.0, 0.5))

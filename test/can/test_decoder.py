@@ -1,0 +1,210 @@
+from collections import Counter
+import math
+
+import pytest
+
+from evpinn_ros.can.checksum import id_sum, nissan_crc8
+from evpinn_ros.can.decoder import CHARGE_HOLD_NS, STUCK_AFTER, Decoder
+from evpinn_ros.can.frame import CanFrame, nanoseconds
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+
+def frame(can_id: int, payload: str, stamp_ns: int = 0, *, extended: bool = False) -> CanFrame:
+    return CanFrame(stamp_ns, can_id, bytes.fromhex(payload), extended)
+
+
+def tesla_speed(raw: int, counter: int = 0) -> CanFrame:
+    """0x257 by hand: 12 bits at bit 12, counter at bit 8, sum of id and bytes in byte 0."""
+    rest = ((raw << 4 | counter) & 0xFFFF).to_bytes(2, "little") + bytes(5)
+    return CanFrame(0, 0x257, bytes([(0x57 + 0x02 + sum(rest)) & 0xFF]) + rest)
+
+
+@pytest.fixture
+def tesla():
+    return Decoder(load_profile("tesla_model_3"))
+
+
+@pytest.fixture
+def leaf():
+    return Decoder(load_profile("nissan_leaf"))
+
+
+def test_stamp_keeps_the_digits_of_the_log():
+    assert nanoseconds(1549819403.028902) == 1549819403028902000
+    assert nanoseconds(0.0) == 0
+    assert nanoseconds(12.345678901) == 12345678901
+
+
+def test_speed_of_model_3(tesla):
+    # raw 1500: 1500 * 0.08 - 40 = 80 km/h
+    (reading,) = tesla.push(tesla_speed(1500))
+    assert isinstance(reading, SpeedReading)
+    assert reading.speed == pytest.approx(80 / 3.6)
+    assert reading.variance == pytest.approx((0.08 / 3.6) ** 2 / 12)
+
+
+def test_standstill_is_exactly_zero(tesla):
+    assert tesla.push(tesla_speed(500))[0].speed == 0.0
+    old = Decoder(load_profile("tesla_model_3_2019"))
+    assert old.push(tesla_speed(500))[0].speed == 0.0
+
+
+def test_reverse_is_negative(tesla):
+    assert tesla.push(tesla_speed(375))[0].speed == pytest.approx(-10 / 3.6)
+
+
+def test_speed_not_available_is_dropped(tesla):
+    assert tesla.push(tesla_speed(4095)) == ()
+    assert tesla.dropped == Counter(not_available=1)
+
+
+def test_checksum_is_checked(tesla):
+    good = tesla_speed(1500)
+    bad = CanFrame(0, good.can_id, bytes([good.data[0] ^ 1]) + good.data[1:])
+    assert tesla.push(bad) == ()
+    assert tesla.dropped == Counter(bad_checksum=1)
+
+
+@pytest.mark.parametrize("payload", ["989467000000", "9894670000000000", "98946700"])
+def test_battery_of_model_3_also_when_shortened(tesla, payload):
+    # 0x9498 = 38040: 380.40 V; 0x0067 = 103: -0.1 * 103 = -10.3 A discharge, so it charges
+    (reading,) = tesla.push(frame(0x132, payload, 5))
+    assert isinstance(reading, BatteryReading)
+    assert reading.stamp_ns == 5
+    assert reading.voltage == pytest.approx(380.40)
+    assert reading.current == pytest.approx(10.3)
+    assert not tesla.dropped
+
+
+def test_discharge_of_model_3_is_negative(tesla):
+    # raw -200 in 15 bits is 0x7F38: -0.1 * -200 = +20 A discharge
+    (reading,) = tesla.push(frame(0x132, "9894387F0000"))
+    assert reading.current == pytest.approx(-20.0)
+    assert reading.power == pytest.approx(380.4 * 20.0)
+    # Bit 31 is no part of the value.
+    (reading,) = tesla.push(frame(0x132, "989438FF0000"))
+    assert reading.current == pytest.approx(-20.0)
+
+
+def test_battery_of_2019_has_the_old_offset():
+    # 9962: 1000 - 996.2 = 3.8 A drawn
+    old = Decoder(load_profile("tesla_model_3_2019"))
+    (reading,) = old.push(frame(0x132, "7695EA2600000000"))
+    assert reading.voltage == pytest.approx(382.62)
+    assert reading.current == pytest.approx(-3.8)
+
+
+def test_wrong_firmware_is_out_of_range(tesla):
+    assert tesla.push(frame(0x132, "7695EA2600000000")) == ()
+    old = Decoder(load_profile("tesla_model_3_2019"))
+    assert old.push(frame(0x132, "9894670000000000")) == ()
+    assert tesla.dropped == old.dropped == Counter(out_of_range=1)
+
+
+@pytest.mark.parametrize("payload", ["", "98", "989467"])
+def test_too_short_a_frame_is_counted(tesla, payload):
+    assert tesla.push(frame(0x132, payload)) == ()
+    assert tesla.dropped == Counter(short_frame=1)
+
+
+def test_all_ones_is_dropped(tesla):
+    assert tesla.push(frame(0x132, "FFFFFFFFFFFFFFFF")) == ()
+    assert tesla.dropped == Counter(out_of_range=1)
+
+
+def test_speed_of_model_s():
+    # raw 2500 at bit 16: 2500 * 0.05 - 25 = 100 mph
+    body = bytes.fromhex("0040C40903")
+    data = body + bytes([(0x16 + 0x01 + sum(body)) & 0xFF])
+    (reading,) = Decoder(load_profile("tesla_model_s")).push(CanFrame(0, 0x116, data))
+    assert reading.speed == pytest.approx(44.704)
+
+
+def leaf_battery(current_raw: int, voltage_raw: int, counter: int = 0) -> CanFrame:
+    """0x1DB by hand, most significant bit first."""
+    data = bytearray(8)
+    data[0:2] = ((current_raw & 0x7FF) << 5).to_bytes(2, "big")
+    data[2:4] = (voltage_raw << 6).to_bytes(2, "big")
+    data[6] = counter
+    data[7] = nissan_crc8(0, bytes(data[:7]))
+    return CanFrame(0, 0x1DB, bytes(data))
+
+
+def test_battery_of_leaf_keeps_its_sign(leaf):
+    (reading,) = leaf.push(leaf_battery(-141, 783))
+    assert (reading.voltage, reading.current) == (391.5, -70.5)
+    (reading,) = leaf.push(leaf_battery(60, 800))
+    assert (reading.voltage, reading.current) == (400.0, 30.0)
+
+
+def test_leaf_checksum_and_length(leaf):
+    good = leaf_battery(-141, 783)
+    assert leaf.push(CanFrame(0, 0x1DB, good.data[:7] + bytes([good.data[7] ^ 0x80]))) == ()
+    assert leaf.push(CanFrame(0, 0x1DB, good.data[:7])) == ()
+    assert leaf.dropped == Counter(bad_checksum=1, short_frame=1)
+
+
+def test_crc8_against_a_polynomial_division():
+    # The remainder of a single one, shifted by 8: the polynomial itself.
+    assert nissan_crc8(0, b"\x01") == 0x85
+    assert nissan_crc8(0, b"\x01\x85") == 0
+    assert id_sum(0x257, b"\xff\x02") == (0x57 + 2 + 0xFF + 2) & 0xFF
+
+
+def test_speed_of_leaf_uses_the_tyre_scale(leaf):
+    # raw 9800 is 100 km/h
+    body = bytes.fromhex("000000002648") + b"\x07"
+    (reading,) = leaf.push(CanFrame(0, 0x284, body + bytes([id_sum(0x284, body)])))
+    assert reading.speed == pytest.approx(100 / 3.6, rel=1e-4)
+
+
+def test_stuck_counter(leaf):
+    pushed = [leaf.push(leaf_battery(-141, 783, 2)) for _ in range(STUCK_AFTER + 3)]
+    assert [bool(readings) for readings in pushed] == [True] * STUCK_AFTER + [False] * 3
+    assert leaf.dropped == Counter(stuck_counter=3)
+    assert leaf.push(leaf_battery(-141, 783, 3))
+
+
+def test_state_of_charge_comes_with_the_battery(leaf):
+    assert math.isnan(leaf.push(leaf_battery(0, 783))[0].state_of_charge)
+    # 925 = 0b11_1001_1101: 92.5 %
+    assert leaf.push(frame(0x55B, "E740000000000000")) == ()
+    (reading,) = leaf.push(leaf_battery(0, 783, 1))
+    assert reading.state_of_charge == pytest.approx(0.925)
+    late = leaf_battery(0, 783, 2)
+    (reading,) = leaf.push(CanFrame(CHARGE_HOLD_NS + 1, late.can_id, late.data))
+    assert math.isnan(reading.state_of_charge)
+
+
+def test_unknown_ids_are_counted(tesla):
+    assert tesla.push(frame(0x700, "00")) == ()
+    assert tesla.push(frame(0x132, "989467000000", extended=True)) == ()
+    assert tesla.unknown == Counter({0x700: 1, 0x132: 1})
+    assert tesla.known == 0
+
+
+MULTIPLEXED = """VERSION ""
+
+BU_: X
+
+BO_ 100 M: 4 X
+ SG_ Page M : 0|8@1+ (1,0) [0|255] "" X
+ SG_ Speed m1 : 8|16@1+ (0.01,0) [0|600] "km/h" X
+ SG_ Other m2 : 8|16@1+ (1,0) [0|0] "" X
+"""
+
+
+def test_other_pages_of_a_multiplexed_message_are_no_fault(tmp_path):
+    (tmp_path / "m.dbc").write_text(MULTIPLEXED)
+    (tmp_path / "m.yaml").write_text(
+        "name: m\nsource: s\nverified_by: v\ndbc: m.dbc\n"
+        "speed: {message: M, signal: Speed, unit: km/h, valid: [0, 300]}\n"
+    )
+    decoder = Decoder(load_profile(tmp_path / "m.yaml"))
+    assert decoder.push(frame(100, "01E80300"))[0].speed == pytest.approx(10 / 3.6)
+    assert decoder.push(frame(100, "02E80300")) == ()
+    assert not decoder.dropped
+    assert decoder.push(frame(100, "09E80300")) == ()
+    assert decoder.push(frame(100, "01E8")) == ()
+    assert decoder.dropped.total() == 2

@@ -1,0 +1,148 @@
+import gzip
+
+import can
+import pytest
+
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import LogFile, write_log
+from evpinn_ros.errors import InputError
+
+START = 1549819403.028902
+COUNT = 2000
+
+
+def messages():
+    for index in range(COUNT):
+        yield can.Message(
+            timestamp=round(START + index * 0.01, 6),
+            arbitration_id=0x132 if index % 2 else 0x18FF0001,
+            is_extended_id=not index % 2,
+            data=index.to_bytes(6, "little"),
+        )
+
+
+def write(path):
+    writer = can.Logger(str(path))
+    for message in messages():
+        writer.on_message_received(message)
+    writer.stop()
+    return path
+
+
+def check(frames, milliseconds=False):
+    for index, frame in enumerate(frames):
+        assert frame.can_id == (0x132 if index % 2 else 0x18FF0001)
+        assert frame.extended == (not index % 2)
+        assert frame.data == index.to_bytes(6, "little")
+        if not milliseconds:
+            assert frame.stamp_ns == 1549819403028902000 + index * 10_000_000
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".csv"])
+def test_every_format(tmp_path, suffix):
+    log = LogFile(write(tmp_path / f"drive{suffix}"))
+    frames = list(log.frames())
+    assert len(frames) == log.count == COUNT
+    assert log.problem is None and not log.skipped
+    check(frames, milliseconds=suffix == ".asc")
+    if suffix == ".asc":
+        # The format tells the start to the second at best; times within it are exact.
+        assert abs(frames[0].stamp_ns - 1549819403028902000) < 10**9
+        assert frames[-1].stamp_ns - frames[0].stamp_ns == (COUNT - 1) * 10_000_000
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".csv"])
+def test_truncated_log_gives_all_before_the_cut_and_says_so(tmp_path, suffix):
+    whole = write(tmp_path / f"drive{suffix}").read_bytes()
+    cut = tmp_path / f"cut{suffix}"
+    # Within a line: its last digits must not become a frame of other bytes.
+    at = int(len(whole) * 0.6)
+    while whole[at - 1 : at] == b"\n":
+        at += 1
+    cut.write_bytes(whole[:at])
+    log = LogFile(cut)
+    frames = list(log.frames())
+    assert COUNT * 0.3 < len(frames) < COUNT
+    check(frames, milliseconds=suffix == ".asc")
+    assert log.problem and str(cut) in log.problem and str(len(frames)) in log.problem
+    assert "\n" not in log.problem
+
+
+def test_half_a_payload_is_no_frame(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text("(1.0) can0 132#989467000000\n(1.1) can0 132#98946")
+    log = LogFile(path)
+    assert [frame.data.hex() for frame in log.frames()] == ["989467000000"]
+    assert log.problem == f"{path}: cut off after 1 frames"
+
+
+def test_broken_line_in_the_middle(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text("(1.0) can0 132#00\n(1.1) can0 132#01\n\x00\xff~~\n(1.2) can0 132#02\n")
+    log = LogFile(path)
+    assert len(list(log.frames())) == 2
+    assert log.problem.startswith(f"{path}:3: broken after 2 frames: ")
+
+
+def test_other_frames_are_skipped_and_counted(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text("(1.0) can0 132#R\n(1.1) can0 20000080#0000000000000000\n(1.2) can0 132#01\n")
+    log = LogFile(path)
+    assert [frame.data for frame in log.frames()] == [b"\x01"]
+    assert log.skipped == {"remote_frame": 1, "error_frame": 1}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("a.log", None, "No such file or directory"),
+        ("a.log", b"", "the file is empty"),
+        ("a.log", b"this is a letter\n", "broken after 0 frames"),
+        ("a.blf", b"LOGG", "broken after 0 frames"),
+        ("a.asc", b"dear reader\n", "no CAN frame in it"),
+        ("a.csv", b"t_s,speed_mps\n0,1\n", "broken after 0 frames"),
+        ("a.log.gz", b"not gzip", "broken after 0 frames"),
+        ("a.txt", b"x", "not a CAN log"),
+        ("a.gz", b"x", "not a CAN log"),
+    ],
+)
+def test_what_is_no_log_is_one_line(tmp_path, name, content, reason):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as error:
+        list(LogFile(path).frames())
+    assert reason in str(error.value)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_reader_of_frames_may_fail_by_itself(tmp_path):
+    log = LogFile(write(tmp_path / "drive.log"))
+    with pytest.raises(ZeroDivisionError):
+        for _ in log.frames():
+            raise ZeroDivisionError
+    assert log.problem is None
+
+
+def test_written_log_reads_back(tmp_path):
+    frames = [
+        CanFrame(1549819403028902000, 0x132, bytes(range(8))),
+        CanFrame(1549819403028903000, 0x18FF0001, b"", extended=True),
+        CanFrame(1549819403028904000, 0x132, bytes(range(16))),
+    ]
+    path = tmp_path / "drive.log"
+    assert write_log(path, frames) == 3
+    assert list(LogFile(path).frames()) == frames
+    assert path.read_text().startswith("(1549819403.028902) can0 132#0001020304050607\n")
+
+
+def test_log_that_cannot_be_written(tmp_path):
+    with pytest.raises(InputError, match="No such file or directory"):
+        write_log(tmp_path / "nowhere" / "a.log", [])
+
+
+def test_gzip_of_an_absolute_asc_keeps_the_date(tmp_path):
+    plain = write(tmp_path / "drive.asc")
+    (tmp_path / "drive2.asc.gz").write_bytes(gzip.compress(plain.read_bytes()))
+    frames = LogFile(plain).frames()
+    assert next(LogFile(tmp_path / "drive2.asc.gz").frames()) == next(frames)

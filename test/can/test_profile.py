@@ -1,0 +1,109 @@
+from pathlib import Path
+
+import pytest
+import yaml
+
+from evpinn_ros.can.profile import load_profile, profile_names
+from evpinn_ros.errors import InputError
+from evpinn_ros.share import share_directory
+
+CONFIG = share_directory() / "config" / "can"
+
+
+@pytest.fixture
+def broken(tmp_path):
+    """Writes the Leaf profile with one change and returns the error of loading it."""
+
+    def load(old: str, new: str, name: str = "nissan_leaf") -> str:
+        text = (CONFIG / f"{name}.yaml").read_text()
+        assert old in text
+        (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
+        (tmp_path / f"{name}.dbc").write_bytes((CONFIG / f"{name}.dbc").read_bytes())
+        with pytest.raises(InputError) as error:
+            load_profile(tmp_path / "mine.yaml")
+        return str(error.value)
+
+    return load
+
+
+def test_every_bundled_profile_loads():
+    names = profile_names()
+    assert names == ["nissan_leaf", "tesla_model_3", "tesla_model_3_2019", "tesla_model_s"]
+    for name in names:
+        profile = load_profile(name)
+        assert {"speed", "battery"} <= profile.messages.keys()
+        assert profile.source and profile.verified_by
+
+
+def test_unknown_name_lists_the_known_ones():
+    with pytest.raises(InputError, match=r"no CAN profile named 'tesla'; known are nissan_leaf,"):
+        load_profile("tesla")
+
+
+def test_missing_file_is_one_line(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere.yaml: No such file or directory$"):
+        load_profile(tmp_path / "nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("positive_means: charge, ", "", "'positive_means' is missing"),
+        ("positive_means: charge", "positive_means: up", "positive_means 'up' is not one of"),
+        ("verified_by: >-", "verfied_by: >-", "unknown key 'verfied_by'"),
+        ("unit: km/h", "unit: knots", "unit 'knots' is not one of"),
+        ("signal: Speed", "signal: Sped", "message 'WheelSpeed' of the DBC file has no signal"),
+        ("message: WheelSpeed", "message: Wheel", "the DBC file has no message 'Wheel'"),
+        ("valid: [0, 200]", "valid: [200, 0]", "'valid' must be [lowest, highest]"),
+        ("valid: [0, 200]", "valid: 200", "must be a list [...] of numbers"),
+        ("valid: [0, 200]", "valid: [0, .nan]", "'valid' must be a number"),
+        ("  scale: 1.0204", "  scale: 0", "scale = 0 is outside"),
+        ("  scale: 1.0204", "  not_available: [1.5]", "whole numbers"),
+        ("rule: nissan_crc8", "rule: crc", "rule 'crc' is not one of id_sum, nissan_crc8"),
+        ("signal: Checksum}", "signal: Speed}", "'Speed' is not one whole byte"),
+        ("dbc: nissan_leaf.dbc", "dbc: other.dbc", "other.dbc: No such file or directory"),
+        ("dbc: nissan_leaf.dbc", "dbc: mine.yaml", "not a DBC file"),
+    ],
+)
+def test_wrong_profile_is_refused_with_its_line(broken, old, new, reason):
+    text = broken(old, new)
+    assert reason in text
+    path, line, _ = text.split(":", 2)
+    assert Path(path).name == "mine.yaml" and int(line) > 0
+    assert "\n" not in text
+
+
+def test_source_is_required(broken):
+    text = broken(
+        'source: "layout: joshwardell/model3dbc, onyx-m2 (15-bit current), commaai/opendbc '
+        '(checksum, SNA)"\n',
+        "",
+        "tesla_model_3",
+    )
+    assert "'source' is missing" in text
+
+
+def test_profile_of_nothing_is_refused(tmp_path):
+    (tmp_path / "a.dbc").write_text('VERSION ""\nBU_: X\n')
+    (tmp_path / "a.yaml").write_text("name: a\nsource: b\nverified_by: c\ndbc: a.dbc\n")
+    with pytest.raises(InputError, match="'speed' or 'battery' is missing"):
+        load_profile(tmp_path / "a.yaml")
+
+
+@pytest.mark.parametrize("text", ["", "- 1\n", "a: [", "? [a]\n: b\n", "a: 1\na: 2\n"])
+def test_damaged_yaml_is_one_line(tmp_path, text):
+    (tmp_path / "a.yaml").write_text(text)
+    with pytest.raises(InputError) as error:
+        load_profile(tmp_path / "a.yaml")
+    assert "\n" not in str(error.value)
+    assert str(error.value).startswith(str(tmp_path / "a.yaml"))
+
+
+def test_endless_nesting_is_one_line(tmp_path, monkeypatch):
+    def too_deep(*_, **__):
+        raise RecursionError
+
+    monkeypatch.setattr(yaml, "compose", too_deep)  # the real one takes seconds to give up
+    (tmp_path / "a.yaml").write_text("[[[[")
+    with pytest.raises(InputError, match=r"a\.yaml: nested too deeply, not a CAN profile$"):
+        load_profile(tmp_path / "a.yaml")
