@@ -1,0 +1,118 @@
+"""Readings to the input topics of a bag, and back."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+import math
+from typing import Any
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.messages import BadMessage, reading_message, scalar, to_reading
+from evpinn_ros.nodes.topics import NAMESPACE, Topic
+from evpinn_ros.signals.readings import (
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    GradeReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+)
+
+READING_TOPICS: dict[type[Reading], Topic] = {
+    SpeedReading: topics.SPEED,
+    BatteryReading: topics.BATTERY,
+    GradeReading: topics.IMU,
+    AltitudeReading: topics.FIX,
+    TemperatureReading: topics.TEMPERATURE,
+    AuxiliaryReading: topics.AUXILIARY_POWER,
+}
+NOT_A_MESSAGE = "not_finite_or_out_of_range"
+
+
+def reading_messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
+    """The messages of a reading: its own, and voltage and current alone, for plots.
+
+    Raises:
+        ValueError: a value that the message can not hold.
+    """
+    yield READING_TOPICS[type(reading)], reading_message(new_message, reading)
+    if isinstance(reading, BatteryReading):
+        if not math.isnan(reading.voltage):
+            yield topics.BATTERY_VOLTAGE, scalar(new_message, reading.voltage)
+        if not math.isnan(reading.current):
+            yield topics.BATTERY_CURRENT, scalar(new_message, reading.current)
+
+
+def write_readings(
+    readings: Iterable[Reading], writer: BagWriter, namespace: str = NAMESPACE
+) -> Counter[str]:
+    """Write the input topics, each message at the time of its stamp.
+
+    Returns:
+        Readings that were left out, by reason.
+    """
+    dropped: Counter[str] = Counter()
+    for reading in readings:
+        try:
+            messages = list(reading_messages(reading))
+        except ValueError:
+            dropped[NOT_A_MESSAGE] += 1
+            continue
+        for topic, message in messages:
+            writer.write(topic.under(namespace), message, reading.stamp_ns)
+    return dropped
+
+
+class BagReadings:
+    """The readings of a bag, from the input topics under any namespace.
+
+    Attributes:
+        topics: full names of the topics that are read.
+        dropped: messages without a usable reading, by reason; complete once iterated.
+    """
+
+    def __init__(self, reader: BagReader, namespace: str | None = None) -> None:
+        """Find the topics by name and type.
+
+        Args:
+            reader: an open bag.
+            namespace: of the car; None when the bag holds one car only.
+
+        Raises:
+            InputError: none of the topics is there, or the bag holds several cars.
+        """
+        self.dropped: Counter[str] = Counter()
+        self._reader = reader
+        found = [_named(reader, topic, namespace) for topic in READING_TOPICS.values()]
+        self.topics = tuple(name for name in found if name)
+        if not self.topics:
+            wanted = ", ".join(topic.name for topic in READING_TOPICS.values())
+            raise InputError(f"{reader.path}: has none of the topics {wanted}")
+
+    def __iter__(self) -> Iterator[Reading]:
+        self.dropped.clear()
+        for record in self._reader.records(self.topics):
+            try:
+                yield to_reading(record.type_name, record.message)
+            except BadMessage as error:
+                self.dropped[error.reason] += 1
+        self.dropped.update(self._reader.dropped)
+
+
+def _named(reader: BagReader, topic: Topic, namespace: str | None) -> str | None:
+    """The full name of a topic in a bag, or None."""
+    names = [
+        name
+        for name, info in reader.topics.items()
+        if info.type_name == topic.type_name
+        and (topic.matches(name) if namespace is None else name == topic.under(namespace))
+    ]
+    if len(names) > 1:
+        raise InputError(f"{reader.path}: several cars: {', '.join(names)}; give a namespace")
+    return names[0] if names else None

@@ -1,0 +1,176 @@
+"""A drive in a CSV file: the columns that `evpinn convert` takes, as readings.
+
+`t_s` and `speed_mps`, then `voltage_v` and `current_a` or `power_w`, and optionally `elevation_m`,
+`ambient_c`, `heating_w` and `aircon_w`. Here current and power are positive while the battery
+discharges. Other columns are ignored.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+import csv
+import gzip
+import math
+from pathlib import Path
+from typing import IO
+import zlib
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+)
+
+REQUIRED = ("t_s", "speed_mps")
+BATTERY = ("voltage_v", "current_a", "power_w")
+OPTIONAL = ("elevation_m", "ambient_c", "heating_w", "aircon_w")
+COLUMNS = (*REQUIRED, *BATTERY, *OPTIONAL)
+
+# Where a drive whose time starts near zero is placed, 2020-01-01T00:00:00Z: header stamps must
+# not be zero, and the same file must give the same bag.
+DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
+RELATIVE_BELOW_S = 1e8  # a first `t_s` below this (3 years) counts from the start of the drive
+
+READ_ERRORS = (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error)
+
+
+class CsvDrive:
+    """A CSV file of a drive, plain or `.gz`.
+
+    Attributes:
+        columns: of the file that are used.
+        ignored: columns of the file that are not.
+        dropped: rows and cells that `readings` left out, by reason; complete at its end.
+    """
+
+    def __init__(self, path: Path | str, nominal_voltage: float) -> None:
+        """Read the first line.
+
+        Args:
+            path: of the file.
+            nominal_voltage: V, taken where a row has power alone.
+
+        Raises:
+            InputError: not there, empty, not text, or columns are missing.
+        """
+        self.path = Path(path)
+        self.dropped: Counter[str] = Counter()
+        self._nominal_voltage = nominal_voltage
+        self._header = [name.strip() for name in next(self._rows(), [])]
+        self.columns = tuple(name for name in self._header if name in COLUMNS)
+        self.ignored = tuple(name for name in self._header if name not in COLUMNS)
+        self._check_columns()
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings row by row, in time order; an empty cell makes none.
+
+        Raises:
+            InputError: the file can not be read to its end.
+        """
+        self.dropped.clear()
+        offset_ns: int | None = None
+        before_ns = -math.inf
+        rows = self._rows()
+        next(rows)  # the header
+        for row in rows:
+            if len(row) != len(self._header):
+                self.dropped["wrong_number_of_cells"] += 1
+                continue
+            cells = self._numbers(row)
+            if "t_s" not in cells:
+                self.dropped["no_time"] += 1
+                continue
+            if offset_ns is None:
+                offset_ns = DRIVE_START_NS if cells["t_s"] < RELATIVE_BELOW_S else 0
+            stamp_ns = offset_ns + _nanoseconds(cells["t_s"])
+            if stamp_ns <= before_ns:
+                self.dropped["time_not_increasing"] += 1
+                continue
+            before_ns = stamp_ns
+            yield from self._readings_of(cells, stamp_ns)
+
+    def _readings_of(self, cells: dict[str, float], stamp_ns: int) -> Iterator[Reading]:
+        if "speed_mps" in cells:
+            yield SpeedReading(stamp_ns, cells["speed_mps"])
+        if battery := self._battery(cells, stamp_ns):
+            yield battery
+        if "elevation_m" in cells:
+            yield AltitudeReading(stamp_ns, cells["elevation_m"])
+        if "ambient_c" in cells:
+            yield TemperatureReading(stamp_ns, cells["ambient_c"])
+        if loads := [cells[name] for name in ("heating_w", "aircon_w") if name in cells]:
+            yield AuxiliaryReading(stamp_ns, sum(loads))
+
+    def _battery(self, cells: dict[str, float], stamp_ns: int) -> BatteryReading | None:
+        """Voltage and current as measured; where one is missing, the current from power."""
+        voltage = cells.get("voltage_v", self._nominal_voltage)
+        if voltage <= 0:
+            self.dropped["voltage_not_positive"] += 1
+            return None
+        if "voltage_v" in cells and "current_a" in cells:
+            return BatteryReading(stamp_ns, voltage, -cells["current_a"])
+        if "power_w" in cells:
+            return BatteryReading(stamp_ns, voltage, -cells["power_w"] / voltage)
+        if "voltage_v" in cells or "current_a" in cells:
+            self.dropped["voltage_or_current_alone"] += 1
+        return None
+
+    def _numbers(self, row: list[str]) -> dict[str, float]:
+        """The numbers of the used, not empty cells of a row by column."""
+        numbers = {}
+        for name, cell in zip(self._header, row, strict=True):
+            if name not in COLUMNS or not cell.strip():
+                continue
+            try:
+                numbers[name] = float(cell)
+            except ValueError:
+                numbers[name] = math.nan
+            if not math.isfinite(numbers[name]):
+                self.dropped[f"{name}_not_a_number"] += 1
+                del numbers[name]
+        return numbers
+
+    def _rows(self) -> Iterator[list[str]]:
+        """The rows that are not blank, the header first."""
+        line = 0
+        try:
+            with _open(self.path) as file:
+                reader = csv.reader(file)
+                for row in reader:
+                    line = reader.line_num
+                    if row:
+                        yield row
+        except READ_ERRORS as error:
+            where = f"{self.path}:{line + 1}" if line else str(self.path)
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"{where}: {reason}") from error
+
+    def _check_columns(self) -> None:
+        if not self._header:
+            raise InputError(f"{self.path}: the file is empty")
+        missing = [name for name in REQUIRED if name not in self.columns]
+        if missing:
+            raise InputError(f"{self.path}: no column {' and no column '.join(missing)}")
+        if "power_w" not in self.columns and not {"voltage_v", "current_a"} <= {*self.columns}:
+            raise InputError(f"{self.path}: no columns voltage_v and current_a, and no power_w")
+        if len(set(self.columns)) != len(self.columns):
+            raise InputError(f"{self.path}: a column is there twice")
+
+
+def _nanoseconds(seconds: float) -> int:
+    """Exact to the nanosecond for what a float can tell apart, years after 1970 too."""
+    whole = math.floor(seconds)
+    return whole * NANOSECONDS + round((seconds - whole) * NANOSECONDS)
+
+
+def _open(path: Path) -> IO[str]:
+    """The text of the file; a byte order mark is skipped."""
+    if path.suffix == ".gz":
+        return gzip.open(path, "rt", encoding="utf-8-sig", newline="")
+    return path.open(encoding="utf-8-sig", newline="")

@@ -1,0 +1,187 @@
+"""Reading bags without ROS: rosbag2 folders and bare `.mcap` and `.db3` files, whole or broken."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Container, Iterator, Mapping
+from dataclasses import dataclass
+import heapq
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Protocol
+
+import yaml
+
+from evpinn_ros.bags.mcap_file import McapFile, RawMessage
+from evpinn_ros.bags.mcap_index import Channel
+from evpinn_ros.bags.metadata import INFORMATION, METADATA
+from evpinn_ros.bags.rosbags_file import RosbagsFile
+from evpinn_ros.bags.types import decode, typestore
+from evpinn_ros.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a bag: its type `package/msg/Type` and its number of messages."""
+
+    type_name: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A message of a bag and the time at which it was logged."""
+
+    topic: str
+    type_name: str
+    log_time_ns: int
+    message: Any
+
+
+class BagFile(Protocol):
+    """An open file with messages: `McapFile`, `RosbagsFile`."""
+
+    @property
+    def channels(self) -> Mapping[int, Channel]:
+        """Channels by id."""
+
+    @property
+    def counts(self) -> Mapping[int, int]:
+        """Messages by channel id."""
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong and lost, in one line."""
+
+    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
+        """The messages of the wanted channel ids in log time order."""
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+class BagReader:
+    """An open bag.
+
+    Attributes:
+        path: of the folder or file.
+        dropped: messages that `records` left out, by reason: `unknown_type`, `not_cdr`,
+            `undecodable`.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Open a bag folder, with or without metadata.yaml, or a bare `.mcap` or `.db3` file.
+
+        Raises:
+            InputError: not there, empty or not a bag; the text names the file and the reason.
+        """
+        self.path = Path(path)
+        self.dropped: Counter[str] = Counter()
+        self._problems: list[str] = []
+        self._files = _open(self.path, self._problems)
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for file in self._files:
+            file.close()
+
+    @property
+    def topics(self) -> dict[str, TopicInfo]:
+        """The topics by name, in the order of their names."""
+        found: dict[str, TopicInfo] = {}
+        for file in self._files:
+            for id_, channel in file.channels.items():
+                before = found.get(channel.topic, TopicInfo(channel.type_name, 0))
+                count = before.count + file.counts.get(id_, 0)
+                found[channel.topic] = TopicInfo(before.type_name, count)
+        return dict(sorted(found.items()))
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong with the bag and lost, in one line; None for a sound bag.
+
+        A cut is known from the start, damage inside only once `records` came to its end.
+        """
+        problems = [*self._problems, *(file.problem for file in self._files if file.problem)]
+        return " | ".join(problems) or None
+
+    def records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
+        """The messages in log time order, those of equal time in the order of the file.
+
+        Args:
+            topics: full names of the topics to read; None for all.
+        """
+        self.dropped.clear()
+        streams = [self._raw(file, topics) for file in self._files]
+        for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
+            try:
+                message = decode(channel.type_name, data)
+            except ValueError:
+                self.dropped["undecodable"] += 1
+                continue
+            yield Record(channel.topic, channel.type_name, log_time_ns, message)
+
+    def _raw(
+        self, file: BagFile, topics: Collection[str] | None
+    ) -> Iterator[tuple[int, Channel, bytes]]:
+        wanted = {}
+        for id_, channel in file.channels.items():
+            if topics is None or channel.topic in topics:
+                if reason := _refusal(channel):
+                    self.dropped[reason] += file.counts.get(id_, 0)
+                else:
+                    wanted[id_] = channel
+        for log_time_ns, id_, data in file.messages(wanted):
+            yield log_time_ns, wanted[id_], data
+
+
+def _refusal(channel: Channel) -> str | None:
+    if channel.encoding != "cdr":
+        return "not_cdr"
+    return None if channel.type_name in typestore().fielddefs else "unknown_type"
+
+
+def _open(path: Path, problems: list[str]) -> list[BagFile]:
+    """The files of a bag, opened; what is missing goes to `problems`."""
+    if not path.is_dir():
+        return [_open_file(path)]
+    metadata = _metadata(path / METADATA, problems)
+    if str(metadata.get("compression_mode") or "none").lower() != "none":
+        return [RosbagsFile(path)]
+    paths = sorted(path.glob("*.mcap")) or sorted(path.glob("*.db3"))
+    listed = {Path(str(name)).name for name in metadata.get("relative_file_paths") or ()}
+    if missing := sorted(listed - {each.name for each in paths}):
+        problems.append(f"{path}: {METADATA} lists {', '.join(missing)}, not there")
+    files: list[BagFile] = []
+    errors: list[InputError] = []
+    for each in paths:
+        try:
+            files.append(_open_file(each))
+        except InputError as error:
+            errors.append(error)
+    if not files:
+        raise errors[0] if errors else InputError(f"{path}: no .mcap or .db3 file in this folder")
+    problems.extend(str(error) for error in errors)
+    return files
+
+
+def _open_file(path: Path) -> BagFile:
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty")
+    if path.suffix == ".db3":
+        return RosbagsFile(path)
+    return McapFile(path)
+
+
+def _metadata(path: Path, problems: list[str]) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        return dict(yaml.safe_load(path.read_bytes())[INFORMATION])
+    except (OSError, yaml.YAMLError, TypeError, KeyError, ValueError) as error:
+        problems.append(f"{path}: not readable ({type(error).__name__})")
+        return {}

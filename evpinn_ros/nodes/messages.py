@@ -1,0 +1,388 @@
+"""All conversion between value types and ROS 2 messages, both ways.
+
+Builders take `new`, which makes a message of any class family, so the same code serves rclpy and
+bags (`evpinn_ros.bags.types.new_message`). They raise ValueError rather than build a message with
+a non-finite number where the message definition does not give NaN a meaning. Readers take a
+message of any class family and raise `BadMessage` where it holds no usable value. The messages of
+plans and their forecasts are in `evpinn_ros.nodes.plan_messages`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+import math
+from typing import Any, Protocol
+
+from evpinn_ros.nodes import topics
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    GradeReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+)
+
+VEHICLE_FRAME = "base_link"
+FLOAT32_MAX = 3.4028234663852886e38
+UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an unset quaternion not
+
+# Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
+SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
+STATUS_FIX, COVARIANCE_UNKNOWN = 0, 0
+NOT_PROVIDED = -1.0  # first element of a covariance: the quantity was not measured
+
+
+class NewMessage(Protocol):
+    """Makes a message: `new("std_msgs/msg/Header", frame_id="base_link")`.
+
+    Fields not given are zero, false or empty. Sequences of numbers are given as lists of float.
+    """
+
+    def __call__(self, type_name: str, /, **fields: Any) -> Any:
+        """A message of the type `package/msg/Type`."""
+
+
+class BadMessage(ValueError):  # noqa: N818  (it is the message that is bad)
+    """A message holds no usable value; `reason` is a short snake_case key for counters."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class Level(IntEnum):
+    """Level of a diagnostic status."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class NamedVector:
+    """Named quantities of one moment; `sigmas` and `rates` are empty when not given."""
+
+    stamp_ns: int
+    values: Mapping[str, float]
+    sigmas: Mapping[str, float]
+    rates: Mapping[str, float]
+
+
+# --- builders ----------------------------------------------------------------------------------
+
+
+def header(new: NewMessage, stamp_ns: int, frame_id: str = "") -> Any:
+    """std_msgs/Header.
+
+    Raises:
+        ValueError: the stamp is outside what ROS time holds, 1970 to 2038.
+    """
+    return new("std_msgs/msg/Header", stamp=_time(new, stamp_ns), frame_id=frame_id)
+
+
+def _time(new: NewMessage, stamp_ns: int) -> Any:
+    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
+    if not 0 <= seconds < 2**31:
+        raise ValueError(f"{stamp_ns} ns is outside ROS time")
+    return new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+
+def speed_message(new: NewMessage, reading: SpeedReading) -> Any:
+    """Forward speed; an unknown variance is 0, as ROS marks an unknown covariance."""
+    variance = 0.0 if math.isnan(reading.variance) else not_negative(reading.variance)
+    linear = new("geometry_msgs/msg/Vector3", x=finite(reading.speed))
+    twist = new("geometry_msgs/msg/Twist", linear=linear)
+    return new(
+        topics.SPEED_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        twist=new(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=twist,
+            covariance=[variance] + 35 * [0.0],
+        ),
+    )
+
+
+def battery_message(new: NewMessage, reading: BatteryReading) -> Any:
+    """Voltage, current (negative discharges) and state of charge; NaN where not measured.
+
+    The status is never CHARGING: a planner takes that for a charger, and a current into the pack
+    of a moving car is regeneration.
+    """
+    if not (math.isnan(reading.state_of_charge) or 0 <= reading.state_of_charge <= 1):
+        raise ValueError(f"state of charge {reading.state_of_charge} is outside 0..1")
+    return new(
+        topics.BATTERY_TYPE,
+        header=header(new, reading.stamp_ns),
+        voltage=_float32(reading.voltage),
+        current=_float32(reading.current),
+        percentage=float(reading.state_of_charge),
+        **dict.fromkeys(("temperature", "charge", "capacity", "design_capacity"), math.nan),
+        power_supply_status=SUPPLY_DISCHARGING if reading.current < 0 else SUPPLY_UNKNOWN,
+        present=True,
+    )
+
+
+def imu_message(new: NewMessage, reading: GradeReading) -> Any:
+    """Attitude alone: uphill is negative pitch (REP-103); rates and accelerations not provided."""
+    half = -finite(reading.grade) / 2
+    not_provided = [NOT_PROVIDED] + 8 * [0.0]
+    return new(
+        topics.IMU_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        orientation=new("geometry_msgs/msg/Quaternion", y=math.sin(half), w=math.cos(half)),
+        angular_velocity_covariance=not_provided,
+        linear_acceleration_covariance=not_provided,
+    )
+
+
+def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
+    """Altitude alone: latitude and longitude are NaN.
+
+    The status is FIX because by its definition a value is valid from there on; NO_FIX would void
+    the altitude. The altitude is that of the source, not surely above the WGS 84 ellipsoid.
+    """
+    return new(
+        topics.FIX_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        status=new("sensor_msgs/msg/NavSatStatus", status=STATUS_FIX, service=0),
+        latitude=math.nan,
+        longitude=math.nan,
+        altitude=finite(reading.altitude),
+        position_covariance_type=COVARIANCE_UNKNOWN,
+    )
+
+
+def temperature_message(new: NewMessage, reading: TemperatureReading) -> Any:
+    """Ambient temperature; variance 0 is unknown."""
+    return new(
+        topics.TEMPERATURE_TYPE,
+        header=header(new, reading.stamp_ns),
+        temperature=finite(reading.celsius),
+    )
+
+
+def auxiliary_message(new: NewMessage, reading: AuxiliaryReading) -> Any:
+    """Named vector with the one load `auxiliary`, W."""
+    return named_vector(new, reading.stamp_ns, ["auxiliary"], [reading.power])
+
+
+def reading_message(new: NewMessage, reading: Reading) -> Any:
+    """The message of any reading, the inverse of `to_reading`."""
+    match reading:
+        case SpeedReading():
+            return speed_message(new, reading)
+        case BatteryReading():
+            return battery_message(new, reading)
+        case GradeReading():
+            return imu_message(new, reading)
+        case AltitudeReading():
+            return altitude_message(new, reading)
+        case TemperatureReading():
+            return temperature_message(new, reading)
+        case AuxiliaryReading():
+            return auxiliary_message(new, reading)
+
+
+def scalar(new: NewMessage, value: float) -> Any:
+    """std_msgs/Float64."""
+    return new(topics.SCALAR_TYPE, data=finite(value))
+
+
+def named_vector(
+    new: NewMessage,
+    stamp_ns: int,
+    names: Sequence[str],
+    values: Sequence[float],
+    sigmas: Sequence[float] | None = None,
+    rates: Sequence[float] | None = None,
+) -> Any:
+    """sensor_msgs/JointState: position is the value, velocity its rate, effort its 1-sigma.
+
+    Nothing non-finite is published, so effort stays empty when a sigma is unknown (NaN).
+
+    Raises:
+        ValueError: a value or rate is not finite, a sigma is negative or infinite, or the
+            lengths differ.
+    """
+    rates = () if rates is None else rates
+    if sigmas is None or any(math.isnan(sigma) for sigma in sigmas):
+        sigmas = ()
+    if len(values) != len(names) or any(len(x) not in (0, len(names)) for x in (rates, sigmas)):
+        raise ValueError(f"{len(names)} names do not fit the values, sigmas or rates")
+    return new(
+        topics.NAMED_VECTOR_TYPE,
+        header=header(new, stamp_ns),
+        name=list(names),
+        position=[finite(value) for value in values],
+        velocity=[finite(rate) for rate in rates],
+        effort=[not_negative(sigma) for sigma in sigmas],
+    )
+
+
+def diagnostics(
+    new: NewMessage,
+    stamp_ns: int,
+    statuses: Iterable[tuple[str, Level, str, Mapping[str, object]]],
+) -> Any:
+    """diagnostic_msgs/DiagnosticArray from (name, level, message, {key: value})."""
+    return new(
+        topics.DIAGNOSTICS_TYPE,
+        header=header(new, stamp_ns),
+        status=[_status(new, *status) for status in statuses],
+    )
+
+
+def _status(
+    new: NewMessage, name: str, level: Level, message: str, values: Mapping[str, object]
+) -> Any:
+    status = new(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        name=name,
+        message=message,
+        values=[
+            new("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
+            for key, value in values.items()
+        ],
+    )
+    # rclpy holds a byte as bytes, rosbags as int: the constant of the class is right in both.
+    status.level = getattr(type(status), Level(level).name)
+    return status
+
+
+def finite(value: float) -> float:
+    """The value, for a field that must be finite; ValueError otherwise."""
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite")
+    return float(value)
+
+
+def not_negative(value: float) -> float:
+    """The value, for a variance or a sigma; ValueError when negative or not finite."""
+    if not 0 <= value < math.inf:
+        raise ValueError(f"{value} is no variance or sigma")
+    return float(value)
+
+
+def _float32(value: float) -> float:
+    if abs(value) > FLOAT32_MAX:
+        raise ValueError(f"{value} does not fit a 32-bit number")
+    return float(value)
+
+
+# --- readers -----------------------------------------------------------------------------------
+
+
+def to_reading(type_name: str, message: Any) -> Reading:
+    """The reading in a message of one of the input types.
+
+    Raises:
+        BadMessage: no usable value, no stamp, or no input type; `reason` says which.
+    """
+    try:
+        reader = _READERS[type_name]
+    except KeyError:
+        raise BadMessage("unknown_type") from None
+    return reader(message)
+
+
+def stamp_ns(message: Any) -> int:
+    """The header stamp, ns. A stamp of zero was never set: BadMessage("no_stamp")."""
+    stamp = message.header.stamp
+    nanoseconds = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+    if nanoseconds <= 0:
+        raise BadMessage("no_stamp")
+    return nanoseconds
+
+
+def speed_reading(message: Any) -> SpeedReading:
+    """Speed of a TwistWithCovarianceStamped; a variance of 0 or less is unknown."""
+    variance = float(message.twist.covariance[0])
+    known = 0 < variance < math.inf
+    speed = _usable(message.twist.twist.linear.x)
+    return SpeedReading(stamp_ns(message), speed, variance if known else math.nan)
+
+
+def battery_reading(message: Any) -> BatteryReading:
+    """Voltage and current of a BatteryState, each NaN where not measured.
+
+    A percentage outside 0..1 is unknown too: some drivers count to 100, some say -1.
+    """
+    voltage, current, charge = map(float, (message.voltage, message.current, message.percentage))
+    charge = charge if 0 <= charge <= 1 else math.nan
+    if math.isinf(voltage) or math.isinf(current):
+        raise BadMessage("not_finite")
+    if math.isnan(voltage) and math.isnan(current) and math.isnan(charge):
+        raise BadMessage("nothing_measured")
+    return BatteryReading(stamp_ns(message), voltage, current, charge)
+
+
+def grade_reading(message: Any) -> GradeReading:
+    """Grade of an Imu. Positive pitch is nose down (REP-103), so grade = -pitch."""
+    if message.orientation_covariance[0] == NOT_PROVIDED:
+        raise BadMessage("no_orientation")
+    q = message.orientation
+    square = q.w**2 + q.x**2 + q.y**2 + q.z**2
+    if not abs(square - 1) <= UNIT_TOLERANCE:
+        raise BadMessage("quaternion_not_unit")
+    sine = 2 * (q.w * q.y - q.z * q.x) / square
+    return GradeReading(stamp_ns(message), -math.asin(max(-1.0, min(1.0, sine))))
+
+
+def altitude_reading(message: Any) -> AltitudeReading:
+    """Altitude of a NavSatFix, which is valid from STATUS_FIX on."""
+    if message.status.status < STATUS_FIX:
+        raise BadMessage("no_fix")
+    return AltitudeReading(stamp_ns(message), _usable(message.altitude))
+
+
+def temperature_reading(message: Any) -> TemperatureReading:
+    """Ambient temperature of a Temperature."""
+    return TemperatureReading(stamp_ns(message), _usable(message.temperature))
+
+
+def auxiliary_reading(message: Any) -> AuxiliaryReading:
+    """The sum of the named loads, W."""
+    vector = read_named_vector(message)
+    if not vector.values:
+        raise BadMessage("nothing_measured")
+    return AuxiliaryReading(vector.stamp_ns, sum(vector.values.values()))
+
+
+def read_named_vector(message: Any) -> NamedVector:
+    """A named vector as mappings by name."""
+    values, rates, sigmas = (
+        _by_name(message.name, numbers)
+        for numbers in (message.position, message.velocity, message.effort)
+    )
+    if len(values) != len(message.name):
+        raise BadMessage("lengths_differ")
+    return NamedVector(stamp_ns(message), values, sigmas, rates)
+
+
+def _by_name(names: Sequence[str], numbers: Sequence[float]) -> dict[str, float]:
+    if len(numbers) not in (0, len(names)) or len(set(names)) != len(names):
+        raise BadMessage("lengths_differ")
+    return {name: _usable(number) for name, number in zip(names, numbers, strict=False)}
+
+
+def _usable(value: float) -> float:
+    if not math.isfinite(value):
+        raise BadMessage("not_finite")
+    return float(value)
+
+
+_READERS: Mapping[str, Callable[[Any], Reading]] = {
+    topics.SPEED_TYPE: speed_reading,
+    topics.BATTERY_TYPE: battery_reading,
+    topics.IMU_TYPE: grade_reading,
+    topics.FIX_TYPE: altitude_reading,
+    topics.TEMPERATURE_TYPE: temperature_reading,
+    topics.NAMED_VECTOR_TYPE: auxiliary_reading,
+}

@@ -1,0 +1,263 @@
+"""Every topic of this package: name, type, quality of service and content.
+
+The table of the documentation is generated from `TOPICS`. Names are relative, the launch files
+put them under `NAMESPACE`; only `/diagnostics` is absolute.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+NAMESPACE = "/ev"
+
+SPEED_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
+IMU_TYPE = "sensor_msgs/msg/Imu"
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
+TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
+NAMED_VECTOR_TYPE = "sensor_msgs/msg/JointState"
+SCALAR_TYPE = "std_msgs/msg/Float64"
+PATH_TYPE = "nav_msgs/msg/Path"
+TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
+DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+@dataclass(frozen=True, slots=True)
+class Qos:
+    """Quality of service: history is keep-last with this depth, all else is the default."""
+
+    reliable: bool
+    transient_local: bool
+    depth: int
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic.
+
+    Attributes:
+        name: relative to the namespace, or absolute.
+        type_name: `package/msg/Type`.
+        source: who publishes it.
+        latched: a late subscriber gets the last message.
+        description: content, in one line.
+        unit: of the content; empty where it has several or none.
+    """
+
+    name: str
+    type_name: str
+    source: str
+    latched: bool
+    description: str
+    unit: str
+
+    @property
+    def publisher_qos(self) -> Qos:
+        """Reliable, so that every subscriber can match it; one message deep when latched."""
+        return Qos(reliable=True, transient_local=self.latched, depth=1 if self.latched else 10)
+
+    @property
+    def subscriber_qos(self) -> Qos:
+        """Best effort for the streams of the car: it matches every publisher, late is worthless.
+
+        All else is reliable: a plan is asked for once and must not be lost.
+        """
+        if self in INPUTS:
+            return Qos(reliable=False, transient_local=False, depth=10)
+        return self.publisher_qos
+
+    def under(self, namespace: str = NAMESPACE) -> str:
+        """The full name, for example `/ev/vehicle/speed`."""
+        return self.name if self.name.startswith("/") else f"{namespace.rstrip('/')}/{self.name}"
+
+    def matches(self, full_name: str) -> bool:
+        """Whether a full name is this topic, under any namespace."""
+        return full_name == self.name or full_name.endswith(f"/{self.name.lstrip('/')}")
+
+
+SPEED = Topic(
+    "vehicle/speed",
+    SPEED_TYPE,
+    "can_bridge",
+    False,
+    "`twist.twist.linear.x` in frame `base_link`, with the variance of its resolution",
+    "m/s",
+)
+BATTERY = Topic(
+    "battery/state",
+    BATTERY_TYPE,
+    "can_bridge",
+    False,
+    "voltage and current of one moment, negative current discharges; NaN where not measured",
+    "V, A",
+)
+BATTERY_VOLTAGE = Topic(
+    "battery/voltage", SCALAR_TYPE, "can_bridge", False, "the same voltage, for plots", "V"
+)
+BATTERY_CURRENT = Topic(
+    "battery/current",
+    SCALAR_TYPE,
+    "can_bridge",
+    False,
+    "the same current, for plots; negative discharges",
+    "A",
+)
+IMU = Topic(
+    "vehicle/imu", IMU_TYPE, "the car", False, "optional grade source: grade = -pitch", "rad"
+)
+FIX = Topic(
+    "vehicle/fix", FIX_TYPE, "the car", False, "optional grade source: altitude over distance", "m"
+)
+TEMPERATURE = Topic(
+    "environment/temperature",
+    TEMPERATURE_TYPE,
+    "the car",
+    False,
+    "optional: ambient temperature, for the density of air",
+    "degC",
+)
+AUXILIARY_POWER = Topic(
+    "auxiliary/power",
+    NAMED_VECTOR_TYPE,
+    "can_bridge",
+    False,
+    "optional: known heating, air conditioning; the loads add up",
+    "W",
+)
+INPUTS = (
+    SPEED,
+    BATTERY,
+    BATTERY_VOLTAGE,
+    BATTERY_CURRENT,
+    IMU,
+    FIX,
+    TEMPERATURE,
+    AUXILIARY_POWER,
+)
+
+PARAMETERS = Topic(
+    "estimate/parameters",
+    NAMED_VECTOR_TYPE,
+    "estimator",
+    False,
+    "`eta, mu, mass, c_rr, c_d, p_aux`: live value and 1-sigma",
+    "1, 1, kg, 1, 1, W",
+)
+IDENTIFIABLE = Topic(
+    "estimate/identifiable",
+    NAMED_VECTOR_TYPE,
+    "estimator",
+    False,
+    "what the data alone determines: "
+    "`mass_over_eta, drag_area_over_eta, c_rr, regeneration, p_aux`",
+    "kg, m^2, 1, 1, W",
+)
+BOUNDS = Topic(
+    "estimate/bounds",
+    NAMED_VECTOR_TYPE,
+    "estimator",
+    False,
+    "`<parameter>_lower`, `_upper`, `_prior_share` (0 = all data, 1 = all prior)",
+    "",
+)
+RELIABLE = Topic(
+    "estimate/reliable",
+    NAMED_VECTOR_TYPE,
+    "estimator",
+    True,
+    "the last parameters that passed every validity check",
+    "1, 1, kg, 1, 1, W",
+)
+PARAMETER_SCALARS = tuple(
+    Topic(f"estimate/{name}", SCALAR_TYPE, "estimator", False, f"live {text}, for plots", unit)
+    for name, text, unit in (
+        ("eta", "drive efficiency", "1"),
+        ("mu", "regeneration efficiency", "1"),
+        ("mass", "mass", "kg"),
+        ("c_rr", "rolling resistance", "1"),
+        ("c_d", "drag coefficient", "1"),
+    )
+)
+POWER_MEASURED = Topic(
+    "power/measured", NAMED_VECTOR_TYPE, "estimator", False, "`power`: voltage x current", "W"
+)
+POWER_PREDICTED = Topic(
+    "power/predicted",
+    NAMED_VECTOR_TYPE,
+    "estimator",
+    False,
+    "`power` for the newest sample; never uses that sample's voltage or current",
+    "W",
+)
+POWER_SMOOTHED = Topic(
+    "power/smoothed",
+    NAMED_VECTOR_TYPE,
+    "estimator",
+    False,
+    "`power` stamped `smoothing_lag` earlier, made once speed up to that lag later is known; "
+    "never uses voltage or current of its own or later samples",
+    "W",
+)
+ENERGY_STATE = Topic(
+    "energy/state",
+    NAMED_VECTOR_TYPE,
+    "energy",
+    False,
+    "`measured, predicted, rknn, regenerated`: position J, velocity W, effort 1-sigma J",
+    "J",
+)
+ENERGY_CONSUMED = Topic(
+    "energy/consumed", SCALAR_TYPE, "energy", False, "energy drawn since the last reset", "J"
+)
+PLAN = Topic("plan", PATH_TYPE, "planner", False, "stamped poses; z is elevation", "m")
+SPEED_PROFILE = Topic(
+    "plan/speed_profile",
+    TRAJECTORY_TYPE,
+    "planner",
+    False,
+    "joint `distance`: positions m, velocities m/s, `time_from_start`",
+    "m, m/s",
+)
+FORECAST = Topic(
+    "energy/forecast",
+    TRAJECTORY_TYPE,
+    "energy",
+    False,
+    "joint `energy`: positions J, velocities W, effort 1-sigma J; the plan's header echoed",
+    "J, W",
+)
+FORECAST_BATTERY = Topic(
+    "energy/forecast/battery",
+    BATTERY_TYPE,
+    "energy",
+    False,
+    "the battery at the end of the plan; not published while the state of charge is unknown",
+    "1",
+)
+DIAGNOSTICS = Topic(
+    "/diagnostics", DIAGNOSTICS_TYPE, "all", False, "1 Hz: state, reasons, counters", ""
+)
+
+TOPICS = (
+    *INPUTS,
+    PARAMETERS,
+    IDENTIFIABLE,
+    BOUNDS,
+    RELIABLE,
+    *PARAMETER_SCALARS,
+    POWER_MEASURED,
+    POWER_PREDICTED,
+    POWER_SMOOTHED,
+    ENERGY_STATE,
+    ENERGY_CONSUMED,
+    PLAN,
+    SPEED_PROFILE,
+    FORECAST,
+    FORECAST_BATTERY,
+    DIAGNOSTICS,
+)
+
+
+def topic_of(full_name: str) -> Topic | None:
+    """The topic of this package that a full name stands for, under any namespace."""
+    return next((topic for topic in TOPICS if topic.matches(full_name)), None)

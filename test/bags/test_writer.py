@@ -1,0 +1,221 @@
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from mcap.reader import make_reader
+import pytest
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+import yaml
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import decode, encode, new_message, typestore
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.messages import named_vector, scalar, speed_message
+from evpinn_ros.signals.readings import SpeedReading
+
+ROOT = Path(__file__).parents[2]
+START = 1_700_000_000_000_000_000
+STEP = 50_000_000
+
+
+def write(folder: Path, count: int = 200) -> Path:
+    with BagWriter(folder) as writer:
+        for i in range(count):
+            stamp = START + i * STEP
+            message = speed_message(new_message, SpeedReading(stamp, i * 0.1))
+            writer.write("/ev/vehicle/speed", message, stamp)
+            if i % 20 == 0:
+                vector = named_vector(new_message, stamp, ["mass"], [1800.0 + i])
+                writer.write("/ev/estimate/reliable", vector, stamp)
+    return folder
+
+
+def the_mcap(folder: Path) -> Path:
+    (path,) = folder.glob("*.mcap")
+    return path
+
+
+def test_rosbags_reads_what_was_written(tmp_path):
+    with Reader(write(tmp_path / "drive")) as reader:
+        assert reader.message_count == 210
+        assert reader.duration == 199 * STEP + 1
+        connections = {connection.topic: connection for connection in reader.connections}
+        speeds = [
+            typestore().deserialize_cdr(data, connection.msgtype).twist.twist.linear.x
+            for connection, _, data in reader.messages([connections["/ev/vehicle/speed"]])
+        ]
+    assert speeds == [i * 0.1 for i in range(200)]
+
+
+def test_latched_topics_are_offered_latched(tmp_path):
+    folder = write(tmp_path / "drive")
+    for source in (folder, the_mcap(folder)):
+        with Reader(source) as reader:
+            offered = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
+        assert offered["/ev/estimate/reliable"].durability == QosDurability.TRANSIENT_LOCAL
+        assert offered["/ev/estimate/reliable"].depth == 1
+        assert offered["/ev/vehicle/speed"].durability == QosDurability.VOLATILE
+        assert offered["/ev/vehicle/speed"].reliability == QosReliability.RELIABLE
+
+
+def test_mcap_reads_what_was_written(tmp_path):
+    with the_mcap(write(tmp_path / "drive")).open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        messages = list(reader.iter_messages())
+    assert len(messages) == 210
+    schema, channel, message = messages[0]
+    assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+    assert schema.name == "geometry_msgs/msg/TwistWithCovarianceStamped"
+    assert b"MSG: std_msgs/Header" in schema.data
+    assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
+    assert message.log_time == message.publish_time == START
+    assert summary.statistics.chunk_count == 10
+
+
+def test_metadata_is_that_of_jazzy(tmp_path):
+    text = (write(tmp_path / "drive") / "metadata.yaml").read_text()
+    information = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert information["version"] == 9
+    assert information["storage_identifier"] == "mcap"
+    assert information["relative_file_paths"] == ["drive_0.mcap"]
+    assert information["message_count"] == 210
+    assert information["starting_time"]["nanoseconds_since_epoch"] == START
+    assert "&id" not in text  # yaml-cpp resolves references, other readers do not
+
+
+def test_the_same_writes_give_the_same_bytes(tmp_path):
+    first, second = (write(tmp_path / name / "drive") for name in "ab")
+    assert the_mcap(first).read_bytes() == the_mcap(second).read_bytes()
+    assert (first / "metadata.yaml").read_bytes() == (second / "metadata.yaml").read_bytes()
+
+
+def test_an_empty_bag_opens(tmp_path):
+    with BagWriter(tmp_path / "empty"):
+        pass
+    with Reader(tmp_path / "empty") as reader:
+        assert reader.message_count == 0
+    with BagReader(tmp_path / "empty") as reader:
+        assert list(reader.records()) == [] and reader.problem is None
+
+
+def test_nothing_is_overwritten(tmp_path):
+    folder = write(tmp_path / "drive")
+    with pytest.raises(InputError, match="a bag is there already; use another name or remove it"):
+        BagWriter(folder)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "a.txt").touch()
+    with pytest.raises(InputError, match="not empty and not a bag"):
+        BagWriter(tmp_path / "notes")
+    with pytest.raises(InputError, match="a file is there"):
+        BagWriter(tmp_path / "notes" / "a.txt")
+    with pytest.raises(InputError, match="Not a directory"):
+        BagWriter(tmp_path / "notes" / "a.txt" / "drive")
+
+
+def test_an_empty_folder_is_used(tmp_path):
+    (tmp_path / "drive").mkdir()
+    write(tmp_path / "drive", 10)
+
+
+def test_a_topic_keeps_its_type(tmp_path):
+    with BagWriter(tmp_path / "drive") as writer:
+        writer.write("/a", scalar(new_message, 1.0), START)
+        with pytest.raises(ValueError, match="/a is std_msgs/msg/Float64"):
+            writer.write("/a", new_message("std_msgs/msg/Empty"), START)
+
+
+def test_raw_bytes_are_written_as_they_are(tmp_path):
+    message = scalar(new_message, 2.5)
+    with BagWriter(tmp_path / "drive") as writer:
+        writer.write_raw("/a", "std_msgs/msg/Float64", encode(message), START)
+    with BagReader(tmp_path / "drive") as reader:
+        (record,) = reader.records()
+    assert record.message == message
+
+
+def test_an_exception_leaves_a_whole_bag(tmp_path):
+    with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / "drive") as writer:
+        writer.write("/a", scalar(new_message, 1.0), START)
+        raise ZeroDivisionError
+    with Reader(tmp_path / "drive") as reader:
+        assert reader.message_count == 1
+
+
+def test_late_messages_make_no_chunks_of_their_own(tmp_path):
+    with BagWriter(tmp_path / "drive") as writer:
+        for i in range(200):  # as power/smoothed does: 3 s behind
+            writer.write("/a", scalar(new_message, i), START + i * STEP)
+            writer.write("/b", scalar(new_message, i), START + i * STEP - 3 * 10**9)
+    with the_mcap(tmp_path / "drive").open("rb") as file:
+        assert make_reader(file).get_summary().statistics.chunk_count == 10
+    with BagReader(tmp_path / "drive") as reader:
+        times = [record.log_time_ns for record in reader.records()]
+    assert len(times) == 400 and times == sorted(times)
+
+
+WRITE_UNTIL_KILLED = """
+import sys
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.nodes.messages import scalar
+writer = BagWriter(sys.argv[1])
+for i in range(10**9):
+    writer.write("/ev/battery/voltage", scalar(new_message, i), 10**18 + i * 50_000_000)
+    print(i, flush=True)
+"""
+
+
+def write_and_kill(folder: Path, until: int) -> int:
+    """Kill -9 a writer; returns the number of the last message it reported."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITE_UNTIL_KILLED, str(folder)],
+        cwd=ROOT, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    for line in process.stdout:
+        if int(line) >= until:
+            break
+    os.kill(process.pid, signal.SIGKILL)
+    rest = process.communicate()[0].split()
+    # The last line may have been cut while it was written.
+    return int(rest[-2]) if len(rest) > 1 else until
+
+
+def test_a_killed_recording_loses_a_second_at_most(tmp_path):
+    last = write_and_kill(tmp_path / "drive", until=500)
+    with BagReader(tmp_path / "drive") as reader:
+        assert reader.topics["/ev/battery/voltage"].count >= last - 20
+        values = [record.message.data for record in reader.records()]
+        assert "cut or damaged" in reader.problem
+    assert values == list(range(len(values)))
+    assert len(values) >= last - 20  # 20 messages a second
+    information = yaml.safe_load((tmp_path / "drive" / "metadata.yaml").read_text())
+    (topic,) = information["rosbag2_bagfile_information"]["topics_with_message_count"]
+    assert topic["topic_metadata"]["name"] == "/ev/battery/voltage"
+
+
+def test_a_live_recording_is_flushed_by_wall_time_too(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("evpinn_ros.bags.writer.time.monotonic", lambda: now[0])
+    writer = BagWriter(tmp_path / "drive", live=True)
+    for i in range(100):  # log time stands
+        now[0] += 0.1
+        writer.write("/a", scalar(new_message, i), START)
+    with BagReader(tmp_path / "drive") as reader:  # not closed: as after a kill
+        assert len(list(reader.records())) >= 90
+    writer.close()
+    writer.close()
+    with BagReader(tmp_path / "drive") as reader:
+        assert len(list(reader.records())) == 100 and reader.problem is None
+
+
+def test_decoding_anything_gives_a_message_or_a_value_error():
+    raw = encode(named_vector(new_message, START, ["a", "b"], [1.0, 2.0]))
+    for cut in range(len(raw)):
+        with pytest.raises(ValueError):
+            decode("sensor_msgs/msg/JointState", raw[:cut])
