@@ -1,0 +1,159 @@
+"""What a planner means to drive: time, distance, speed and elevation along one trip or many.
+
+Between two points distance is the cubic that has the given speeds at its ends, so that legs agree
+with their length, their climb and their speeds at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from evpinn_ros.errors import InputError
+
+MAX_SPEED = 100.0  # m/s: faster is a teleport
+MAX_POINTS = 1_000_000
+NOMINAL_SPEED = 50 / 3.6  # m/s, where a path has no usable stamps
+COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as well
+CLIMB_TOLERANCE = 1e-6  # m: rounding of climb against length
+
+
+class PlanError(InputError):
+    """A plan cannot be driven; the text is the reason in one line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Points of a trip, or of a batch of trips of equal length; checked when made.
+
+    Attributes:
+        time: shape (n,) or (batch, n), s, strictly rising.
+        distance: same shape, m along the road, never falling.
+        speed: same shape, m/s, 0 to `MAX_SPEED`.
+        elevation: same shape, m.
+
+    Raises:
+        PlanError: the arrays are no trip.
+    """
+
+    time: np.ndarray
+    distance: np.ndarray
+    speed: np.ndarray
+    elevation: np.ndarray
+
+    def __post_init__(self) -> None:
+        named = {name: getattr(self, name) for name in self.__slots__}
+        _check_arrays(named)
+        length, climb = np.diff(self.distance), np.diff(self.elevation)
+        duration = np.diff(self.time)
+        _refuse(duration <= 0, "time does not rise")
+        _refuse(length < 0, "distance goes back")
+        _refuse(length > MAX_SPEED * duration, f"faster than {MAX_SPEED:g} m/s")
+        _refuse(self.speed < 0, "speed is negative")
+        _refuse(self.speed > MAX_SPEED, f"speed is above {MAX_SPEED:g} m/s")
+        _refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
+
+
+def plan_from_path(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    stamps: np.ndarray | None = None,
+    *,
+    nominal_speed: float = NOMINAL_SPEED,
+    acceleration: float = COMFORT_ACCELERATION,
+) -> Plan:
+    """A plan from path points.
+
+    With stamps, speed is the slope of a monotone cubic through distance over time: zero where
+    the path waits. Stamps that are absent or all equal are unusable; the car then starts and
+    ends at rest, accelerates and brakes with `acceleration` and drives `nominal_speed` between.
+    Curves do not slow it down.
+
+    Args:
+        x: shape (n,), m, n >= 2; so are y and z.
+        y: m.
+        z: m, elevation.
+        stamps: shape (n,), s, or None.
+        nominal_speed: m/s.
+        acceleration: m/s^2, positive.
+
+    Raises:
+        PlanError: the points are no trip.
+    """
+    points = {"x": _array(x), "y": _array(y), "z": _array(z)}
+    if stamps is not None:
+        points["stamps"] = _array(stamps)
+    _check_arrays(points)
+    legs = np.sqrt(sum(np.diff(points[axis]) ** 2 for axis in "xyz"))
+    distance = np.concatenate(([0.0], np.cumsum(legs)))
+    time = points.get("stamps")
+    if time is None or np.ptp(time) == 0:
+        return _nominal_plan(distance, points["z"], nominal_speed, acceleration)
+    duration = np.diff(time)
+    _refuse(duration < 0, "time goes back")
+    kept = np.concatenate(([True], (duration > 0) | (legs > 0)))  # a point given twice is one
+    time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
+    _refuse(np.diff(distance) > MAX_SPEED * np.diff(time), f"faster than {MAX_SPEED:g} m/s")
+    speed = PchipInterpolator(time, distance).derivative()(time)
+    return Plan(time, distance, np.clip(speed, 0.0, MAX_SPEED), elevation)
+
+
+def plan_from_speed_profile(
+    time: np.ndarray,
+    distance: np.ndarray,
+    speed: np.ndarray,
+    elevation: np.ndarray | None = None,
+) -> Plan:
+    """A plan from a speed profile: time, s, distance, m, and speed, m/s, each of shape (n,).
+
+    Without elevation, m, the road is flat. Time and distance are counted from the first point.
+
+    Raises:
+        PlanError: the profile is no trip.
+    """
+    time, distance, speed = _array(time), _array(distance), _array(speed)
+    height = np.zeros_like(time) if elevation is None else _array(elevation)
+    return Plan(time - time[:1], distance - distance[:1], speed, height)
+
+
+def _nominal_plan(
+    distance: np.ndarray, elevation: np.ndarray, nominal_speed: float, acceleration: float
+) -> Plan:
+    length = float(distance[-1])
+    if length == 0:
+        raise PlanError("the path has neither length nor duration")
+    if not 0 < nominal_speed <= MAX_SPEED or not 0 < acceleration < math.inf:
+        raise PlanError(f"cannot drive {nominal_speed:g} m/s with {acceleration:g} m/s^2")
+    ramp = min(nominal_speed**2 / (2 * acceleration), length / 2)
+    # The ends of both ramps become points, so that every leg has one constant acceleration.
+    s = np.unique(np.concatenate((distance, [ramp, length - ramp])))
+    speed = np.sqrt(2 * acceleration * np.minimum(np.minimum(s, length - s), ramp))
+    time = np.concatenate(([0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))))
+    return Plan(time, s, speed, np.interp(s, distance, elevation))
+
+
+def _array(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values, dtype=float)
+
+
+def _check_arrays(named: dict[str, np.ndarray]) -> None:
+    first = next(iter(named.values()))
+    if any(array.shape != first.shape for array in named.values()):
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in named.items())
+        raise PlanError(f"arrays differ in shape: {shapes}")
+    if first.ndim not in (1, 2) or first.size == 0 or first.shape[-1] < 2:
+        raise PlanError(f"needs at least two points, shape is {first.shape}")
+    if first.size > MAX_POINTS:
+        raise PlanError(f"{first.size} points are more than {MAX_POINTS}")
+    for name, array in named.items():
+        _refuse(~np.isfinite(array), f"{name} is not finite")
+
+
+def _refuse(wrong: np.ndarray, reason: str) -> None:
+    if wrong.any():
+        where = np.argwhere(wrong)[0]
+        raise PlanError(f"{reason} at point {', '.join(str(int(i)) for i in where)}")

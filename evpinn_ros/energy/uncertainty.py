@@ -1,0 +1,74 @@
+"""How an error of power grows into an error of energy.
+
+Model: the error of power is sigma(t) u(t), with u a stationary Gauss-Markov process of unit
+variance and correlation exp(-|s| / tau). The error of energy then is a double integral that has a
+closed form for constant sigma:
+
+    variance(t) = 2 sigma^2 tau (t - tau (1 - exp(-t / tau)))
+
+which is (sigma t)^2 for t << tau, where the error is still one constant offset, and
+2 tau sigma^2 t for t >> tau, where it is a random walk. Independent errors (tau -> 0) would
+promise far too much; an offset for the whole drive (tau -> infinity) far too little.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+# From the spread of the energy error over 60 s windows, in the second half of a Model 3 drive
+# and twelve BMW i3 drives, with parameters fitted to the first half: median 4.5 s, 1.8 to 30 s.
+CORRELATION_TIME = 5.0  # s
+
+
+def energy_sigma(elapsed: np.ndarray, sigma: float, correlation_time: float) -> np.ndarray:
+    """1-sigma of energy after a constant 1-sigma of power.
+
+    Args:
+        elapsed: any shape, s since the start.
+        sigma: of power, W.
+        correlation_time: tau, s.
+
+    Returns:
+        1-sigma, J, shape of `elapsed`.
+    """
+    tau = correlation_time
+    growth = elapsed + tau * np.expm1(-elapsed / tau)
+    result: np.ndarray = sigma * np.sqrt(2 * tau * np.maximum(growth, 0.0))
+    return result
+
+
+class CorrelatedError:
+    """The same for a sigma that changes from step to step.
+
+    Keeps the variance of the energy and its covariance with u. A sigma of NaN makes the result
+    NaN from there on: an integral with an unknown part is unknown.
+    """
+
+    def __init__(
+        self, correlation_time: float = CORRELATION_TIME, start_sigma: float = 0.0
+    ) -> None:
+        """An error that starts afresh.
+
+        Args:
+            correlation_time: tau, s.
+            start_sigma: 1-sigma of the energy so far, J, unrelated to what comes.
+        """
+        self._tau = correlation_time
+        self._covariance = 0.0
+        self._variance = start_sigma**2
+
+    @property
+    def sigma(self) -> float:
+        """1-sigma of the energy, J."""
+        return math.sqrt(self._variance)
+
+    def push(self, sigma: float, dt: float) -> None:
+        """Integrate over dt, s, with a 1-sigma of power, W, constant in it."""
+        tau = self._tau
+        relaxed = -math.expm1(-dt / tau)  # 1 - exp(-dt / tau)
+        start = self._covariance * tau * relaxed
+        own = sigma * tau * (dt - tau * relaxed)
+        self._variance += 2 * sigma * (start + max(own, 0.0))
+        self._covariance += (sigma * tau - self._covariance) * relaxed

@@ -1,0 +1,166 @@
+import json
+import math
+
+import pytest
+
+from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.errors import InputError
+
+RKNN = load_rknn()
+START = 1_700_000_000_000_000_000
+NEVER = range(0)
+
+
+SEAM = 1.2e3  # J: the energy of one sample, where measured and predicted energy join
+
+
+def meter(**settings):
+    return EnergyMeter(RKNN, **settings)
+
+
+def drive(to, seconds, *, measured=10e3, predicted=11e3, silent=NEVER, sigma=1e3):
+    """Push 10 Hz samples for the seconds of a range; no battery in those of `silent`."""
+    for tick in range(seconds.start * 10, seconds.stop * 10 + 1):
+        stamp = START + tick * 100_000_000
+        if tick / 10 <= silent.start or tick / 10 > silent.stop:
+            to.push_measured(stamp, measured)
+        to.push_predicted(stamp, predicted, sigma)
+    return to
+
+
+def test_before_anything_is_pushed():
+    state = meter().state
+    assert (state.stamp_ns, state.measuring, state.unmeasured_s) == (0, False, 0.0)
+    assert state.measured.energy == state.predicted.energy == state.rknn.energy == 0.0
+    assert math.isnan(state.predicted.power)
+
+
+def test_both_integrals_by_hand():
+    state = drive(meter(), range(60)).state
+    assert state.stamp_ns == START + 60_000_000_000
+    assert state.measured == pytest.approx((600e3, 10e3, math.nan), nan_ok=True)
+    assert state.predicted[:2] == pytest.approx((660e3, 11e3))
+    assert state.rknn[:2] == pytest.approx((660e3, 11e3), rel=1e-4)
+    assert state.predicted.sigma == pytest.approx(math.sqrt(2 * 5 * (60 - 5)) * 1e3, rel=1e-3)
+    assert state.regenerated[:2] == (0.0, 0.0)
+    assert state.measuring and state.unmeasured_s == 0.0
+
+
+def test_measured_sigma_when_the_sensor_is_known():
+    known = meter()
+    for tick in range(3):
+        known.push_measured(START + tick * 100_000_000, 1e3, 50.0)
+    assert 0 < known.state.measured.sigma < 50.0
+
+
+def test_a_silent_battery_stops_only_what_is_measured():
+    silent = drive(meter(), range(60), silent=range(20, 60))
+    state = silent.state
+    assert not state.measuring
+    assert state.measured.energy == pytest.approx(200e3)
+    assert math.isnan(state.measured.power)
+    assert state.predicted.energy == pytest.approx(660e3)
+    assert state.unmeasured_s == pytest.approx(40.0)
+    assert state.consumed == pytest.approx(200e3 + 40 * 11e3, abs=SEAM)
+
+
+def test_silence_is_declared_after_the_timeout():
+    late = drive(meter(battery_timeout=3.0), range(10))
+    late.push_predicted(START + 12_900_000_000, 11e3, 1e3)
+    assert late.state.measuring
+    late.push_predicted(START + 13_100_000_000, 11e3, 1e3)
+    assert not late.state.measuring
+
+
+def test_a_battery_that_returns_is_bridged_by_the_prediction():
+    state = drive(meter(), range(60), silent=range(20, 40)).state
+    assert state.measuring
+    assert state.measured.energy == pytest.approx(400e3, abs=SEAM)
+    assert state.unmeasured_s == pytest.approx(20.1)
+    assert state.consumed == pytest.approx(400e3 + 220e3, abs=2 * SEAM)
+    assert state.gaps == 1
+
+
+def test_regenerated_is_measured_then_predicted():
+    state = drive(meter(), range(30), measured=-5e3, predicted=-4e3, silent=range(10, 30)).state
+    assert state.regenerated.energy == pytest.approx(10 * 5e3 + 20 * 4e3, abs=SEAM)
+    assert state.regenerated.power == 4e3
+    assert math.isnan(state.regenerated.sigma)
+    assert state.predicted.energy == pytest.approx(-30 * 4e3)
+
+
+def test_prediction_without_any_battery():
+    state = drive(meter(), range(30), silent=range(-1, 30)).state
+    assert not state.measuring
+    assert state.consumed == pytest.approx(state.predicted.energy)
+    assert state.unmeasured_s == pytest.approx(30.0)
+
+
+def test_what_cannot_be_used_is_counted():
+    faulty = drive(meter(), range(10))
+    before = faulty.state
+    faulty.push_predicted(START, 1e3, 1e3)
+    faulty.push_measured(START, 1e3)
+    faulty.push_measured(START + 10_000_000_000, 1e3)
+    faulty.push_predicted(START + 10_100_000_000, math.nan, 1e3)
+    state = faulty.state
+    assert state.dropped == 4
+    assert state.measured == pytest.approx(before.measured, nan_ok=True)
+    assert state.predicted == before.predicted
+    assert state.consumed == before.consumed
+
+
+def test_a_battery_that_says_nan_is_silent():
+    state = drive(meter(), range(10), measured=math.nan).state
+    assert not state.measuring
+    assert state.consumed == pytest.approx(110e3)
+
+
+def test_reset_allows_time_to_start_over():
+    again = drive(meter(), range(100))
+    again.reset()
+    assert again.state.predicted.energy == 0.0
+    state = drive(again, range(10)).state
+    assert state.measured.energy == pytest.approx(100e3)
+    assert (state.dropped, state.gaps) == (0, 0)
+
+
+@pytest.mark.parametrize("silent", [NEVER, range(10, 30), range(10, 20), range(-1, 30)])
+def test_saved_and_restored_it_goes_on(silent):
+    first = drive(meter(), range(30), silent=silent)
+    second = meter()
+    second.restore(json.loads(json.dumps(first.exported())))
+    before, after = first.state, second.state
+    for name in ("measured", "predicted", "rknn", "regenerated"):
+        assert getattr(after, name).energy == pytest.approx(getattr(before, name).energy)
+    assert after.predicted.sigma == pytest.approx(before.predicted.sigma)
+    assert after.consumed == pytest.approx(before.consumed)
+    assert after.unmeasured_s == pytest.approx(before.unmeasured_s)
+    later = drive(second, range(40_000, 40_010)).state
+    assert later.predicted.energy == pytest.approx(before.predicted.energy + 110e3)
+    assert later.consumed == pytest.approx(before.consumed + 100e3)
+    assert later.gaps == before.gaps
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"measured": None},
+        {"rknn": "many"},
+        {"rknn": math.inf},
+        {"unmeasured_s": math.nan},
+        {"predicted": {}},
+    ],
+)
+def test_a_wrong_saved_state_is_refused_and_changes_nothing(wrong):
+    kept = drive(meter(), range(10))
+    before = repr(kept.state)
+    with pytest.raises(InputError, match="saved energy"):
+        kept.restore({**kept.exported(), **wrong})
+    assert repr(kept.state) == before
+
+
+def test_a_gap_longer_than_the_network_knows_is_refused():
+    with pytest.raises(InputError, match="max_gap"):
+        meter(max_gap=5.0)

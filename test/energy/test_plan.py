@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+
+from evpinn_ros.energy.plan import Plan, PlanError, plan_from_path, plan_from_speed_profile
+
+LINE = np.array([0.0, 100.0, 200.0, 300.0])
+ZERO = np.zeros(4)
+
+
+def test_path_with_stamps():
+    plan = plan_from_path(LINE, ZERO, ZERO + 5, np.array([50.0, 60.0, 70.0, 80.0]))
+    assert plan.time == pytest.approx([0, 10, 20, 30])
+    assert plan.distance == pytest.approx(LINE)
+    assert plan.speed == pytest.approx([10.0] * 4)
+    assert plan.elevation == pytest.approx([5.0] * 4)
+
+
+def test_length_is_measured_along_the_slope():
+    plan = plan_from_path(
+        np.array([0.0, 3.0]), np.array([0.0, 0.0]), np.array([0.0, 4.0]), np.array([0.0, 1.0])
+    )
+    assert plan.distance[-1] == pytest.approx(5.0)
+
+
+def test_waiting_is_standing():
+    x = np.array([0.0, 100.0, 100.0, 200.0])
+    plan = plan_from_path(x, ZERO, ZERO, np.array([0.0, 10.0, 40.0, 50.0]))
+    assert plan.speed[1] == plan.speed[2] == 0.0
+
+
+def test_a_point_given_twice_is_one():
+    x = np.array([0.0, 100.0, 100.0, 200.0])
+    plan = plan_from_path(x, ZERO, ZERO, np.array([0.0, 10.0, 10.0, 20.0]))
+    assert plan.time == pytest.approx([0, 10, 20])
+
+
+@pytest.mark.parametrize("stamps", [None, np.zeros(4), np.full(4, 1.7e9)])
+def test_without_usable_stamps_it_drives_the_nominal_speed(stamps):
+    plan = plan_from_path(LINE, ZERO, ZERO, stamps, nominal_speed=10.0, acceleration=1.0)
+    assert plan.distance == pytest.approx([0, 50, 100, 200, 250, 300])
+    assert plan.speed == pytest.approx([0, 10, 10, 10, 10, 0])
+    assert plan.time[-1] == pytest.approx(10 + 20 + 10)
+
+
+def test_a_short_path_never_reaches_the_nominal_speed():
+    plan = plan_from_path(np.array([0.0, 16.0]), np.zeros(2), np.zeros(2), nominal_speed=30.0)
+    assert plan.speed == pytest.approx([0, 4, 0])
+    assert plan.time[-1] == pytest.approx(8.0)
+
+
+def test_speed_profile_counts_from_its_first_point():
+    plan = plan_from_speed_profile([5.0, 6.0], [100.0, 110.0], [10.0, 10.0])
+    assert plan.time == pytest.approx([0, 1])
+    assert plan.distance == pytest.approx([0, 10])
+    assert plan.elevation == pytest.approx([0, 0])
+
+
+@pytest.mark.parametrize(
+    ("x", "stamps", "reason"),
+    [
+        (LINE, [0.0, 10.0, 5.0, 20.0], "time goes back at point 1"),
+        (LINE, [0.0, 10.0, 10.0, 20.0], "faster than 100 m/s at point 1"),
+        (LINE, [0.0, 10.0, 10.5, 20.0], "faster than 100 m/s at point 1"),
+        (LINE, [0.0, 10.0, np.nan, 20.0], "stamps is not finite at point 2"),
+        ([0.0, np.nan, 1.0, 2.0], None, "x is not finite at point 1"),
+        ([], [], "needs at least two points"),
+        ([1.0], None, "needs at least two points"),
+        (np.zeros(4), None, "neither length nor duration"),
+        (LINE, [0.0, 10.0], "arrays differ in shape"),
+        (np.zeros(1_000_001), None, "1000001 points are more than 1000000"),
+    ],
+)
+def test_a_path_that_is_no_trip(x, stamps, reason):
+    x = np.asarray(x)
+    with pytest.raises(PlanError, match=reason) as error:
+        plan_from_path(x, np.zeros(len(x)), np.zeros(len(x)), stamps)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("time", "distance", "speed", "elevation", "reason"),
+    [
+        ([0.0, 0.0], [0.0, 1.0], [1.0, 1.0], None, "time does not rise at point 0"),
+        ([1.0, 0.0], [0.0, 1.0], [1.0, 1.0], None, "time does not rise"),
+        ([0.0, 1.0], [1.0, 0.0], [1.0, 1.0], None, "distance goes back"),
+        ([0.0, 1.0], [0.0, 101.0], [1.0, 1.0], None, "faster than"),
+        ([0.0, 1.0], [0.0, 1.0], [1.0, 101.0], None, "speed is above 100 m/s at point 1"),
+        ([0.0, 1.0], [0.0, 1.0], [-1.0, 1.0], None, "speed is negative at point 0"),
+        ([0.0, 1.0], [0.0, 1.0], [1.0, np.inf], None, "speed is not finite at point 1"),
+        ([0.0, 1.0], [0.0, 1.0], [1.0, 1.0], [0.0, 2.0], "climbs more than it travels"),
+        ([], [], [], None, "needs at least two points"),
+    ],
+)
+def test_a_profile_that_is_no_trip(time, distance, speed, elevation, reason):
+    with pytest.raises(PlanError, match=reason):
+        plan_from_speed_profile(time, distance, speed, elevation)
+
+
+def test_in_a_batch_the_error_names_the_trip_and_the_point():
+    time = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 1.0]])
+    zero = np.zeros((2, 3))
+    with pytest.raises(PlanError, match="time does not rise at point 1, 1"):
+        Plan(time, zero, zero, zero)
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(0.0, 1.0), (10.0, 0.0), (np.nan, 1.0)])
+def test_impossible_nominal_driving(speed, acceleration):
+    with pytest.raises(PlanError, match="cannot drive"):
+        plan_from_path(LINE, ZERO, ZERO, nominal_speed=speed, acceleration=acceleration)

@@ -1,0 +1,184 @@
+import csv
+import gzip
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+from scipy.interpolate import CubicSpline
+
+from evpinn_ros.energy.rknn import (
+    POWER_LIMIT,
+    SHIPPED_WEIGHTS,
+    Rknn,
+    load_rknn,
+    normalised,
+    restored,
+)
+from evpinn_ros.errors import InputError
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+DRIVES = ["tesla_model3/drive_first_757s.csv"] + [
+    f"bmw_i3/Trip{name}.csv.gz" for name in ("A01", "A05", "A11", "B02", "B34")
+]
+
+
+@pytest.fixture(scope="module")
+def rknn():
+    return load_rknn()
+
+
+def identity(power, energy=0.0):
+    return power
+
+
+CLASSICAL = Rknn((identity, identity, identity, identity))
+powers = st.floats(-2e5, 2e5)
+
+
+@given(powers, powers, powers, st.floats(0.02, 2.0))
+def test_with_identities_it_is_classical_runge_kutta(power, middle, power_next, dt):
+    simpson = dt / 6 * (power + 4 * middle + power_next)
+    step = CLASSICAL.step(power, power_next, dt, middle)
+    assert step == pytest.approx(simpson, rel=1e-12, abs=1e-6)
+
+
+@given(st.tuples(*[st.floats(-3e4, 3e4)] * 4))
+def test_classical_runge_kutta_is_exact_for_cubic_power(coefficients):
+    power = np.polynomial.Polynomial(coefficients)
+    step = CLASSICAL.step(power(1.0), power(2.0), 1.0, power(1.5))
+    exact = power.integ()(2.0) - power.integ()(1.0)
+    assert step == pytest.approx(exact, abs=1e-12 * sum(map(abs, coefficients)) + 1e-9)
+
+
+def test_each_subnetwork_sees_what_equations_26_to_29_give_it():
+    seen = []
+
+    def network(*arguments):
+        seen.append(arguments)
+        return 10.0 * len(seen)
+
+    step = Rknn((network,) * 4).step(100.0, 300.0, 2.0, 220.0)
+    assert seen == [(100.0,), (220.0, 10.0), (220.0, 20.0), (300.0, 60.0)]
+    assert step == pytest.approx(2 / 6 * (10 + 2 * 20 + 2 * 30 + 40))
+
+
+@given(st.floats(-1e6, 1e6))
+def test_normalisation_is_invertible(power):
+    assert restored(normalised(power)) == pytest.approx(power, rel=1e-12, abs=1e-9)
+
+
+def test_normalisation_ends_at_one():
+    assert normalised(POWER_LIMIT) == pytest.approx(1.0)
+
+
+@given(powers, st.floats(0.02, 2.0), st.floats(-0.5, 0.5))
+def test_single_steps_are_precise_over_the_whole_range(power, dt, change):
+    network = load_rknn()
+    power_next = power * (1 + change)
+    exact = (power + power_next) / 2 * dt
+    error = float(network.step(power, power_next, dt)) - exact
+    assert abs(error) <= 5e-4 * (1e3 + max(abs(power), abs(power_next))) * dt
+
+
+def test_a_series_is_its_steps(rknn):
+    time = np.array([0.0, 0.1, 0.3, 1.3])
+    power = np.array([5e3, -2e4, 1e3, 9e4])
+    steps = [float(rknn.step(power[i], power[i + 1], time[i + 1] - time[i])) for i in range(3)]
+    assert rknn.integrate(time, power) == pytest.approx([0.0, *np.cumsum(steps)], rel=1e-12)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1, 1.0])
+def test_an_hour_at_standstill_accumulates_no_bias(rknn, dt):
+    time = np.arange(0, 3600 + dt / 2, dt)
+    energy = rknn.integrate(time, np.full(len(time), 1000.0))[-1]
+    assert energy == pytest.approx(3.6e6, rel=3e-4)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 20e3])
+def test_integral_of_a_drive_whose_net_energy_is_small(rknn, dt, noise):
+    time = np.arange(0, 1800, dt)
+    power = 1e3 + 15e3 * np.sin(time / 7) + 4e3 * np.sin(time * 1.3)
+    power = power + np.random.default_rng(3).normal(0, 1, len(time)) * noise
+    gross_over_net = trapezoid(np.abs(power), time) / trapezoid(power, time)
+    assert gross_over_net > 8
+    energy = rknn.integrate(time, power)[-1]
+    assert energy == pytest.approx(trapezoid(power, time), rel=1e-3)
+
+
+def test_a_better_middle_gives_a_better_integral(rknn):
+    time = np.arange(0, 301.0)
+    power = 20e3 * np.sin(time / 3) + 15e3
+    exact = 60e3 * (1 - np.cos(100.0)) + 15e3 * 300
+    middle = CubicSpline(time, power)(time[:-1] + 0.5)
+    linear = abs(rknn.integrate(time, power)[-1] - exact)
+    spline = abs(rknn.integrate(time, power, middle)[-1] - exact)
+    assert spline < 1e-3 * exact
+    assert spline < linear
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_real_drives_within_a_tenth_of_a_percent(rknn, name):
+    if not (DATA / name).is_file():
+        pytest.skip(f"{DATA / name} is not there")
+    opener = gzip.open if name.endswith(".gz") else open
+    with opener(DATA / name, "rt") as file:
+        rows = [row for row in csv.DictReader(file) if row["power_w"]]
+    time, power = (np.array([float(row[key]) for row in rows]) for key in ("t_s", "power_w"))
+    energy = rknn.integrate(time, power)[-1]
+    assert energy == pytest.approx(trapezoid(power, time), rel=1e-3)
+
+
+def test_power_beyond_the_limit_is_taken_as_the_limit(rknn):
+    beyond = rknn.step(9 * POWER_LIMIT, 9 * POWER_LIMIT, 1.0)
+    assert beyond == pytest.approx(POWER_LIMIT, rel=1e-3)
+
+
+def shipped():
+    with np.load(SHIPPED_WEIGHTS) as file:
+        return dict(file)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        load_rknn(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04broken", b"\x93NUMPY"])
+def test_another_file_is_refused(tmp_path, content):
+    path = tmp_path / "weights.npz"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"weights\.npz"):
+        load_rknn(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("n1_weight0", None, "'n1_weight0' is missing"),
+        ("n2_weight0", np.zeros((32, 1)), "expected float64"),
+        ("n3_bias1", np.zeros(32, dtype=np.float32), "expected float64"),
+        ("n4_bias3", np.array([np.nan]), "not finite"),
+        ("n4_bias3", np.array([{}]), "plain arrays"),
+    ],
+)
+def test_wrong_weights_are_refused(tmp_path, name, value, reason):
+    weights = shipped()
+    del weights[name]
+    if value is not None:
+        weights[name] = value
+    path = tmp_path / "weights.npz"
+    np.savez(path, **weights)
+    with pytest.raises(InputError, match=reason):
+        load_rknn(path)
+
+
+def test_a_single_array_file_is_refused(tmp_path):
+    path = tmp_path / "weights.npz"
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(InputError, match="plain arrays"):
+        load_rknn(path)

@@ -1,0 +1,54 @@
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.energy.uncertainty import CorrelatedError, energy_sigma
+
+
+def test_limits_of_the_model():
+    short, long = energy_sigma(np.array([0.01, 1e5]), 100.0, 5.0)
+    assert short == pytest.approx(1.0, rel=1e-3)  # sigma t
+    assert long**2 == pytest.approx(2 * 5.0 * 100.0**2 * 1e5, rel=1e-3)  # 2 tau sigma^2 t
+
+
+@given(st.lists(st.floats(0.01, 3.0), min_size=1, max_size=50), st.floats(0.1, 60.0))
+def test_step_by_step_equals_the_closed_form(steps, tau):
+    error = CorrelatedError(tau)
+    for dt in steps:
+        error.push(250.0, dt)
+    closed = energy_sigma(np.array(sum(steps)), 250.0, tau)
+    assert error.sigma == pytest.approx(float(closed), rel=1e-6)
+
+
+def test_against_simulated_errors():
+    random = np.random.default_rng(1)
+    tau, dt, count = 3.0, 0.1, 4000
+    keep = math.exp(-dt / tau)
+    sigma = np.where(np.arange(200) < 100, 500.0, 1500.0)
+    u = random.normal(size=count)
+    energy = np.zeros(count)
+    error = CorrelatedError(tau)
+    for now in sigma:
+        after = keep * u + math.sqrt(1 - keep**2) * random.normal(size=count)
+        energy += now * (u + after) / 2 * dt
+        error.push(now, dt)
+        u = after
+    assert error.sigma == pytest.approx(energy.std(), rel=0.05)
+
+
+def test_unknown_stays_unknown():
+    error = CorrelatedError()
+    error.push(100.0, 1.0)
+    error.push(math.nan, 1.0)
+    error.push(100.0, 1.0)
+    assert math.isnan(error.sigma)
+
+
+def test_start_sigma_adds_as_an_independent_error():
+    error, fresh = CorrelatedError(5.0, start_sigma=300.0), CorrelatedError(5.0)
+    for each in (error, fresh):
+        each.push(100.0, 2.0)
+    assert error.sigma == pytest.approx(math.hypot(300.0, fresh.sigma))
