@@ -1,0 +1,97 @@
+"""`evpinn simulate`: a drive with known true parameters, as a bag and as a CAN log."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.output import TRUTH_FILE, write
+from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, SimulatedDrive
+from evpinn_ros.simulation.simulate import simulate as simulate_drive
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+START = datetime.fromtimestamp(EPOCH_NS / NANOSECONDS, timezone.utc).replace(tzinfo=None)
+
+
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
+    vehicle: Annotated[
+        str, typer.Option(help="Vehicle by name, or the path of its file.")
+    ] = "tesla_model_3_lr",
+    kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
+    duration: Annotated[float, typer.Option(help="Length of the drive, s.")] = 600.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything left to chance.")] = 1,
+    true: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help=f"A true parameter; may be repeated. Names: {', '.join(PARAMETER_NAMES)}. "
+            "What is not given is drawn by seed.",
+        ),
+    ] = None,
+    hills: Annotated[
+        float, typer.Option(help="Root mean square slope of the road in percent, 0 is flat.")
+    ] = 100 * RMS_GRADE,
+    start: Annotated[datetime, typer.Option(help="Time of the start, UTC.")] = START,
+    altitude: Annotated[bool, typer.Option("--altitude", help="Add a barometer.")] = False,
+    temperature: Annotated[
+        bool, typer.Option("--temperature", help="Add an outside thermometer.")
+    ] = False,
+    can_profile: Annotated[
+        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
+    ] = None,
+    can_log: Annotated[
+        Path | None, typer.Option(help="Write the CAN bus too, as a candump .log.")
+    ] = None,
+) -> None:
+    """Simulate a drive whose true parameters are known.
+
+    The simulated car has what no estimator is told: an efficiency map, friction brakes, wind,
+    changing auxiliary loads, hills, lagging and noisy sensors. OUT becomes a bag with truth.yaml
+    in it. The same arguments give the same drive.
+
+    Example: evpinn simulate drive --kind mixed --duration 900 --seed 7 --true mass=2050
+    """
+    drive = simulate_drive(
+        kind,
+        load_vehicle(vehicle),
+        duration,
+        seed,
+        car=_parameters(true or []),
+        rms_grade=hills / 100,
+        can_profile=can_profile,
+        altitude=altitude,
+        temperature=temperature,
+        start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
+    )
+    write(drive, out, can_log)
+    typer.echo(_summary(drive, out))
+
+
+def _parameters(given: list[str]) -> dict[str, float]:
+    parameters = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            parameters[name] = float(value)
+        except ValueError:
+            raise InputError(f"--true {text}: expected NAME=VALUE") from None
+    return parameters
+
+
+def _summary(drive: SimulatedDrive, out: Path) -> str:
+    motion, truth = drive.trace.motion, drive.truth
+    lines = [
+        f"{out}: {drive.duration_s:g} s, {len(drive.readings)} readings, "
+        f"top speed {motion.speed.max() * 3.6:.0f} km/h",
+        *(f"  {name:20} {value:.6g}" for name, value in truth.parameters._asdict().items()),
+        f"  definitions and the rest: {out / TRUTH_FILE}",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,157 @@
+"""A simulated car: far more than the five parameters, so that finding these is no foregone end.
+
+What the estimator is not told: a loss map over torque and speed in place of constant
+efficiencies, friction brakes, wind, an auxiliary load that changes, tyres that roll harder at
+speed, an air density and a rotating inertia a little off those of the vehicle file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from evpinn_ros.simulation.drive import SAMPLE_RATE, Motion
+from evpinn_ros.simulation.powertrain import Battery, Brakes, Drivetrain
+from evpinn_ros.simulation.surroundings import Surroundings
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.vehicle.physics import drag_force, grade_force, inertia_force, rolling_force
+
+STEP = 1 / SAMPLE_RATE
+ROLLING_SPEED = 150.0  # m/s: rolling resistance grows as 1 + (v / ROLLING_SPEED)^2
+CELL_RESISTANCE = 0.09  # ohm of a 350 V pack; grows with the square of the voltage
+
+
+@dataclass(frozen=True, slots=True)
+class Car:
+    """One car, with everything about it.
+
+    Attributes:
+        mass: with everyone and everything in it, kg.
+        c_rr: coefficient of rolling resistance near standstill.
+        c_d: coefficient of drag.
+        frontal_area: m^2.
+        air_density: of the day, kg/m^3.
+        rotating_mass_factor: effective over static mass when accelerating.
+        mean_auxiliary: mean of the auxiliary load over a drive, W.
+        drivetrain: inverter, motor and gear.
+        brakes: motor and friction brakes.
+        battery: the pack.
+    """
+
+    mass: float
+    c_rr: float
+    c_d: float
+    frontal_area: float
+    air_density: float
+    rotating_mass_factor: float
+    mean_auxiliary: float
+    drivetrain: Drivetrain
+    brakes: Brakes
+    battery: Battery
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Every true signal of a drive, shape (n,) each, at the middle of each STEP.
+
+    Power is positive drawn from the battery. Two balances hold in every interval:
+    `power = wheel_power + friction_power + no_load_loss + load_loss + auxiliary` and
+    `wheel_power = drag_power + rolling_power + m v (g sin(grade) + factor a)`.
+
+    Attributes:
+        motion: time, speed, acceleration, elevation and grade.
+        head_wind: m/s.
+        wheel_power: W at the wheels, motor and friction brakes together; negative when braking.
+        drag_power: W lost to the air (negative when the wind pushes).
+        rolling_power: W lost in the tyres.
+        friction_power: W turned to heat in the friction brakes, >= 0.
+        no_load_loss: W turned to heat in the drivetrain because it turns, >= 0.
+        load_loss: W turned to heat in the drivetrain because of torque, >= 0.
+        auxiliary: W of auxiliary load.
+        power: W at the battery's terminals, voltage times current.
+        voltage: V at the terminals.
+        current: A, positive while discharging.
+        open_circuit: V.
+        state_of_charge: 0..1.
+    """
+
+    motion: Motion
+    head_wind: np.ndarray
+    wheel_power: np.ndarray
+    drag_power: np.ndarray
+    rolling_power: np.ndarray
+    friction_power: np.ndarray
+    no_load_loss: np.ndarray
+    load_loss: np.ndarray
+    auxiliary: np.ndarray
+    power: np.ndarray
+    voltage: np.ndarray
+    current: np.ndarray
+    open_circuit: np.ndarray
+    state_of_charge: np.ndarray
+
+
+def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
+    """A car with this mass, c_rr, c_d and p_aux; what else there is to a car is drawn.
+
+    Its efficiencies are those of the plain loss map, and p_aux is taken for the auxiliary load
+    alone: `truth.tuned` brings all six to `parameters` for one drive.
+    """
+    capacity = vehicle.battery_capacity if vehicle.battery_capacity > 0 else 2.0e8
+    return Car(
+        mass=parameters.mass,
+        c_rr=parameters.c_rr,
+        c_d=parameters.c_d,
+        frontal_area=vehicle.frontal_area,
+        air_density=vehicle.air_density * (1 + 0.01 * rng.standard_normal()),
+        rotating_mass_factor=vehicle.rotating_mass_factor + 0.004 * rng.standard_normal(),
+        mean_auxiliary=parameters.p_aux,
+        drivetrain=Drivetrain(),
+        brakes=Brakes(),
+        battery=Battery(
+            nominal_voltage=vehicle.nominal_voltage,
+            resistance=CELL_RESISTANCE * (vehicle.nominal_voltage / 350) ** 2,
+            capacity=capacity,
+            start=rng.uniform(0.4, 0.9),
+        ),
+    )
+
+
+def drive_car(car: Car, motion: Motion, around: Surroundings) -> Trace:
+    """Everything that happens while `car` moves like this."""
+    speed = motion.speed
+    drag = drag_force(speed + around.head_wind, car.frontal_area * car.c_d, car.air_density)
+    rolling = rolling_force(car.mass, car.c_rr * rolling_growth(speed), motion.grade)
+    climbing = grade_force(car.mass, motion.grade)
+    inertia = inertia_force(car.mass * car.rotating_mass_factor, motion.acceleration)
+    wheel = drag + rolling + climbing + inertia
+    braking = car.brakes.motor_force(np.maximum(-wheel, 0.0), speed, car.mass)
+    motor = np.where(wheel > 0, wheel, -braking)
+    no_load_loss = car.drivetrain.no_load_loss(speed)
+    load_loss = car.drivetrain.load_loss(motor, speed)
+    auxiliary = car.mean_auxiliary * around.auxiliary
+    power = motor * speed + no_load_loss + load_loss + auxiliary
+    battery = car.battery.deliver(power, STEP)
+    return Trace(
+        motion=motion,
+        head_wind=around.head_wind,
+        wheel_power=wheel * speed,
+        drag_power=drag * speed,
+        rolling_power=rolling * speed,
+        friction_power=(motor - wheel) * speed,
+        no_load_loss=no_load_loss,
+        load_loss=load_loss,
+        auxiliary=auxiliary,
+        power=power,
+        voltage=battery.voltage,
+        current=battery.current,
+        open_circuit=battery.open_circuit,
+        state_of_charge=battery.state_of_charge,
+    )
+
+
+def rolling_growth(speed: np.ndarray) -> np.ndarray:
+    """Rolling resistance at a speed, m/s, over that near standstill."""
+    return 1 + (speed / ROLLING_SPEED) ** 2

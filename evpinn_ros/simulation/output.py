@@ -1,0 +1,75 @@
+"""A simulated drive on disk: the bag, the truth beside it and, if wished, the CAN log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from evpinn_ros.bags.convert import write_readings
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.simulation.simulate import SimulatedDrive
+from evpinn_ros.simulation.truth import DEFINITIONS
+
+TRUTH_FILE = "truth.yaml"
+
+
+def write(drive: SimulatedDrive, folder: Path, can_log: Path | None = None) -> None:
+    """Write a drive as the bag `folder` with `truth.yaml` in it.
+
+    Args:
+        drive: what to write.
+        folder: of the new bag.
+        can_log: a candump log to write too, from which the bag's readings were decoded.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    with BagWriter(folder) as bag:
+        write_readings(drive.readings, bag)
+    text = yaml.safe_dump(truth_document(drive), sort_keys=False, width=99)
+    (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
+    if can_log is not None:
+        write_log(can_log, drive.frames)
+
+
+def truth_document(drive: SimulatedDrive) -> dict[str, Any]:
+    """What really happened, as plain values to six digits: the content of `truth.yaml`.
+
+    `hidden` says how the car departs from the five-parameter model; no estimator may read it.
+    """
+    truth = drive.truth
+    return {
+        "vehicle": drive.vehicle.key,
+        "kind": drive.kind.value,
+        "duration_s": drive.duration_s,
+        "seed": drive.seed,
+        "parameters": _plain(truth.parameters._asdict()),
+        "identifiable": _plain(truth.identifiable._asdict()),
+        "definitions": dict(DEFINITIONS),
+        "hidden": _plain(_hidden(drive)),
+    }
+
+
+def _hidden(drive: SimulatedDrive) -> dict[str, float]:
+    car, trace = drive.car, drive.trace
+    braking = trace.wheel_power < 0
+    offered = -float(np.sum(trace.wheel_power[braking]))
+    return {
+        "auxiliary_load_w": float(np.mean(trace.auxiliary)),
+        "no_load_loss_w": float(np.mean(trace.no_load_loss)),
+        "friction_brake_share": float(np.sum(trace.friction_power)) / offered if offered else 0.0,
+        "rms_grade": float(np.sqrt(np.mean(trace.motion.grade**2))),
+        "mean_head_wind_mps": float(np.mean(trace.head_wind)),
+        "air_density": car.air_density,
+        "rotating_mass_factor": car.rotating_mass_factor,
+        "battery_resistance_ohm": car.battery.resistance,
+    }
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(f"{value:.6g}") for name, value in values.items()}

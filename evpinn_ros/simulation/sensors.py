@@ -1,0 +1,140 @@
+"""What a simulated car tells of itself: lagging, noisy, rounded, a frame lost now and then.
+
+One path, as on a real car: true signal, sensor, CAN frame, decoder, reading. The bus is thinned
+to 10 Hz; each message has its own phase and jitter, so nothing arrives together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+from scipy.signal import lfilter
+
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+)
+from evpinn_ros.simulation.car import STEP, Trace
+from evpinn_ros.simulation.noise import slow_noise
+
+SPEED_RATE, BATTERY_RATE, CHARGE_RATE = 10.0, 10.0, 1.0  # Hz
+SPEED_LAG, BATTERY_LAG = 0.06, 0.03  # s, time constants of the car's own filters
+SPEED_NOISE = 0.015  # m/s, 1-sigma
+VOLTAGE_NOISE = 0.15  # V
+CURRENT_NOISE = 0.4  # A
+STILL = 0.05  # m/s, below this no wheel pulse comes and the car says zero
+JITTER = 0.002  # s, to either side
+LOST = 0.002  # share of frames that never arrive
+
+ALTITUDE_RATE, TEMPERATURE_RATE = 1.0, 0.2  # Hz
+ALTITUDE_NOISE = 0.15  # m, of one reading
+ALTITUDE_DRIFT, ALTITUDE_DRIFT_MEMORY = 0.5, 60.0  # m, s: gusts and doors move the pressure
+TEMPERATURE_NOISE = 0.2  # degrees Celsius
+MICROSECOND = 1000  # ns, the resolution of a candump log
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Frames that reached the log, and what was decoded of them, both in order of time."""
+
+    frames: tuple[CanFrame, ...]
+    readings: tuple[Reading, ...]
+
+
+def tell(trace: Trace, profile: CanProfile, start_ns: int, rng: np.random.Generator) -> Told:
+    """What the bus of a car with this profile tells of a drive that starts at `start_ns`.
+
+    Raises:
+        InputError: the profile has no broadcast speed or battery, or cannot show a value.
+    """
+    try:
+        sent = _sent(trace, profile, start_ns, rng)
+    except ValueError as error:
+        raise InputError(f"CAN profile '{profile.key}': {error}") from error
+    arrives = rng.uniform(size=len(sent)) >= LOST
+    kept = [frame for frame, here in zip(sent, arrives, strict=True) if here]
+    kept.sort(key=attrgetter("stamp_ns"))
+    decoder = Decoder(profile)
+    readings = (reading for frame in kept for reading in decoder.push(frame))
+    return Told(tuple(kept), tuple(readings))
+
+
+def _sent(
+    trace: Trace, profile: CanProfile, start_ns: int, rng: np.random.Generator
+) -> list[CanFrame]:
+    encoder = Encoder(profile)
+    frames = [encoder.speed(reading) for reading in _speeds(trace, start_ns, rng)]
+    batteries = list(_batteries(trace, start_ns, rng))
+    frames += [encoder.battery(reading) for reading in batteries]
+    if "state_of_charge" in profile.messages:
+        every = round(BATTERY_RATE / CHARGE_RATE)
+        frames += [encoder.state_of_charge(reading) for reading in batteries[::every]]
+    return frames
+
+
+def altitudes(trace: Trace, start_ns: int, rng: np.random.Generator) -> list[Reading]:
+    """Barometric altitude above the start, with noise and slow drift."""
+    time, stamps = _moments(trace, ALTITUDE_RATE, start_ns, rng)
+    drift = ALTITUDE_DRIFT * slow_noise(time, ALTITUDE_DRIFT_MEMORY, rng)
+    noise = ALTITUDE_NOISE * rng.standard_normal(time.size)
+    height = np.interp(time, trace.motion.time, trace.motion.elevation) + drift + noise
+    return [AltitudeReading(*pair) for pair in zip(stamps, height.tolist(), strict=True)]
+
+
+def temperatures(
+    trace: Trace, celsius: float, start_ns: int, rng: np.random.Generator
+) -> list[Reading]:
+    """The outside thermometer on a day of `celsius` degrees."""
+    time, stamps = _moments(trace, TEMPERATURE_RATE, start_ns, rng)
+    shown = celsius + TEMPERATURE_NOISE * rng.standard_normal(time.size)
+    return [TemperatureReading(*pair) for pair in zip(stamps, shown.tolist(), strict=True)]
+
+
+def _speeds(trace: Trace, start_ns: int, rng: np.random.Generator) -> Iterator[SpeedReading]:
+    time, stamps = _moments(trace, SPEED_RATE, start_ns, rng)
+    speed = _lagged(trace, trace.motion.speed, SPEED_LAG, time)
+    noisy = speed + SPEED_NOISE * rng.standard_normal(time.size)
+    shown = np.where(speed < STILL, 0.0, np.maximum(noisy, 0.0))
+    for stamp, value in zip(stamps, shown.tolist(), strict=True):
+        yield SpeedReading(stamp, value)
+
+
+def _batteries(trace: Trace, start_ns: int, rng: np.random.Generator) -> Iterator[BatteryReading]:
+    time, stamps = _moments(trace, BATTERY_RATE, start_ns, rng)
+    noise = rng.standard_normal((2, time.size))
+    voltage = _lagged(trace, trace.voltage, BATTERY_LAG, time) + VOLTAGE_NOISE * noise[0]
+    drawn = _lagged(trace, trace.current, BATTERY_LAG, time) + CURRENT_NOISE * noise[1]
+    charge = np.interp(time, trace.motion.time, trace.state_of_charge)
+    columns = (voltage.tolist(), (-drawn).tolist(), charge.tolist())
+    for stamp, volts, amperes, share in zip(stamps, *columns, strict=True):
+        yield BatteryReading(stamp, volts, amperes, share)
+
+
+def _moments(
+    trace: Trace, rate: float, start_ns: int, rng: np.random.Generator
+) -> tuple[np.ndarray, list[int]]:
+    """When a message of this rate is sent: s from the start, shape (n,), and stamps in ns."""
+    first = rng.uniform(JITTER, 1 / rate)
+    time = np.arange(first, trace.motion.time[-1] - JITTER, 1 / rate)
+    time = time + rng.uniform(-JITTER, JITTER, time.size)
+    micro = np.round(time * (NANOSECONDS / MICROSECOND)).astype(np.int64)
+    return time, (start_ns + micro * MICROSECOND).tolist()
+
+
+def _lagged(trace: Trace, signal: np.ndarray, lag: float, time: np.ndarray) -> np.ndarray:
+    """A true signal behind a first-order filter, at these times."""
+    keep = float(np.exp(-STEP / lag))
+    filtered, _ = lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])
+    return np.asarray(np.interp(time, trace.motion.time, filtered))

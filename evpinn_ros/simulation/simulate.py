@@ -1,0 +1,128 @@
+"""A drive with known truth, from one seed: what the car told, and what really happened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
+from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, Motion, drive_speed, motion_on
+from evpinn_ros.simulation.road import hilly_road
+from evpinn_ros.simulation.sensors import altitudes, tell, temperatures
+from evpinn_ros.simulation.surroundings import Surroundings, ambient_celsius, draw_surroundings
+from evpinn_ros.simulation.truth import Truth, plausible_parameters, true_values, tuned
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.parameters import LIMITS
+
+EPOCH_NS = 1_735_689_600 * NANOSECONDS
+"""Every simulated drive starts on 2025-01-01 at 00:00:00 UTC unless told otherwise."""
+
+RMS_GRADE = 0.005
+"""Gentle hills, up to about 1.5 percent."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedDrive:
+    """One drive.
+
+    Attributes:
+        vehicle: the vehicle file's model, which is all an estimator may know.
+        kind: where it was driven.
+        seed: of everything drawn by chance.
+        frames: what reached the CAN log, in order of time.
+        readings: what the decoder made of the frames, and the optional sensors, in order of time.
+        car: the car that was driven; give it to `simulate` to drive it again.
+        trace: every true signal at 100 Hz.
+        truth: the true parameters, as `truth` defines them.
+    """
+
+    vehicle: Vehicle
+    kind: DriveKind
+    seed: int
+    frames: tuple[CanFrame, ...]
+    readings: tuple[Reading, ...]
+    car: Car
+    trace: Trace
+    truth: Truth
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the drive, s."""
+        return len(self.trace.power) / SAMPLE_RATE
+
+
+def simulate(
+    kind: DriveKind,
+    vehicle: Vehicle,
+    duration_s: float,
+    seed: int,
+    *,
+    car: Car | Mapping[str, float] | None = None,
+    rms_grade: float = RMS_GRADE,
+    can_profile: str | None = None,
+    altitude: bool = False,
+    temperature: bool = False,
+    start_ns: int = EPOCH_NS,
+) -> SimulatedDrive:
+    """Drive a car; the same arguments give the same drive.
+
+    Args:
+        kind: where to drive.
+        vehicle: the model of the car.
+        duration_s: length of the drive, s, at least 10.
+        seed: of everything drawn by chance.
+        car: a car that was driven before, or parameters by name that a new one shall have on
+            this drive (see `truth.tuned` for what cannot be met). What is not named is drawn by
+            seed, as `truth.plausible_parameters` says.
+        rms_grade: root mean square slope of the road, 0 is flat.
+        can_profile: profile of the bus, of the vehicle file when None.
+        altitude: whether there is a barometer.
+        temperature: whether there is an outside thermometer.
+        start_ns: stamp of the start.
+
+    Raises:
+        InputError: an argument is out of range, the vehicle file names no CAN profile and none
+            was given, or the profile cannot show the values.
+    """
+    profile_name = can_profile or vehicle.can_profile
+    if profile_name is None:
+        raise InputError(f"vehicle '{vehicle.key}' has no CAN profile: name one (--can-profile)")
+    profile = load_profile(profile_name)
+    streams = np.random.SeedSequence(seed).spawn(5)
+    route, hills, weather, factory, sensors = (np.random.default_rng(s) for s in streams)
+    motion = motion_on(hilly_road(rms_grade, hills), drive_speed(kind, duration_s, route))
+    around = draw_surroundings(motion.time, weather)
+    if not isinstance(car, Car):
+        car = _new_car(vehicle, car or {}, motion, around, factory)
+    trace = drive_car(car, motion, around)
+    told = tell(trace, profile, start_ns, sensors)
+    extra = altitudes(trace, start_ns, sensors) if altitude else []
+    if temperature:
+        extra += temperatures(trace, ambient_celsius(car.air_density), start_ns, sensors)
+    readings = sorted((*told.readings, *extra), key=attrgetter("stamp_ns"))
+    truth = true_values(car, trace)
+    return SimulatedDrive(vehicle, kind, seed, told.frames, tuple(readings), car, trace, truth)
+
+
+def _new_car(
+    vehicle: Vehicle,
+    named: Mapping[str, float],
+    motion: Motion,
+    around: Surroundings,
+    rng: np.random.Generator,
+) -> Car:
+    for name, value in named.items():
+        if name not in LIMITS:
+            raise InputError(f"no parameter '{name}'; known are {', '.join(LIMITS)}")
+        if not LIMITS[name].lower <= value <= LIMITS[name].upper:
+            lower, upper = LIMITS[name]
+            raise InputError(f"{name} = {value:g} is outside [{lower:g}, {upper:g}]")
+    wish = plausible_parameters(vehicle, rng)._replace(**named)
+    return tuned(draw_car(vehicle, wish, rng), motion, around, wish)

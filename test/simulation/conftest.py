@@ -1,0 +1,23 @@
+from functools import cache
+
+import pytest
+
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import SimulatedDrive, simulate
+from evpinn_ros.vehicle.files import load_vehicle
+
+
+@cache
+def _drive(kind: DriveKind, seed: int) -> SimulatedDrive:
+    return simulate(kind, load_vehicle("tesla_model_3_lr"), 240.0, seed)
+
+
+@pytest.fixture(params=[(kind, seed) for kind in DriveKind for seed in (1, 2)], ids=str)
+def drive(request) -> SimulatedDrive:
+    """A few minutes of every kind of driving."""
+    return _drive(*request.param)
+
+
+@pytest.fixture
+def urban() -> SimulatedDrive:
+    return _drive(DriveKind.URBAN, 1)

@@ -1,0 +1,125 @@
+"""Drives on disk: the bag, the truth, the CAN log, the command, and the bags of this project."""
+
+from dataclasses import astuple
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+import yaml
+
+from evpinn_ros.bags.convert import BagReadings
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.logs import LogFile
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.cli.simulate import simulate as command
+from evpinn_ros.errors import InputError
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.simulation.output import write
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+BAGS = share_directory() / "bags"
+app = typer.Typer()
+app.command()(command)
+
+
+def run(*arguments: object):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def readings_of(bag: Path) -> list[Reading]:
+    with BagReader(bag) as reader:
+        return list(BagReadings(reader))
+
+
+def bundled_arguments(name: str) -> list[str]:
+    """The arguments after OUT of the command in bags/README.md that made this bag."""
+    lines = (BAGS / "README.md").read_text().replace("\\\n", " ").splitlines()
+    (line,) = [line for line in lines if line.startswith(f"evpinn simulate bags/{name} ")]
+    return line.split()[3:]
+
+
+def test_the_bag_holds_the_readings(urban, tmp_path):
+    write(urban, tmp_path / "drive")
+    kept = readings_of(tmp_path / "drive")
+    assert [type(reading) for reading in kept] == [type(reading) for reading in urban.readings]
+    for here, there in zip(kept, urban.readings, strict=True):  # BatteryState holds 32 bits
+        assert astuple(here) == pytest.approx(astuple(there), rel=1e-6, nan_ok=True)
+
+
+def test_the_truth_lies_beside_the_bag(urban, tmp_path):
+    write(urban, tmp_path / "drive")
+    truth = yaml.safe_load((tmp_path / "drive" / "truth.yaml").read_text())
+    assert truth["parameters"] == pytest.approx(urban.truth.parameters._asdict(), rel=1e-5)
+    assert truth["identifiable"] == pytest.approx(urban.truth.identifiable._asdict(), rel=1e-5)
+    assert tuple(truth["definitions"]) == PARAMETER_NAMES
+    assert (truth["vehicle"], truth["seed"], truth["duration_s"]) == ("tesla_model_3_lr", 1, 240)
+
+
+def test_the_can_log_decodes_to_the_same_readings(urban, tmp_path):
+    write(urban, tmp_path / "drive", tmp_path / "drive.log")
+    decoder = Decoder(load_profile("tesla_model_3"))
+    frames = LogFile(tmp_path / "drive.log").frames()
+    decoded = [reading for frame in frames for reading in decoder.push(frame)]
+    assert repr(decoded) == repr(list(urban.readings))
+
+
+def test_command(tmp_path):
+    out = tmp_path / "drive"
+    result = run(out, "--duration", 60, "--kind", "mixed", "--true", "mass=2000", "--hills", 0)
+    assert result.exit_code == 0, result.output
+    assert "mass" in result.stdout and "2000" in result.stdout and str(out) in result.stdout
+    truth = yaml.safe_load((out / "truth.yaml").read_text())
+    assert (truth["kind"], truth["parameters"]["mass"]) == ("mixed", 2000)
+    assert truth["hidden"]["rms_grade"] == 0
+
+
+@pytest.mark.parametrize("wrong", ["mass", "mass=heavy", "weight=3", "eta=3"])
+def test_command_refuses_wrong_parameters(tmp_path, wrong):
+    result = run(tmp_path / "drive", "--true", wrong)
+    assert isinstance(result.exception, InputError)
+    assert not (tmp_path / "drive").exists()
+
+
+def test_help_has_an_example():
+    assert "Example: evpinn simulate" in run("--help").stdout
+
+
+@pytest.mark.parametrize("name", ["urban", "highway"])
+class TestBundled:
+    def test_regenerates_to_identical_readings(self, name, tmp_path):
+        assert run(tmp_path / name, *bundled_arguments(name)).exit_code == 0
+        made, kept = (readings_of(root / name) for root in (tmp_path, BAGS))
+        assert repr(made) == repr(kept)
+        truth = [(root / name / "truth.yaml").read_text() for root in (tmp_path, BAGS)]
+        assert truth[0] == truth[1]
+
+    def test_is_small_and_long_enough(self, name):
+        size = sum(path.stat().st_size for path in (BAGS / name).iterdir())
+        readings = readings_of(BAGS / name)
+        assert size < 2_000_000
+        assert (readings[-1].stamp_ns - readings[0].stamp_ns) / 1e9 > 300
+        assert sum(isinstance(reading, BatteryReading) for reading in readings) > 3000
+
+    def test_truth_is_within_one_and_a_half_sigma_of_every_prior(self, name):
+        truth = yaml.safe_load((BAGS / name / "truth.yaml").read_text())
+        for key, prior in load_vehicle(truth["vehicle"]).priors.items():
+            assert abs(truth["parameters"][key] - prior.value) <= 1.5 * prior.std + 1e-9
+
+
+def test_the_highway_bag_has_five_minutes_above_25_mps():
+    speeds = [r for r in readings_of(BAGS / "highway") if isinstance(r, SpeedReading)]
+    assert sum(reading.speed > 25 for reading in speeds) / 10 > 300
+
+
+def test_the_bundled_bags_are_one_car_and_follow_each_other():
+    truths = [
+        yaml.safe_load(Path(BAGS / name / "truth.yaml").read_text())["parameters"]
+        for name in ("urban", "highway")
+    ]
+    assert truths[0] == pytest.approx(truths[1], rel=1e-4)
+    first, second = (readings_of(BAGS / name) for name in ("urban", "highway"))
+    assert first[-1].stamp_ns < second[0].stamp_ns
