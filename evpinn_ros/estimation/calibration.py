@@ -1,0 +1,49 @@
+"""Bands that cover what they claim: adaptive conformal scaling of sigma.
+
+The sigma of a model is only as true as the model. Here the ratio of error to sigma that 90 % of
+the samples stay under is followed online (Gibbs and Candes, 2021, adaptive conformal inference,
+on a logarithmic scale), and sigma is scaled so that +-1.645 sigma covers 90 %.
+"""
+
+from __future__ import annotations
+
+import math
+
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
+
+COVERAGE = 0.9
+GAUSSIAN_QUANTILE = 1.6449  # of |z| at COVERAGE
+RATE = 0.02  # per 0.1 s; a change by half takes about a minute
+RATIO_RANGE = (0.05, 20.0)
+
+
+class BandCalibration:
+    """Scale of sigma, apart for a moving and a standing car, whose errors differ in kind."""
+
+    def __init__(self) -> None:
+        self._ratio = {True: GAUSSIAN_QUANTILE, False: GAUSSIAN_QUANTILE}
+
+    def sigma(self, sample: Sample, model_sigma: float) -> float:
+        """Calibrated 1-sigma, W, from the model's."""
+        return model_sigma * self._ratio[_moving(sample)] / GAUSSIAN_QUANTILE
+
+    def learn(self, sample: Sample, error: float, model_sigma: float) -> None:
+        """Learn from the error, W, of a prediction whose uncalibrated sigma, W, is given."""
+        moving = _moving(sample)
+        ratio = self._ratio[moving]
+        missed = abs(error) > ratio * model_sigma
+        step = RATE * (float(missed) - (1.0 - COVERAGE))
+        self._ratio[moving] = min(max(ratio * math.exp(step), RATIO_RANGE[0]), RATIO_RANGE[1])
+
+    def export(self) -> list[float]:
+        """State to save: ratio moving, ratio standing."""
+        return [self._ratio[True], self._ratio[False]]
+
+    def restore(self, state: list[float]) -> None:
+        """Take a state given by `export`."""
+        self._ratio = {True: state[0], False: state[1]}
+
+
+def _moving(sample: Sample) -> bool:
+    return abs(sample.speed) > STANDSTILL_SPEED

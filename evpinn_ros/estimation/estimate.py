@@ -1,0 +1,80 @@
+"""What the estimator says: values that nodes publish and commands print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from evpinn_ros.vehicle.identifiable import Identifiable
+
+
+class State(str, Enum):
+    """How far a parameter can be believed.
+
+    `estimating` until the data have halved the prior's variance of what they can determine,
+    `valid` after that, `stale` when the battery has been silent for long.
+    """
+
+    UNESTIMATED = "unestimated"
+    ESTIMATING = "estimating"
+    VALID = "valid"
+    STALE = "stale"
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """One parameter now.
+
+    Attributes:
+        value: in the unit of `vehicle.parameters.Parameters`.
+        std: 1-sigma.
+        prior_share: 0 when all from data, 1 when all from the prior.
+        lower: hard bound from the data and eta, mu <= 1, or the limit of the parameter.
+        upper: likewise.
+        state: how far to believe it.
+    """
+
+    value: float
+    std: float
+    prior_share: float
+    lower: float
+    upper: float
+    state: State
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """All parameters at one moment.
+
+    Attributes:
+        stamp_ns: the newest sample they rest on.
+        parameters: one estimate for each of `PARAMETER_NAMES`.
+        identifiable: what the data alone determine.
+        identifiable_std: its 1-sigma.
+        reliable: whether every validity check is passed.
+    """
+
+    stamp_ns: int
+    parameters: Mapping[str, ParameterEstimate]
+    identifiable: Identifiable
+    identifiable_std: Identifiable
+    reliable: bool
+
+
+class PowerKind(str, Enum):
+    """Which of the power topics a value belongs to."""
+
+    MEASURED = "measured"
+    PREDICTED = "predicted"
+    SMOOTHED = "smoothed"
+
+
+@dataclass(frozen=True, slots=True)
+class PowerEstimate:
+    """Battery power at one moment, W, and its 1-sigma, W (NaN for a measurement)."""
+
+    kind: PowerKind
+    stamp_ns: int
+    power: float
+    sigma: float

@@ -1,0 +1,282 @@
+"""The online estimator: readings in, predicted power and parameters out.
+
+One object serves the node, the replay and the benchmarks, so they give the same numbers. It holds
+no clock: stamps are the only time. Once a second of stamps (a tick) it takes the result of the
+update begun at the tick before and begins the next. So a result always takes effect one second
+after its data, whether it took 5 ms or 900 ms to compute, and live equals replayed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any, TypeAlias
+
+from evpinn_ros.estimation.calibration import BandCalibration
+from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
+from evpinn_ros.estimation.hybrid import HybridLearner
+from evpinn_ros.estimation.learner import STATE_VERSION, Learner, PowerPrediction
+from evpinn_ros.estimation.paper import PaperLearner
+from evpinn_ros.estimation.worker import Worker
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.sample import (
+    Gap,
+    MeasuredSample,
+    NewestSample,
+    Sample,
+    SmoothedSample,
+    StreamEvent,
+)
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.physics import RegenForm
+
+UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
+BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # silence after which power is only predicted
+STALE_AFTER_NS = 300 * NANOSECONDS  # silence after which parameters count as stale
+
+Output: TypeAlias = PowerEstimate | ParameterSet
+
+
+class Mode(str, Enum):
+    """Which learner: see `estimation.hybrid` and `estimation.paper`."""
+
+    HYBRID = "hybrid"
+    PAPER = "paper"
+
+
+class Activity(str, Enum):
+    """What the estimator is doing."""
+
+    WAITING = "waiting"
+    LEARNING = "learning"
+    PREDICTING = "predicting"
+    PAUSED = "paused"
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSettings:
+    """How to estimate.
+
+    Attributes:
+        mode: hybrid or paper.
+        regen_form: reading of eq. 21; `paper` alone has the choice.
+        seed: of the networks.
+        stream: how readings become samples.
+    """
+
+    mode: Mode = Mode.HYBRID
+    regen_form: RegenForm = RegenForm.RECOVERY
+    seed: int = 0
+    stream: StreamSettings = field(default_factory=StreamSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorStatus:
+    """What a person wants to know of the estimator.
+
+    Attributes:
+        activity: what it is doing.
+        dropped: readings not used, by reason.
+        gated: samples not learned from, by reason.
+        updates: windowed updates begun.
+        accepted: updates adopted.
+        rejected: updates not adopted, by reason.
+        durations: seconds each update took.
+        newest_ns: stamp of the newest speed, None before the first.
+    """
+
+    activity: Activity
+    dropped: Mapping[str, int]
+    gated: Mapping[str, int]
+    updates: int
+    accepted: int
+    rejected: Mapping[str, int]
+    durations: tuple[float, ...]
+    newest_ns: int | None
+
+
+class OnlineEstimator:
+    """Learns one car from its readings; see the module's text."""
+
+    def __init__(self, vehicle: Vehicle, settings: EstimatorSettings, worker: Worker) -> None:
+        """Start from the vehicle's priors; the worker computes the updates."""
+        self._vehicle, self._settings, self._worker = vehicle, settings, worker
+        self._accepted = 0
+        self._updates = 0
+        self._rejected: Counter[str] = Counter()
+        self.enabled = True
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all that was learned; counters are kept."""
+        self._worker.cancel()
+        self._learner = _learner(self._vehicle, self._settings)
+        self._stream = SampleStream(self._settings.stream, self._vehicle.air_density)
+        kinds = (PowerKind.PREDICTED, PowerKind.SMOOTHED)
+        self._bands = {kind: BandCalibration() for kind in kinds}
+        self._begin_time()
+
+    def handle_time_jump(self) -> None:
+        """Forget what may not be joined across a jump of time; keep what was learned."""
+        self._worker.cancel()
+        self._stream.reset()
+        self._learner.forget_window()
+        self._begin_time()
+
+    def _begin_time(self) -> None:
+        self._newest_ns: int | None = None
+        self._battery_ns: int | None = None
+        self._tick_ns: int | None = None
+        self._waiting = False
+        self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
+            kind: deque(maxlen=2000) for kind in self._bands
+        }
+
+    def push(self, reading: Reading) -> Iterator[Output]:
+        """Take one reading; give the predictions and parameters it leads to, in order."""
+        if isinstance(reading, SpeedReading):
+            self._newest_ns = max(reading.stamp_ns, self._newest_ns or reading.stamp_ns)
+        before = self._stream.dropped.total()
+        events = list(self._stream.push(reading))
+        if isinstance(reading, BatteryReading) and self._stream.dropped.total() == before:
+            self._battery_ns = max(reading.stamp_ns, self._battery_ns or reading.stamp_ns)
+            kind = PowerKind.MEASURED
+            yield PowerEstimate(kind, reading.stamp_ns, reading.power, float("nan"))
+        for event in events:
+            yield from self._handle(event)
+        if isinstance(reading, SpeedReading):
+            yield from self._tick(reading.stamp_ns)
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate of the parameters."""
+        found = self._learner.parameters()
+        if not self._silent_for(STALE_AFTER_NS):
+            return found
+        stale = {
+            name: replace(p, state=State.STALE) if p.state is State.VALID else p
+            for name, p in found.parameters.items()
+        }
+        return replace(found, parameters=stale)
+
+    def status(self) -> EstimatorStatus:
+        """Counters and activity."""
+        return EstimatorStatus(
+            activity=self._activity(),
+            dropped=dict(self._stream.dropped),
+            gated=dict(self._learner.gated),
+            updates=self._updates,
+            accepted=self._accepted,
+            rejected=dict(self._rejected),
+            durations=tuple(self._worker.durations),
+            newest_ns=self._newest_ns,
+        )
+
+    def export(self) -> dict[str, Any]:
+        """State to save, of numbers, text, lists and mappings only."""
+        return {
+            "version": STATE_VERSION,
+            "vehicle": self._vehicle.key,
+            "mode": self._settings.mode.value,
+            "learner": self._learner.export(),
+            "bands": {kind.value: band.export() for kind, band in self._bands.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a saved state.
+
+        Raises:
+            ValueError: it is of another version, vehicle or mode, or does not fit.
+        """
+        wanted = (STATE_VERSION, self._vehicle.key, self._settings.mode.value)
+        found = tuple(state.get(key) for key in ("version", "vehicle", "mode"))
+        if found != wanted:
+            raise ValueError(f"saved for (version, vehicle, mode) {found}, not for {wanted}")
+        try:
+            self._learner.restore(state["learner"])
+            for kind, band in self._bands.items():
+                band.restore([float(value) for value in state["bands"][kind.value]])
+        except (KeyError, TypeError, IndexError) as error:
+            raise ValueError(f"incomplete: {error}") from error
+
+    def _handle(self, event: StreamEvent) -> Iterator[Output]:
+        match event:
+            case NewestSample():
+                yield from self._predict(PowerKind.PREDICTED, event.sample)
+            case SmoothedSample():
+                self._learner.advance(event.sample)
+                yield from self._predict(PowerKind.SMOOTHED, event.sample)
+            case MeasuredSample():
+                self._learn_bands(event)
+                if self.enabled:
+                    self._learner.observe(event.sample, event.power)
+            case Gap():
+                self._learner.forget_window()
+
+    def _predict(self, kind: PowerKind, sample: Sample) -> Iterator[PowerEstimate]:
+        prediction = self._learner.predict(sample)
+        self._predictions[kind].append((sample, prediction))
+        sigma = self._bands[kind].sigma(sample, prediction.sigma)
+        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma)
+
+    def _learn_bands(self, event: MeasuredSample) -> None:
+        """Hold the predictions made for this moment against what was measured."""
+        for kind, waiting in self._predictions.items():
+            while waiting and waiting[0][0].stamp_ns < event.sample.stamp_ns:
+                waiting.popleft()
+            if waiting and waiting[0][0].stamp_ns == event.sample.stamp_ns:
+                sample, prediction = waiting.popleft()
+                self._bands[kind].learn(sample, event.power - prediction.power, prediction.sigma)
+
+    def _tick(self, stamp_ns: int) -> Iterator[ParameterSet]:
+        """Once a second: adopt the last update, begin the next, publish the parameters."""
+        if self._tick_ns is None:
+            self._tick_ns = stamp_ns
+        if stamp_ns - self._tick_ns < UPDATE_PERIOD_NS:
+            return
+        self._tick_ns += (stamp_ns - self._tick_ns) // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
+        if self._waiting:
+            self._collect()
+        if not self._waiting and self.enabled and not self._silent_for(BATTERY_TIMEOUT_NS):
+            self._begin_update()
+        yield self.parameters()
+
+    def _collect(self) -> None:
+        candidate = self._worker.collect()
+        if candidate is None:
+            self._rejected["overrun"] += 1
+            return
+        self._waiting = False
+        reason = self._learner.consider(candidate)
+        if reason is None:
+            self._accepted += 1
+        else:
+            self._rejected[reason] += 1
+
+    def _begin_update(self) -> None:
+        work = self._learner.prepare_update()
+        if work is not None:
+            self._updates += 1
+            self._waiting = True
+            self._worker.submit(work)
+
+    def _silent_for(self, duration_ns: int) -> bool:
+        """Whether the battery has been silent for this long, by stamps."""
+        if self._newest_ns is None or self._battery_ns is None:
+            return True
+        return self._newest_ns - self._battery_ns > duration_ns
+
+    def _activity(self) -> Activity:
+        if self._newest_ns is None:
+            return Activity.WAITING
+        if self._silent_for(BATTERY_TIMEOUT_NS):
+            return Activity.PREDICTING
+        return Activity.LEARNING if self.enabled else Activity.PAUSED
+
+
+def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
+    if settings.mode is Mode.PAPER:
+        return PaperLearner(vehicle, seed=settings.seed, form=settings.regen_form)
+    return HybridLearner(vehicle, seed=settings.seed)

@@ -1,0 +1,201 @@
+"""`mode: hybrid`: a filter at every sample, and once a second a windowed PINN update.
+
+Prediction is physics plus a network: P = P_physics(v, a, grade; x) + trust N(v, a, age). The
+physics is learned by the filter at every sample. The network is trained jointly with the physics
+on the window and the store (`joint_step`), so it holds only what no parameters explain. A trained
+network is a candidate: it is adopted if it foretells the following second, which it has not seen,
+better than the network in use.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import torch
+
+from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.estimation.joint_step import JointProblem, joint_step
+from evpinn_ros.estimation.learner import PowerPrediction, gate
+from evpinn_ros.estimation.network import PowerNetwork
+from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME, ParameterFilter
+from evpinn_ros.estimation.parameter_set import parameter_set
+from evpinn_ros.estimation.window import Observation, SampleStore, SlidingWindow, batch
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.signals.stream import SAMPLE_PERIOD
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
+
+WINDOW = 60.0  # s
+WIDTHS = (3, 16, 16, 1)
+SPEED_SCALE = 15.0  # m/s, network inputs are of order one
+ACCELERATION_SCALE = 1.2  # m/s^2
+PHYSICS_LOSS = 0.1  # lambda of eq. 22
+RIDGE = 30.0  # pull of the network's weights to their start
+MIN_SAMPLES = 100  # in window and store, before the network is trained
+MAX_STEP = 1.0  # s one sample may stand for
+TRUST_MEMORY = 300.0  # s of driving over which the network's merit is judged
+TRUST_PRIOR = 200.0  # samples' worth of belief that the network is of no use
+
+
+class HybridLearner:
+    """See the module's text."""
+
+    def __init__(self, vehicle: Vehicle, *, seed: int = 0) -> None:
+        """Start at the vehicle's priors, with a network that says zero."""
+        self._vehicle = vehicle
+        self.parameter_filter = ParameterFilter(vehicle, copper_loss=False)
+        self.power_filter = ParameterFilter(vehicle, copper_loss=True)
+        self._start = PowerNetwork(WIDTHS, seed=seed, dtype=torch.float64)
+        torch.nn.init.zeros_(self._start.layers[-1].weight)
+        self._network = deepcopy(self._start)
+        self._candidate: PowerNetwork | None = None
+        self._candidate_score = 0.0
+        self._merit = np.array([0.0, TRUST_PRIOR])
+        self._window = SlidingWindow(WINDOW)
+        self._store = SampleStore()
+        self._last_ns: int | None = None
+        self.gated: Counter[str] = Counter()
+
+    @property
+    def coverage(self) -> float:
+        """Share of speed and acceleration seen, 0..1."""
+        return self._store.coverage()
+
+    @property
+    def trust(self) -> float:
+        """Weight of the network, 0..1: regression of what physics left on what it said."""
+        return float(np.clip(self._merit[0] / self._merit[1], 0.0, 1.0))
+
+    def advance(self, sample: Sample) -> None:
+        """Let time pass up to a smoothed sample."""
+        self.parameter_filter.advance(sample)
+        self.power_filter.advance(sample)
+
+    def predict(self, sample: Sample) -> PowerPrediction:
+        """Power of physics and network, W."""
+        physics = self.power_filter.predict(sample)
+        correction = self.trust * self._said(self._network, sample)
+        return PowerPrediction(physics.power + correction, physics.sigma)
+
+    def observe(self, sample: Sample, power: float) -> None:
+        """Learn from a measured sample, after judging the networks by it."""
+        step = self._step(sample)
+        reason = gate(sample, power, abs(sample.speed) < STANDSTILL_SPEED)
+        if reason is not None:
+            self.gated[reason] += 1
+            return
+        self._judge(sample, power, step)
+        self.parameter_filter.update(sample, power, step)
+        self.power_filter.update(sample, power, step)
+        observation = Observation(sample, power, self.power_filter.slope)
+        for old in self._window.add(observation):
+            self._store.add(old)
+
+    def prepare_update(self) -> Callable[[], PowerNetwork] | None:
+        """Train a copy of the network on a snapshot of window and store."""
+        observations = [*self._window, *self._store]
+        if len(observations) < MIN_SAMPLES or self._last_ns is None:
+            return None
+        problem = self._problem(observations, self._last_ns)
+        network, start = deepcopy(self._network), self._start.vector()
+
+        def work() -> PowerNetwork:
+            step = joint_step(network, start, problem)
+            network.load_vector(step.weights)
+            return network
+
+        return work
+
+    def consider(self, candidate: PowerNetwork) -> str | None:
+        """Adopt the last candidate if the second since it was trained speaks for it."""
+        judged, score = self._candidate, self._candidate_score
+        finite = bool(torch.isfinite(candidate.vector()).all())
+        self._candidate = candidate if finite else None
+        self._candidate_score = 0.0
+        if judged is None:
+            return None if finite else "not_finite"
+        if score <= 0.0:
+            return "not_better"
+        self._network = judged
+        return None
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate of the parameters, in the constant-efficiency sense of eq. 12-21."""
+        return parameter_set(self._last_ns or 0, self.parameter_filter)
+
+    def forget_window(self) -> None:
+        """Drop recent samples after a jump of time."""
+        self._window.clear()
+        self._candidate = None
+        self._last_ns = None
+        self.parameter_filter.forget_time()
+        self.power_filter.forget_time()
+
+    def export(self) -> Mapping[str, Any]:
+        """State to save."""
+        return {
+            "parameter_filter": self.parameter_filter.export(),
+            "power_filter": self.power_filter.export(),
+            "network": self._network.vector().tolist(),
+            "merit": self._merit.tolist(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a saved state."""
+        weights = torch.tensor(state["network"], dtype=torch.float64)
+        if weights.shape != self._network.vector().shape:
+            raise ValueError("the saved network has another shape")
+        self.parameter_filter.restore(state["parameter_filter"])
+        self.power_filter.restore(state["power_filter"])
+        self._network.load_vector(weights)
+        self._merit = np.array(state["merit"], dtype=float)
+
+    def _step(self, sample: Sample) -> float:
+        """Seconds this sample stands for."""
+        last, self._last_ns = self._last_ns, sample.stamp_ns
+        if last is None:
+            return SAMPLE_PERIOD
+        return min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
+
+    def _said(self, network: PowerNetwork, sample: Sample) -> float:
+        """What a network adds to the physics at a sample, W."""
+        inputs = np.array([[sample.speed, sample.acceleration, 0.0]]) / _SCALES
+        with torch.inference_mode():
+            output = network(torch.from_numpy(inputs))
+        return float(output) * self.power_filter.residual_std(sample)
+
+    def _judge(self, sample: Sample, power: float, step: float) -> None:
+        """Compare networks on a sample that none of them has seen."""
+        scale = self.power_filter.residual_std(sample)
+        left = (power - self.power_filter.predict(sample).power) / scale
+        said = self._said(self._network, sample) / scale
+        if self._candidate is not None:
+            rival = self._said(self._candidate, sample) / scale
+            self._candidate_score += (left - said) ** 2 - (left - rival) ** 2
+        keep = 1.0 - min(1.0, step / TRUST_MEMORY)
+        self._merit = keep * self._merit + np.array(
+            [left * said, said**2 + (1.0 - keep) * TRUST_PRIOR]
+        )
+
+    def _problem(self, observations: list[Observation], newest_ns: int) -> JointProblem:
+        data = batch(observations, newest_ns)
+        power, gradient = self.power_filter.powers(data)
+        scale = self.power_filter.residual_stds(data.speed)
+        age = np.minimum(data.age / WINDOW, 1.0)
+        return JointProblem(
+            inputs=np.stack((data.speed, data.acceleration, age), axis=1) / _SCALES,
+            residual=(data.power - power) / scale,
+            gradient=gradient / scale[:, None],
+            prior_precision=self.power_filter.prior_precision(),
+            weight=SAMPLE_PERIOD / CORRELATION_TIME,
+            physics_loss=PHYSICS_LOSS,
+            ridge=RIDGE,
+        )
+
+
+_SCALES = np.array([SPEED_SCALE, ACCELERATION_SCALE, 1.0])

@@ -1,0 +1,63 @@
+"""What the two modes have in common: the interface the online estimator drives."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol
+
+from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.signals.sample import Sample
+
+REVERSE_SPEED = -0.1  # m/s: below this the car reverses
+CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
+STATE_VERSION = 1
+
+
+class PowerPrediction(NamedTuple):
+    """Battery power, W, and the model's own 1-sigma, W, not yet calibrated."""
+
+    power: float
+    sigma: float
+
+
+class Learner(Protocol):
+    """A mode of learning. Time enters only through the samples' stamps."""
+
+    gated: Counter[str]
+
+    def advance(self, sample: Sample) -> None:
+        """Let time pass up to a smoothed sample."""
+
+    def predict(self, sample: Sample) -> PowerPrediction:
+        """Power at a sample from what was learned from earlier samples and speed alone."""
+
+    def observe(self, sample: Sample, power: float) -> None:
+        """Learn from a sample whose battery power, W, was measured."""
+
+    def prepare_update(self) -> Callable[[], Any] | None:
+        """Work of one windowed update on a snapshot, safe to run in another thread, or None."""
+
+    def consider(self, candidate: Any) -> str | None:
+        """Adopt the result of an update, or return the reason why not."""
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate of the parameters."""
+
+    def forget_window(self) -> None:
+        """Drop recent samples after a jump of time; keep what was learned."""
+
+    def export(self) -> Mapping[str, Any]:
+        """State to save, of numbers, text, lists and mappings only."""
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a state given by `export`; ValueError or KeyError when it does not fit."""
+
+
+def gate(sample: Sample, power: float, standing: bool) -> str | None:
+    """Why a sample may not be learned from, or None."""
+    if sample.speed < REVERSE_SPEED:
+        return "reverse"
+    if standing and power < CHARGING_POWER:
+        return "charging"
+    return None

@@ -1,0 +1,69 @@
+"""The fully connected tanh network of both modes (paper, Fig. 4), as a torch module."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import nn
+
+PAPER_WIDTHS = (2, 128, 128, 128, 128, 1)  # speed and time in, power out (section III.D)
+
+
+class PowerNetwork(nn.Module):
+    """Fully connected layers with tanh between them.
+
+    Inputs of shape (n, widths[0]), output of shape (n,), both normalised by the caller.
+    """
+
+    def __init__(self, widths: Sequence[int], *, seed: int, dtype: torch.dtype) -> None:
+        """Initialise by Glorot's rule from a seed of its own, so that runs repeat exactly."""
+        super().__init__()
+        generator = torch.Generator().manual_seed(seed)
+        self.layers = [
+            nn.Linear(inputs, outputs, dtype=dtype) for inputs, outputs in pairwise(widths)
+        ]
+        for index, layer in enumerate(self.layers):
+            self.add_module(f"layer_{index}", layer)
+            nn.init.xavier_normal_(layer.weight, generator=generator)
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return the output, shape (n,)."""
+        hidden = inputs
+        for layer in self.layers[:-1]:
+            hidden = torch.tanh(layer(hidden))
+        output: torch.Tensor = self.layers[-1](hidden)
+        return output[:, 0]
+
+    @torch.no_grad()
+    def jacobian(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Output, shape (n,), and its derivative by every weight, shape (n, weights).
+
+        Back-propagation for all samples at once: with the activations A_l entering a layer and the
+        derivative D_l of the output by what leaves it, dy/dW_l = D_l A_l^T and dy/db_l = D_l. The
+        columns are in the order of `torch.nn.utils.parameters_to_vector`.
+        """
+        activations = [inputs]
+        for layer in self.layers[:-1]:
+            activations.append(torch.tanh(layer(activations[-1])))
+        output = self.layers[-1](activations[-1])[:, 0]
+        derivative = torch.ones(len(inputs), 1, dtype=inputs.dtype)
+        columns: list[torch.Tensor] = []
+        for index in range(len(self.layers) - 1, -1, -1):
+            by_weight = derivative[:, :, None] * activations[index][:, None, :]
+            columns = [by_weight.flatten(1), derivative, *columns]
+            if index > 0:
+                derivative = (derivative @ self.layers[index].weight) * (
+                    1.0 - activations[index] ** 2
+                )
+        return output, torch.cat(columns, dim=1)
+
+    def vector(self) -> torch.Tensor:
+        """All weights as one vector, detached."""
+        return nn.utils.parameters_to_vector(self.parameters()).detach().clone()
+
+    def load_vector(self, weights: torch.Tensor) -> None:
+        """Take all weights from one vector."""
+        nn.utils.vector_to_parameters(weights, self.parameters())

@@ -1,0 +1,285 @@
+"""`mode: paper`: the EV-PINN as published, trained online over a sliding window.
+
+Four layers of 128 with tanh, speed and time in, battery power out; the five parameters trained
+together with the network by Adam at a learning rate of their own; the loss of eq. 22 with
+lambda = 0.1; initial values of eq. 24, 25 from the vehicle file. Once a second the network and
+Adam's memory are taken up where they were (warm start) and trained a fixed number of epochs on
+the window. What the paper leaves open is settled so:
+
+- power is normalised by `POWER_SCALE`, speed by `SPEED_SCALE`, time runs from -1 to 0 over the
+  window; both losses are means over the window in these units;
+- each parameter is its initial value times exp(z), with z trained: it stays positive, and one
+  learning rate serves all;
+- acceleration, which eq. 21 needs, comes from the smoother of `signals.kinematics`;
+- P_aux is no free parameter: the median power at standstill (section III.C), else the prior.
+
+The network knows neither acceleration nor the future. Its predictions are what the paper's method
+gives on unseen moments, and worse than on those it was trained on; `hybrid` repairs that.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.estimation.learner import PowerPrediction, gate
+from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
+from evpinn_ros.estimation.window import Batch, Observation, SlidingWindow, batch
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable, identifiable
+from evpinn_ros.vehicle.parameters import LIMITS, Parameters
+from evpinn_ros.vehicle.physics import (
+    STANDSTILL_SPEED,
+    RegenForm,
+    auxiliary_power,
+    battery_power,
+)
+
+LEARNED = ("eta", "mu", "mass", "c_rr", "c_d")
+WINDOW = 60.0  # s
+EPOCHS = 20  # per update, a fixed budget: never one of wall time
+PHYSICS_LOSS = 0.1  # lambda of eq. 22
+NETWORK_RATE = 1e-3  # Adam
+PARAMETER_RATE = 2e-3  # Adam, of log values
+SPEED_SCALE = 30.0  # m/s
+POWER_SCALE = 20_000.0  # W
+MIN_SAMPLES = 50
+NOISE_MEMORY = 300.0  # samples over which the size of the residuals is followed
+CORRELATED_SAMPLES = 5.0  # samples of a 10 Hz stream that count as one
+
+
+class Tensors(NamedTuple):
+    """A `Batch` as tensors."""
+
+    age: torch.Tensor
+    speed: torch.Tensor
+    acceleration: torch.Tensor
+    grade: torch.Tensor
+    air_density: torch.Tensor
+    known_auxiliary: torch.Tensor
+    power: torch.Tensor
+    slope: torch.Tensor
+
+
+class Trained(NamedTuple):
+    """Result of an update: all that the next one starts from."""
+
+    network: PowerNetwork
+    log_scale: torch.Tensor
+    optimizer_state: dict[str, Any]
+    p_aux: float
+    covariance: np.ndarray
+
+
+class PaperLearner:
+    """See the module's text."""
+
+    def __init__(
+        self, vehicle: Vehicle, *, seed: int = 0, form: RegenForm = RegenForm.RECOVERY
+    ) -> None:
+        """Start at the vehicle's initial values with a fresh network."""
+        self._vehicle = vehicle
+        self._form = form
+        self._prior_std = np.array(
+            [vehicle.priors[n].std / vehicle.priors[n].value for n in LEARNED]
+        )
+        network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=torch.float32)
+        self._trained = Trained(
+            network,
+            torch.zeros(len(LEARNED)),
+            {},
+            vehicle.initial.p_aux,
+            np.diag(self._prior_std**2),
+        )
+        self._fresh = True
+        self._window = SlidingWindow(WINDOW)
+        self._variance = POWER_SCALE**2
+        self._last_ns: int | None = None
+        self.gated: Counter[str] = Counter()
+
+    def advance(self, sample: Sample) -> None:
+        """Nothing moves between updates."""
+
+    def predict(self, sample: Sample) -> PowerPrediction:
+        """Power of the network, W: the prior's physics until the first update."""
+        sigma = float(np.sqrt(self._variance))
+        if self._fresh:
+            power = float(self._physics(sample)) + sample.known_auxiliary
+            return PowerPrediction(power, sigma)
+        newest = self._last_ns if self._last_ns is not None else sample.stamp_ns
+        age = max(0.0, (newest - sample.stamp_ns) / NANOSECONDS)
+        inputs = torch.tensor([[sample.speed / SPEED_SCALE, -age / WINDOW]])
+        with torch.inference_mode():
+            output = self._trained.network(inputs)
+        return PowerPrediction(float(output) * POWER_SCALE, sigma)
+
+    def observe(self, sample: Sample, power: float) -> None:
+        """Take a measured sample into the window."""
+        reason = gate(sample, power, abs(sample.speed) < STANDSTILL_SPEED)
+        if reason is not None:
+            self.gated[reason] += 1
+            return
+        residual = power - self.predict(sample).power
+        self._variance += (residual**2 - self._variance) / NOISE_MEMORY
+        self._window.add(Observation(sample, power, 0.0))
+        self._last_ns = sample.stamp_ns
+
+    def prepare_update(self) -> Callable[[], Trained] | None:
+        """Train a copy for `EPOCHS` on a snapshot of the window."""
+        if len(self._window) < MIN_SAMPLES or self._last_ns is None:
+            return None
+        data = batch(list(self._window), self._last_ns)
+        before = deepcopy(self._trained)
+        return lambda: self._train(before, data)
+
+    def consider(self, candidate: Trained) -> str | None:
+        """Adopt every finite update, as the paper does."""
+        if not (
+            torch.isfinite(candidate.network.vector()).all()
+            and torch.isfinite(candidate.log_scale).all()
+        ):
+            return "not_finite"
+        self._trained = candidate
+        self._fresh = False
+        return None
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate, its 1-sigma from the curvature of the physics loss and the priors."""
+        values = self._values(self._trained)
+        variance = np.diag(self._trained.covariance)
+        share = np.minimum(1.0, variance / self._prior_std**2)
+        estimates = {
+            name: ParameterEstimate(
+                value=float(np.clip(getattr(values, name), *LIMITS[name])),
+                std=float(np.sqrt(variance[i]) * getattr(values, name)),
+                prior_share=float(share[i]),
+                lower=LIMITS[name].lower,
+                upper=LIMITS[name].upper,
+                state=State.UNESTIMATED if self._fresh else State.ESTIMATING,
+            )
+            for i, name in enumerate(LEARNED)
+        }
+        prior = self._vehicle.priors["p_aux"]
+        estimates["p_aux"] = ParameterEstimate(
+            values.p_aux, prior.std, 1.0, *LIMITS["p_aux"], State.UNESTIMATED
+        )
+        combined = identifiable(values, self._vehicle.frontal_area)
+        std = _combined_std(combined, self._trained.covariance, prior.std)
+        return ParameterSet(self._last_ns or 0, estimates, combined, std, reliable=False)
+
+    def forget_window(self) -> None:
+        """Drop recent samples after a jump of time."""
+        self._window.clear()
+        self._last_ns = None
+
+    def export(self) -> Mapping[str, Any]:
+        """State to save."""
+        return {
+            "network": self._trained.network.vector().tolist(),
+            "log_scale": self._trained.log_scale.tolist(),
+            "p_aux": self._trained.p_aux,
+            "covariance": self._trained.covariance.tolist(),
+            "variance": self._variance,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a saved state; Adam's memory starts anew."""
+        network = deepcopy(self._trained.network)
+        weights = torch.tensor(state["network"], dtype=torch.float32)
+        log_scale = torch.tensor(state["log_scale"], dtype=torch.float32)
+        covariance = np.array(state["covariance"], dtype=float)
+        if weights.shape != network.vector().shape or log_scale.shape != (len(LEARNED),):
+            raise ValueError("the saved network has another shape")
+        if covariance.shape != (len(LEARNED), len(LEARNED)) or not np.isfinite(covariance).all():
+            raise ValueError("the saved covariance does not fit")
+        network.load_vector(weights)
+        self._trained = Trained(network, log_scale, {}, float(state["p_aux"]), covariance)
+        self._variance = float(state["variance"])
+        self._fresh = False
+
+    def _values(self, trained: Trained) -> Parameters:
+        scale = np.exp(trained.log_scale.double().numpy())
+        initial = self._vehicle.initial
+        learned = [float(getattr(initial, n) * scale[i]) for i, n in enumerate(LEARNED)]
+        return Parameters._make([*learned, trained.p_aux])
+
+    def _physics(self, sample: Sample | Tensors, values: Parameters | None = None) -> Any:
+        """Battery power of eq. 21, W, at the present or given values."""
+        return battery_power(
+            sample.speed,
+            sample.acceleration,
+            self._values(self._trained) if values is None else values,
+            area=self._vehicle.frontal_area,
+            air_density=sample.air_density,
+            form=self._form,
+            beta=self._vehicle.beta,
+            grade=sample.grade,
+        )
+
+    def _train(self, before: Trained, data: Batch) -> Trained:
+        """`EPOCHS` full-batch steps of Adam on eq. 22."""
+        standing_power = auxiliary_power(data.speed, data.power)
+        p_aux = before.p_aux if np.isnan(standing_power) else standing_power
+        columns = Tensors._make(torch.tensor(column, dtype=torch.float32) for column in data)
+        inputs = torch.stack((columns.speed / SPEED_SCALE, -columns.age / WINDOW), dim=1)
+        network, log_scale = before.network, before.log_scale.requires_grad_()
+        optimizer = torch.optim.Adam(
+            [
+                {"params": network.parameters(), "lr": NETWORK_RATE},
+                {"params": [log_scale], "lr": PARAMETER_RATE},
+            ]
+        )
+        if before.optimizer_state:
+            optimizer.load_state_dict(before.optimizer_state)
+        for _ in range(EPOCHS):
+            optimizer.zero_grad()
+            predicted = network(inputs)
+            physics = self._learned_physics(columns, log_scale, p_aux) / POWER_SCALE
+            loss = torch.mean((columns.power / POWER_SCALE - predicted) ** 2)
+            loss = loss + PHYSICS_LOSS * torch.mean((physics - predicted) ** 2)
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+        log_scale = log_scale.detach()
+        covariance = self._covariance(columns, log_scale, p_aux)
+        return Trained(network, log_scale, optimizer.state_dict(), p_aux, covariance)
+
+    def _learned_physics(
+        self, data: Tensors, log_scale: torch.Tensor, p_aux: float
+    ) -> torch.Tensor:
+        initial = torch.tensor([getattr(self._vehicle.initial, n) for n in LEARNED])
+        values = Parameters._make([*(initial * torch.exp(log_scale)), p_aux])
+        power: torch.Tensor = self._physics(data, values) + data.known_auxiliary
+        return power
+
+    def _covariance(self, data: Tensors, log_scale: torch.Tensor, p_aux: float) -> np.ndarray:
+        """Laplace's approximation for the log parameters: curvature plus priors, shape (5, 5)."""
+        gradient = torch.func.jacfwd(lambda z: self._learned_physics(data, z, p_aux))(log_scale)
+        residual = data.power - self._learned_physics(data, log_scale, p_aux)
+        noise = float(torch.mean(residual**2)) * CORRELATED_SAMPLES
+        rows = gradient.double().numpy()
+        return np.linalg.inv(rows.T @ rows / noise + np.diag(self._prior_std**-2))
+
+
+def _combined_std(
+    combined: Identifiable, covariance: np.ndarray, p_aux_std: float
+) -> Identifiable:
+    """1-sigma of the identifiable combinations from the covariance of the log parameters."""
+    rows = {
+        "mass_over_eta": {"mass": 1.0, "eta": -1.0},
+        "drag_area_over_eta": {"c_d": 1.0, "eta": -1.0},
+        "c_rr": {"c_rr": 1.0},
+        "regeneration": {"eta": 1.0, "mu": 1.0},
+    }
+    std = {"p_aux": p_aux_std}
+    for name, row in rows.items():
+        vector = np.array([row.get(parameter, 0.0) for parameter in LEARNED])
+        std[name] = float(np.sqrt(vector @ covariance @ vector)) * getattr(combined, name)
+    return Identifiable(*(std[name] for name in IDENTIFIABLE_NAMES))

@@ -1,0 +1,64 @@
+"""From the filter's state to what is published: values, bounds, shares and states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.estimation.parameter_filter import ParameterFilter
+from evpinn_ros.vehicle.identifiable import Identifiable
+from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
+
+ESTIMATING_BELOW = 0.95  # of the prior's variance left in the combination, then learning shows
+VALID_BELOW = 0.25  # then the data speak louder than the prior
+# The identifiable combination on which each parameter rests.
+RESTS_ON = {
+    "eta": "mass_over_eta",
+    "mu": "regeneration",
+    "mass": "mass_over_eta",
+    "c_rr": "c_rr",
+    "c_d": "drag_area_over_eta",
+    "p_aux": "p_aux",
+}
+RELIABLE_NEEDS = ("mass_over_eta", "regeneration")
+
+
+def parameter_set(stamp_ns: int, source: ParameterFilter) -> ParameterSet:
+    """Everything that is known of the parameters, from the filter."""
+    value, std, share = source.parameters(), source.parameter_std(), source.prior_share()
+    combined, combined_std, combined_share = source.identifiable()
+    bounds = _bounds(combined, source.frontal_area)
+    parameters = {}
+    for name in PARAMETER_NAMES:
+        limits = bounds[name]
+        parameters[name] = ParameterEstimate(
+            value=float(np.clip(getattr(value, name), limits.lower, limits.upper)),
+            std=getattr(std, name),
+            prior_share=getattr(share, name),
+            lower=limits.lower,
+            upper=limits.upper,
+            state=_state(getattr(combined_share, RESTS_ON[name])),
+        )
+    reliable = all(getattr(combined_share, name) < VALID_BELOW for name in RELIABLE_NEEDS)
+    return ParameterSet(stamp_ns, parameters, combined, combined_std, reliable)
+
+
+def _bounds(combined: Identifiable, area: float) -> dict[str, Limits]:
+    """Hard bounds without any prior: eta <= 1 and mu <= 1 bound all that is tied to them.
+
+    With q = eta mu known, eta and mu lie in [q, 1], hence mass in [q, 1] m/eta and likewise C_d.
+    """
+    low = min(max(combined.regeneration, LIMITS["eta"].lower), 1.0)
+    mass = combined.mass_over_eta
+    bounds = dict(LIMITS)
+    bounds["eta"] = bounds["mu"] = Limits(low, 1.0)
+    drag = combined.drag_area_over_eta / area
+    bounds["mass"] = Limits(low * mass, mass)
+    bounds["c_d"] = Limits(low * drag, drag)
+    return bounds
+
+
+def _state(share: float) -> State:
+    if share < VALID_BELOW:
+        return State.VALID
+    return State.ESTIMATING if share < ESTIMATING_BELOW else State.UNESTIMATED

@@ -1,0 +1,87 @@
+"""What the estimator and the energy meter say, as ROS 2 messages, for nodes and bags alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import math
+from typing import Any
+
+from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
+from evpinn_ros.estimation.estimator import Output
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.messages import NewMessage, named_vector, scalar
+from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
+
+POWER_TOPICS = {
+    PowerKind.MEASURED: topics.POWER_MEASURED,
+    PowerKind.PREDICTED: topics.POWER_PREDICTED,
+    PowerKind.SMOOTHED: topics.POWER_SMOOTHED,
+}
+FLOWS = ("measured", "predicted", "rknn", "regenerated")
+
+
+def output_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, Any]]:
+    """Every message that one output of the estimator leads to.
+
+    Raises:
+        ValueError: a number is not finite; nothing of this output may then be published.
+    """
+    if isinstance(output, PowerEstimate):
+        vector = named_vector(new, output.stamp_ns, ["power"], [output.power], [output.sigma])
+        yield POWER_TOPICS[output.kind], vector
+    else:
+        yield from _parameter_messages(new, output)
+
+
+def _parameter_messages(new: NewMessage, found: ParameterSet) -> Iterator[tuple[Topic, Any]]:
+    names = list(found.parameters)
+    values = [estimate.value for estimate in found.parameters.values()]
+    sigmas = [estimate.std for estimate in found.parameters.values()]
+    live = named_vector(new, found.stamp_ns, names, values, sigmas)
+    yield topics.PARAMETERS, live
+    yield (
+        topics.IDENTIFIABLE,
+        named_vector(
+            new,
+            found.stamp_ns,
+            IDENTIFIABLE_NAMES,
+            list(found.identifiable),
+            list(found.identifiable_std),
+        ),
+    )
+    bounds = {
+        f"{name}_{end}": getattr(estimate, end)
+        for name, estimate in found.parameters.items()
+        for end in ("lower", "upper", "prior_share")
+    }
+    yield topics.BOUNDS, named_vector(new, found.stamp_ns, list(bounds), list(bounds.values()))
+    if found.reliable:
+        yield topics.RELIABLE, live
+    for topic in topics.PARAMETER_SCALARS:
+        name = topic.name.rpartition("/")[2]
+        yield topic, scalar(new, found.parameters[name].value)
+
+
+def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
+    """The messages of an energy state; a flow not known yet is left out of the vector."""
+    flows = {name: getattr(state, name) for name in FLOWS}
+    known = {
+        name: flow
+        for name, flow in flows.items()
+        if math.isfinite(flow.energy) and math.isfinite(flow.power)
+    }
+    if known:
+        yield (
+            topics.ENERGY_STATE,
+            named_vector(
+                new,
+                state.stamp_ns,
+                list(known),
+                [flow.energy for flow in known.values()],
+                [flow.sigma for flow in known.values()],
+                [flow.power for flow in known.values()],
+            ),
+        )
+    yield topics.ENERGY_CONSUMED, scalar(new, state.consumed)

@@ -1,0 +1,119 @@
+"""What is known of the road and the air: grade, air density, known auxiliary loads."""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+import math
+from typing import TypeAlias
+
+import numpy as np
+
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    GradeReading,
+    TemperatureReading,
+)
+
+GRADE_SPAN = 60.0  # m of road over which altitude is turned into grade
+GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
+GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
+STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
+REFERENCE_CELSIUS = 20.0  # at which vehicle files state air density
+KELVIN = 273.15
+
+RoadReading: TypeAlias = AltitudeReading | AuxiliaryReading | GradeReading | TemperatureReading
+
+
+class GradeSource(str, Enum):
+    """Where grade comes from. `auto` takes the IMU if it speaks, else altitude, else none."""
+
+    AUTO = "auto"
+    NONE = "none"
+    IMU = "imu"
+    FIX = "fix"
+
+
+class Road:
+    """Grade, air density and known loads at a moment, from optional readings."""
+
+    def __init__(self, grade_source: GradeSource, reference_density: float) -> None:
+        """Take the air density, kg/m^3, of the vehicle file as that at `REFERENCE_CELSIUS`."""
+        self._source = grade_source
+        self._reference_density = reference_density
+        self._celsius: float | None = None
+        self._auxiliary: tuple[int, float] | None = None
+        self._pitch: deque[tuple[int, float]] = deque()
+        self._profile: deque[tuple[float, float]] = deque()
+        self._distance = 0.0
+        self._altitude_ns: int | None = None
+
+    def push(self, reading: RoadReading) -> None:
+        """Take one reading."""
+        match reading:
+            case TemperatureReading():
+                self._celsius = reading.celsius
+            case AuxiliaryReading():
+                self._auxiliary = (reading.stamp_ns, reading.power)
+            case GradeReading():
+                self._pitch.append((reading.stamp_ns, reading.grade))
+                oldest = reading.stamp_ns - int(GRADE_WINDOW * NANOSECONDS)
+                while self._pitch[0][0] < oldest:
+                    self._pitch.popleft()
+            case AltitudeReading():
+                self._profile.append((self._distance, reading.altitude))
+                self._altitude_ns = reading.stamp_ns
+                while self._profile[0][0] < self._distance - GRADE_SPAN:
+                    self._profile.popleft()
+
+    def travel(self, distance: float) -> None:
+        """Move on by a distance, m."""
+        self._distance += distance
+
+    def forget(self) -> None:
+        """Drop what may not be joined across a gap or a jump of time."""
+        self._pitch.clear()
+        self._profile.clear()
+        self._altitude_ns = None
+        self._auxiliary = None
+
+    def grade(self, stamp_ns: int) -> float:
+        """Road incline angle, rad, 0 while unknown."""
+        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamp_ns):
+            return float(np.mean([grade for _, grade in self._pitch]))
+        if self._source in (GradeSource.AUTO, GradeSource.FIX):
+            return self._altitude_grade(stamp_ns)
+        return 0.0
+
+    def air_density(self) -> float:
+        """Air density, kg/m^3: ideal gas at constant pressure, once temperature is known."""
+        if self._celsius is None:
+            return self._reference_density
+        return self._reference_density * (REFERENCE_CELSIUS + KELVIN) / (self._celsius + KELVIN)
+
+    def known_auxiliary(self, stamp_ns: int) -> float:
+        """Power of the auxiliary loads the car reports, W, 0 while unknown."""
+        if self._auxiliary is None or _age(stamp_ns, self._auxiliary[0]) > STALE_AFTER:
+            return 0.0
+        return self._auxiliary[1]
+
+    def _fresh_pitch(self, stamp_ns: int) -> bool:
+        return bool(self._pitch) and _age(stamp_ns, self._pitch[-1][0]) < STALE_AFTER
+
+    def _altitude_grade(self, stamp_ns: int) -> float:
+        """Slope of altitude over the last `GRADE_SPAN` of road, by least squares."""
+        if self._altitude_ns is None or _age(stamp_ns, self._altitude_ns) > STALE_AFTER:
+            return 0.0
+        profile = np.array(self._profile)
+        distance, altitude = profile[:, 0], profile[:, 1]
+        if distance[-1] - distance[0] < GRADE_SPAN / 2:
+            return 0.0
+        spread = distance - distance.mean()
+        slope = math.atan(float(spread @ altitude / (spread @ spread)))
+        return slope if abs(slope) < GRADE_LIMIT else 0.0
+
+
+def _age(now_ns: int, stamp_ns: int) -> float:
+    return (now_ns - stamp_ns) / NANOSECONDS

@@ -1,0 +1,60 @@
+"""One moment of driving, as the learners see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The state of the car at one moment, everything but the battery.
+
+    Attributes:
+        stamp_ns: the moment.
+        speed: m/s.
+        acceleration: m/s^2.
+        grade: road incline angle, rad, positive uphill; 0 while unknown.
+        air_density: kg/m^3.
+        known_auxiliary: power of auxiliary loads the car reports, W; 0 while unknown.
+    """
+
+    stamp_ns: int
+    speed: float
+    acceleration: float
+    grade: float
+    air_density: float
+    known_auxiliary: float
+
+
+@dataclass(frozen=True, slots=True)
+class NewestSample:
+    """The newest moment, its acceleration causal: for `power/predicted`."""
+
+    sample: Sample
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothedSample:
+    """A moment `smoothing_lag` ago, its acceleration smoothed: for `power/smoothed`."""
+
+    sample: Sample
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredSample:
+    """A smoothed sample and the battery power, W, measured at its moment: to learn from."""
+
+    sample: Sample
+    power: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Speed was missing for longer than `max_gap`; nothing may be learned or joined across."""
+
+    stamp_ns: int
+    duration: float
+
+
+StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Gap

@@ -1,0 +1,186 @@
+"""Readings in, one time-ordered stream of samples out.
+
+Speed sets the pace. Each new speed gives a `NewestSample` at once; each moment that lies
+`smoothing_lag` back gives a `SmoothedSample` (at most one each `SAMPLE_PERIOD`), and a
+`MeasuredSample` as soon as battery readings on both sides of it are known. What is late, doubled
+or impossible is dropped and counted by reason.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+import math
+
+from evpinn_ros.signals.battery import PowerTrack
+from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS, CausalDifferentiator, SpeedTrack
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.road import GradeSource, Road
+from evpinn_ros.signals.sample import (
+    Gap,
+    MeasuredSample,
+    NewestSample,
+    Sample,
+    SmoothedSample,
+    StreamEvent,
+)
+
+SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
+MAX_SPEED = 100.0  # m/s, no production car
+MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
+MAX_VOLTAGE = 2000.0  # V
+MAX_CURRENT = 5000.0  # A
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """How readings become samples.
+
+    Attributes:
+        smoothing_lag: s of future speed the smoothed samples may use.
+        allowed_lateness: s by which a reading may be older than the newest of its kind.
+        max_gap: s without speed (or battery) across which nothing is joined.
+        grade_source: where grade comes from.
+    """
+
+    smoothing_lag: float = 0.3
+    allowed_lateness: float = 0.5
+    max_gap: float = 2.5
+    grade_source: GradeSource = GradeSource.AUTO
+
+
+class SampleStream:
+    """Aligns the readings of one car; see the module's text."""
+
+    def __init__(self, settings: StreamSettings, air_density: float) -> None:
+        """Start empty; air_density, kg/m^3, is used while no temperature is known."""
+        self._settings = settings
+        self._lag_ns = int(settings.smoothing_lag * NANOSECONDS) - LAG_TOLERANCE_NS
+        self._late_ns = int(settings.allowed_lateness * NANOSECONDS)
+        self._gap_ns = int(settings.max_gap * NANOSECONDS)
+        self._differentiator = CausalDifferentiator()
+        self._road = Road(settings.grade_source, air_density)
+        self.dropped: Counter[str] = Counter()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every reading, after a jump of time; what was learned of speed is kept."""
+        self._speed = SpeedTrack()
+        self._power = PowerTrack(self._settings.max_gap)
+        self._moments: deque[int] = deque()
+        self._unmeasured: deque[Sample] = deque()
+        self._last_moment_ns: int | None = None
+        self._differentiator.forget_pending()
+        self._road.forget()
+
+    def push(self, reading: Reading) -> Iterator[StreamEvent]:
+        """Take one reading and give what it completes, in order."""
+        match reading:
+            case SpeedReading():
+                yield from self._push_speed(reading)
+            case BatteryReading():
+                self._push_battery(reading)
+            case _:
+                self._road.push(reading)
+        yield from self._match_power()
+
+    def _push_speed(self, reading: SpeedReading) -> Iterator[StreamEvent]:
+        if not abs(reading.speed) <= MAX_SPEED:
+            self.dropped["speed_out_of_range"] += 1
+            return
+        newest = self._speed.newest_ns if len(self._speed) else None
+        if newest is not None and reading.stamp_ns <= newest:
+            self._insert_late_speed(reading, newest)
+            return
+        if newest is not None and reading.stamp_ns - newest > self._gap_ns:
+            yield Gap(reading.stamp_ns, (reading.stamp_ns - newest) / NANOSECONDS)
+            self._begin_after_gap()
+        elif newest is not None:
+            self._road.travel(abs(reading.speed) * (reading.stamp_ns - newest) / NANOSECONDS)
+        self._speed.add(reading.stamp_ns, reading.speed)
+        self._moments.append(reading.stamp_ns)
+        yield from self._newest_sample(reading)
+        yield from self._smoothed_samples()
+
+    def _insert_late_speed(self, reading: SpeedReading, newest: int) -> None:
+        if newest - reading.stamp_ns > self._late_ns:
+            self.dropped["speed_late"] += 1
+        elif not self._speed.add(reading.stamp_ns, reading.speed):
+            self.dropped["speed_doubled"] += 1
+
+    def _begin_after_gap(self) -> None:
+        self._speed = SpeedTrack()
+        self._moments.clear()
+        self._differentiator.forget_pending()
+        self._road.forget()
+
+    def _newest_sample(self, reading: SpeedReading) -> Iterator[NewestSample]:
+        differences = self._speed.differences()
+        acceleration = self._differentiator.acceleration(reading.stamp_ns, differences)
+        if abs(acceleration) > MAX_ACCELERATION:
+            self.dropped["acceleration_impossible"] += 1
+            return
+        yield NewestSample(self._sample(reading.stamp_ns, reading.speed, acceleration))
+
+    def _smoothed_samples(self) -> Iterator[SmoothedSample]:
+        newest = self._speed.newest_ns
+        while self._moments and newest - self._moments[0] >= self._lag_ns:
+            stamp_ns = self._moments.popleft()
+            if not self._due(stamp_ns):
+                continue
+            speed, acceleration = self._speed.smoothed(stamp_ns, newest)
+            if math.isnan(acceleration):
+                continue
+            if abs(acceleration) > MAX_ACCELERATION:
+                self.dropped["acceleration_impossible"] += 1
+                continue
+            self._last_moment_ns = stamp_ns
+            self._differentiator.learn(stamp_ns, acceleration)
+            sample = self._sample(stamp_ns, speed, acceleration)
+            self._unmeasured.append(sample)
+            yield SmoothedSample(sample)
+
+    def _due(self, stamp_ns: int) -> bool:
+        """Whether a moment is far enough from the last one sampled."""
+        if self._last_moment_ns is None:
+            return True
+        step = stamp_ns - self._last_moment_ns
+        return step >= int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
+
+    def _sample(self, stamp_ns: int, speed: float, acceleration: float) -> Sample:
+        return Sample(
+            stamp_ns=stamp_ns,
+            speed=speed,
+            acceleration=acceleration,
+            grade=self._road.grade(stamp_ns),
+            air_density=self._road.air_density(),
+            known_auxiliary=self._road.known_auxiliary(stamp_ns),
+        )
+
+    def _push_battery(self, reading: BatteryReading) -> None:
+        if not (0.0 <= reading.voltage <= MAX_VOLTAGE and abs(reading.current) <= MAX_CURRENT):
+            known = math.isfinite(reading.voltage) and math.isfinite(reading.current)
+            self.dropped["battery_out_of_range" if known else "battery_unmeasured"] += 1
+            return
+        newest = self._power.newest_ns
+        if newest is not None and newest - reading.stamp_ns > self._late_ns:
+            self.dropped["battery_late"] += 1
+        elif not self._power.add(reading.stamp_ns, reading.power):
+            self.dropped["battery_doubled"] += 1
+
+    def _match_power(self) -> Iterator[MeasuredSample]:
+        newest = self._power.newest_ns
+        while self._unmeasured and newest is not None and self._unmeasured[0].stamp_ns <= newest:
+            sample = self._unmeasured.popleft()
+            power = self._power.at(sample.stamp_ns)
+            if power is not None:
+                yield MeasuredSample(sample, power)
+        self._drop_hopeless()
+
+    def _drop_hopeless(self) -> None:
+        """Stop waiting for the battery at moments further back than `max_gap`."""
+        while self._unmeasured and len(self._speed):
+            if self._speed.newest_ns - self._unmeasured[0].stamp_ns <= self._gap_ns:
+                return
+            self._unmeasured.popleft()
