@@ -23,6 +23,8 @@ def compose(path: Path, title: str) -> Section:
             text = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
+    except ValueError as error:  # no file can have such a name
+        raise InputError(f"{path}: {error}") from error
     if len(text) > MAX_FILE_BYTES:
         raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a {title}")
     try:
@@ -30,7 +32,7 @@ def compose(path: Path, title: str) -> Section:
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"{path}:{line}: not YAML: {error.problem}") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: not YAML: {error}".replace("\n", " ")) from error
     except RecursionError:
         raise InputError(f"{path}: nested too deeply, not a {title}") from None
@@ -57,7 +59,7 @@ class Section:
     def error(self, reason: str, node: yaml.Node | None = None) -> InputError:
         """The error to raise for this section, or for one `node` in it."""
         line = (node or self._node).start_mark.line + 1
-        return InputError(f"{self._path}:{line}: {reason}")
+        return InputError(f"{self._path}:{line}: {' '.join(reason.split())}")
 
     def error_at(self, key: str, reason: str) -> InputError:
         """The error to raise for the value of `key`."""

@@ -47,6 +47,7 @@ class CsvDrive:
         columns: of the file that are used.
         ignored: columns of the file that are not.
         dropped: rows and cells that `readings` left out, by reason; complete at its end.
+        at_nominal_voltage: battery readings made from power alone; likewise.
     """
 
     def __init__(self, path: Path | str, nominal_voltage: float) -> None:
@@ -61,6 +62,7 @@ class CsvDrive:
         """
         self.path = Path(path)
         self.dropped: Counter[str] = Counter()
+        self.at_nominal_voltage = 0
         self._nominal_voltage = nominal_voltage
         self._header = [name.strip() for name in next(self._rows(), [])]
         self.columns = tuple(name for name in self._header if name in COLUMNS)
@@ -74,6 +76,7 @@ class CsvDrive:
             InputError: the file can not be read to its end.
         """
         self.dropped.clear()
+        self.at_nominal_voltage = 0
         offset_ns: int | None = None
         before_ns = -math.inf
         rows = self._rows()
@@ -116,6 +119,7 @@ class CsvDrive:
         if "voltage_v" in cells and "current_a" in cells:
             return BatteryReading(stamp_ns, voltage, -cells["current_a"])
         if "power_w" in cells:
+            self.at_nominal_voltage += "voltage_v" not in cells
             return BatteryReading(stamp_ns, voltage, -cells["power_w"] / voltage)
         if "voltage_v" in cells or "current_a" in cells:
             self.dropped["voltage_or_current_alone"] += 1

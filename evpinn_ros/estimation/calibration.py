@@ -41,7 +41,9 @@ class BandCalibration:
         return [self._ratio[True], self._ratio[False]]
 
     def restore(self, state: list[float]) -> None:
-        """Take a state given by `export`."""
+        """Take a state given by `export`; ValueError when it does not fit."""
+        if not all(RATIO_RANGE[0] <= ratio <= RATIO_RANGE[1] for ratio in state):
+            raise ValueError("the saved band is out of range")
         self._ratio = {True: state[0], False: state[1]}
 
 

@@ -12,8 +12,8 @@ from evpinn_ros.vehicle.identifiable import Identifiable
 class State(str, Enum):
     """How far a parameter can be believed.
 
-    `estimating` until the data have halved the prior's variance of what they can determine,
-    `valid` after that, `stale` when the battery has been silent for long.
+    `unestimated` while the data say next to nothing of it, `estimating` until they speak louder
+    than the prior, `valid` after that, `stale` when the battery has been silent for long.
     """
 
     UNESTIMATED = "unestimated"

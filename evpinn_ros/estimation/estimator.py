@@ -28,6 +28,7 @@ from evpinn_ros.signals.sample import (
     Sample,
     SmoothedSample,
     StreamEvent,
+    TimeJump,
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
@@ -126,9 +127,15 @@ class OnlineEstimator:
         self._learner.forget_window()
         self._begin_time()
 
+    def clear_counters(self) -> None:
+        """Count anew, for the next drive."""
+        self._updates = self._accepted = 0
+        self._rejected.clear()
+        self._stream.dropped.clear()
+        self._learner.gated.clear()
+        self._worker.durations.clear()
+
     def _begin_time(self) -> None:
-        self._newest_ns: int | None = None
-        self._battery_ns: int | None = None
         self._tick_ns: int | None = None
         self._waiting = False
         self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
@@ -137,18 +144,16 @@ class OnlineEstimator:
 
     def push(self, reading: Reading) -> Iterator[Output]:
         """Take one reading; give the predictions and parameters it leads to, in order."""
-        if isinstance(reading, SpeedReading):
-            self._newest_ns = max(reading.stamp_ns, self._newest_ns or reading.stamp_ns)
         before = self._stream.dropped.total()
         events = list(self._stream.push(reading))
         if isinstance(reading, BatteryReading) and self._stream.dropped.total() == before:
-            self._battery_ns = max(reading.stamp_ns, self._battery_ns or reading.stamp_ns)
             kind = PowerKind.MEASURED
             yield PowerEstimate(kind, reading.stamp_ns, reading.power, float("nan"))
         for event in events:
             yield from self._handle(event)
-        if isinstance(reading, SpeedReading):
-            yield from self._tick(reading.stamp_ns)
+        newest_ns = self._stream.newest_ns
+        if isinstance(reading, SpeedReading) and newest_ns is not None:
+            yield from self._tick(newest_ns)
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
@@ -171,7 +176,7 @@ class OnlineEstimator:
             accepted=self._accepted,
             rejected=dict(self._rejected),
             durations=tuple(self._worker.durations),
-            newest_ns=self._newest_ns,
+            newest_ns=self._stream.newest_ns,
         )
 
     def export(self) -> dict[str, Any]:
@@ -188,18 +193,24 @@ class OnlineEstimator:
         """Continue from a saved state.
 
         Raises:
-            ValueError: it is of another version, vehicle or mode, or does not fit.
+            ValueError: it is of another version, vehicle or mode, or does not fit; nothing is
+                changed then.
         """
         wanted = (STATE_VERSION, self._vehicle.key, self._settings.mode.value)
         found = tuple(state.get(key) for key in ("version", "vehicle", "mode"))
         if found != wanted:
             raise ValueError(f"saved for (version, vehicle, mode) {found}, not for {wanted}")
+        learner = _learner(self._vehicle, self._settings)
+        learner.gated = self._learner.gated
+        bands = {kind: BandCalibration() for kind in self._bands}
         try:
-            self._learner.restore(state["learner"])
-            for kind, band in self._bands.items():
+            learner.restore(state["learner"])
+            for kind, band in bands.items():
                 band.restore([float(value) for value in state["bands"][kind.value]])
-        except (KeyError, TypeError, IndexError) as error:
+        except (KeyError, TypeError, IndexError, OverflowError, RuntimeError) as error:
             raise ValueError(f"incomplete: {error}") from error
+        self._learner, self._bands = learner, bands
+        self.handle_time_jump()
 
     def _handle(self, event: StreamEvent) -> Iterator[Output]:
         match event:
@@ -214,6 +225,10 @@ class OnlineEstimator:
                     self._learner.observe(event.sample, event.power)
             case Gap():
                 self._learner.forget_window()
+            case TimeJump():
+                self._worker.cancel()
+                self._learner.forget_window()
+                self._begin_time()
 
     def _predict(self, kind: PowerKind, sample: Sample) -> Iterator[PowerEstimate]:
         prediction = self._learner.predict(sample)
@@ -241,7 +256,7 @@ class OnlineEstimator:
             self._collect()
         if not self._waiting and self.enabled and not self._silent_for(BATTERY_TIMEOUT_NS):
             self._begin_update()
-        yield self.parameters()
+        yield replace(self.parameters(), stamp_ns=stamp_ns)
 
     def _collect(self) -> None:
         candidate = self._worker.collect()
@@ -264,12 +279,13 @@ class OnlineEstimator:
 
     def _silent_for(self, duration_ns: int) -> bool:
         """Whether the battery has been silent for this long, by stamps."""
-        if self._newest_ns is None or self._battery_ns is None:
+        newest_ns, battery_ns = self._stream.newest_ns, self._stream.battery_ns
+        if newest_ns is None or battery_ns is None:
             return True
-        return self._newest_ns - self._battery_ns > duration_ns
+        return newest_ns - battery_ns > duration_ns
 
     def _activity(self) -> Activity:
-        if self._newest_ns is None:
+        if self._stream.newest_ns is None:
             return Activity.WAITING
         if self._silent_for(BATTERY_TIMEOUT_NS):
             return Activity.PREDICTING

@@ -150,10 +150,15 @@ class HybridLearner:
         weights = torch.tensor(state["network"], dtype=torch.float64)
         if weights.shape != self._network.vector().shape:
             raise ValueError("the saved network has another shape")
+        merit = np.array(state["merit"], dtype=float)
+        if merit.shape != self._merit.shape or not (np.isfinite(merit).all() and merit[1] > 0):
+            raise ValueError("the saved merit does not fit")
+        if not torch.isfinite(weights).all():
+            raise ValueError("the saved network is not finite")
         self.parameter_filter.restore(state["parameter_filter"])
         self.power_filter.restore(state["power_filter"])
         self._network.load_vector(weights)
-        self._merit = np.array(state["merit"], dtype=float)
+        self._merit = merit
 
     def _step(self, sample: Sample) -> float:
         """Seconds this sample stands for."""
@@ -186,7 +191,8 @@ class HybridLearner:
         data = batch(observations, newest_ns)
         power, gradient = self.power_filter.powers(data)
         scale = self.power_filter.residual_stds(data.speed)
-        age = np.minimum(data.age / WINDOW, 1.0)
+        # What the store kept from before time went back is younger than the newest, and old.
+        age = np.minimum(np.abs(data.age) / WINDOW, 1.0)
         return JointProblem(
             inputs=np.stack((data.speed, data.acceleration, age), axis=1) / _SCALES,
             residual=(data.power - power) / scale,

@@ -53,6 +53,8 @@ SPEED_SCALE = 30.0  # m/s
 POWER_SCALE = 20_000.0  # W
 MIN_SAMPLES = 50
 NOISE_MEMORY = 300.0  # samples over which the size of the residuals is followed
+FAR = 5.0  # log values beyond this are no car's
+LEAST_NOISE = 60.0  # W, 1-sigma of the residuals, however well the window fits
 CORRELATED_SAMPLES = 5.0  # samples of a 10 Hz stream that count as one
 
 
@@ -188,6 +190,7 @@ class PaperLearner:
             "p_aux": self._trained.p_aux,
             "covariance": self._trained.covariance.tolist(),
             "variance": self._variance,
+            "fresh": self._fresh,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -196,14 +199,20 @@ class PaperLearner:
         weights = torch.tensor(state["network"], dtype=torch.float32)
         log_scale = torch.tensor(state["log_scale"], dtype=torch.float32)
         covariance = np.array(state["covariance"], dtype=float)
+        numbers = [float(state[name]) for name in ("p_aux", "variance")]
         if weights.shape != network.vector().shape or log_scale.shape != (len(LEARNED),):
             raise ValueError("the saved network has another shape")
         if covariance.shape != (len(LEARNED), len(LEARNED)) or not np.isfinite(covariance).all():
             raise ValueError("the saved covariance does not fit")
+        known = torch.isfinite(weights).all() and (log_scale.abs() < FAR).all()
+        if not (known and np.isfinite(numbers).all() and numbers[1] > 0):
+            raise ValueError("the saved values are not finite")
+        if np.linalg.eigvalsh(covariance)[0] < 0:
+            raise ValueError("the saved covariance is none")
         network.load_vector(weights)
-        self._trained = Trained(network, log_scale, {}, float(state["p_aux"]), covariance)
-        self._variance = float(state["variance"])
-        self._fresh = False
+        self._trained = Trained(network, log_scale, {}, numbers[0], covariance)
+        self._variance = numbers[1]
+        self._fresh = bool(state["fresh"])
 
     def _values(self, trained: Trained) -> Parameters:
         scale = np.exp(trained.log_scale.double().numpy())
@@ -226,8 +235,8 @@ class PaperLearner:
 
     def _train(self, before: Trained, data: Batch) -> Trained:
         """`EPOCHS` full-batch steps of Adam on eq. 22."""
-        standing_power = auxiliary_power(data.speed, data.power)
-        p_aux = before.p_aux if np.isnan(standing_power) else standing_power
+        standing = auxiliary_power(data.speed, data.power - data.known_auxiliary)
+        p_aux = before.p_aux if np.isnan(standing) else max(standing, LIMITS["p_aux"].lower)
         columns = Tensors._make(torch.tensor(column, dtype=torch.float32) for column in data)
         inputs = torch.stack((columns.speed / SPEED_SCALE, -columns.age / WINDOW), dim=1)
         network, log_scale = before.network, before.log_scale.requires_grad_()
@@ -263,7 +272,7 @@ class PaperLearner:
         """Laplace's approximation for the log parameters: curvature plus priors, shape (5, 5)."""
         gradient = torch.func.jacfwd(lambda z: self._learned_physics(data, z, p_aux))(log_scale)
         residual = data.power - self._learned_physics(data, log_scale, p_aux)
-        noise = float(torch.mean(residual**2)) * CORRELATED_SAMPLES
+        noise = max(float(torch.mean(residual**2)), LEAST_NOISE**2) * CORRELATED_SAMPLES
         rows = gradient.double().numpy()
         return np.linalg.inv(rows.T @ rows / noise + np.diag(self._prior_std**-2))
 

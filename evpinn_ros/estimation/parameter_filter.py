@@ -5,11 +5,12 @@ copper loss that the paper's constant efficiency leaves out, and the unknown slo
 (grade that no sensor reports, and head wind, which acts alike). The measurement is battery power:
 
     P = s w + p_aux + known + copper a^2,    s = 1 if w > 0 else eta mu
-    w = v [rho A C_d v |v| / 2 + m g (C_rr cos(th) + sin(th)) + k m a] / eta,   th = grade + slope
+    w = v [rho A C_d v |v| / 2 + m g (+-C_rr cos(th) + sin(th)) + k m a] / eta,  th = grade + slope
 
-(eq. 12-19 in the `wheel_power` form.) In logarithms the products that data determine are sums,
-so the direction they cannot tell, (eta, 1/mu, mass, C_d) scaled together, is one straight line in
-which the prior's variance simply stays: the posterior is honest without any special case.
+(eq. 12-19 in the `wheel_power` form; + C_rr forward, - in reverse.) In logarithms the products
+that data determine are sums, so the direction they cannot tell, (eta, 1/mu, mass, C_d) scaled
+together, is one straight line in which the prior's variance simply stays: the posterior is honest
+without any special case.
 
 With the copper loss free, power is predicted better, but eta and mu no longer mean what they mean
 in eq. 12-21. So the hybrid learner runs this filter twice: with the loss to predict power, and
@@ -51,7 +52,7 @@ TIME_CONSTANTS = {  # s of relaxation to the prior
     MASS: 100 * HOUR,
     C_RR: 10 * HOUR,
     C_D: 100 * HOUR,
-    P_AUX: 0.5 * HOUR,
+    P_AUX: HOUR / 6,
     COPPER: 100 * HOUR,
 }
 
@@ -62,6 +63,7 @@ OUTLIER = 2.5  # sigmas beyond which a residual's weight falls (Huber)
 NOISE_MEMORY = 300.0  # s over which the size of the residuals is learned
 NOISE_RANGE = (0.25, 9.0)  # of variance, relative to the constants above
 TINY = 1e-12  # variance of a state that is held
+FAR = 20.0  # prior sigmas within which every state lies
 
 
 class Prediction(NamedTuple):
@@ -220,6 +222,8 @@ class ParameterFilter:
             raise ValueError("the saved filter has another shape")
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise ValueError("the saved filter is not finite")
+        if not self._is_possible(mean, covariance):
+            raise ValueError("the saved filter is no state this car could have")
         if not NOISE_RANGE[0] <= noise_scale <= NOISE_RANGE[1]:
             raise ValueError("the saved noise is out of range")
         self.mean, self.covariance, self.noise_scale = mean, covariance, noise_scale
@@ -231,17 +235,20 @@ class ParameterFilter:
         angle = sample.grade + slope
         weight = mass * GRAVITY * v
         drag = drag_force(v, self._vehicle.frontal_area * c_d, sample.air_density) * v
-        rolling = weight * c_rr * np.cos(angle)
+        rolling = np.abs(weight) * c_rr * np.cos(angle)
         climbing = weight * np.sin(angle)
         inertia = inertia_force(mass * self._vehicle.rotating_mass_factor, a) * v
         wheel = drag + rolling + climbing + inertia
         driving = wheel > 0
         share = np.where(driving, 1.0 / eta, mu)
+        # The slope is guessed from power alone, so it is no known force to learn mass or eta by:
+        # counted as one, its noise would be taken for excitation.
+        known = wheel - (climbing - weight * np.sin(sample.grade))
         gradient = np.stack(
             (
-                np.where(driving, -share * wheel, 0.0),
-                np.where(driving, 0.0, share * wheel),
-                share * (wheel - drag),
+                np.where(driving, -share * known, 0.0),
+                np.where(driving, 0.0, share * known),
+                share * (known - drag),
                 share * rolling,
                 share * drag,
                 np.ones_like(wheel),
@@ -269,11 +276,28 @@ class ParameterFilter:
         self.noise_scale = min(max(scale, NOISE_RANGE[0]), NOISE_RANGE[1])
 
     def _respect_efficiency_limits(self) -> None:
-        """Project onto eta <= 1 and mu <= 1 along the covariance (Simon, 2010, section 2.4)."""
-        for index in (ETA, MU):
-            if self.mean[index] > 0.0:
-                column = self.covariance[:, index]
-                self.mean = self.mean - column * (self.mean[index] / column[index])
+        """Project onto eta <= 1 and mu <= 1 along the covariance (Simon, 2010, section 2.4).
+
+        First onto the one limit that is passed; where that leads beyond the other, onto both.
+        """
+        limited = [ETA, MU]
+        passed = [[index] for index in limited if self.mean[index] > 0.0]
+        for held in (*passed, limited) if passed else ():
+            columns = self.covariance[:, held]
+            mean = self.mean - columns @ np.linalg.solve(columns[held], self.mean[held])
+            mean[held] = 0.0
+            if (mean[limited] <= 0.0).all():
+                self.mean = mean
+                return
+
+    def _is_possible(self, mean: np.ndarray, covariance: np.ndarray) -> bool:
+        """Whether a state has a true covariance within the prior's, and a mean not too far off."""
+        scale = np.sqrt(np.maximum(self._prior_variance, TINY))
+        near = np.abs(mean - self._prior_mean) <= FAR * scale
+        relative = covariance / np.outer(scale, scale)
+        if not (near.all() and np.allclose(relative, relative.T)):
+            return False
+        return bool(np.linalg.eigvalsh(relative)[0] > -1e-6 and np.diag(relative).max() < 1 + 1e-6)
 
     def _step(self, sample: Sample) -> float:
         if self._last_ns is None:

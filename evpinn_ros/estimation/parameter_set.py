@@ -11,6 +11,7 @@ from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
 
 ESTIMATING_BELOW = 0.95  # of the prior's variance left in the combination, then learning shows
 VALID_BELOW = 0.25  # then the data speak louder than the prior
+UNOBSERVABLE_ABOVE = 0.9  # of the parameter's own prior variance: the data cannot tell it
 # The identifiable combination on which each parameter rests.
 RESTS_ON = {
     "eta": "mass_over_eta",
@@ -37,7 +38,7 @@ def parameter_set(stamp_ns: int, source: ParameterFilter) -> ParameterSet:
             prior_share=getattr(share, name),
             lower=limits.lower,
             upper=limits.upper,
-            state=_state(getattr(combined_share, RESTS_ON[name])),
+            state=_state(getattr(combined_share, RESTS_ON[name]), getattr(share, name)),
         )
     reliable = all(getattr(combined_share, name) < VALID_BELOW for name in RELIABLE_NEEDS)
     return ParameterSet(stamp_ns, parameters, combined, combined_std, reliable)
@@ -58,7 +59,7 @@ def _bounds(combined: Identifiable, area: float) -> dict[str, Limits]:
     return bounds
 
 
-def _state(share: float) -> State:
-    if share < VALID_BELOW:
-        return State.VALID
-    return State.ESTIMATING if share < ESTIMATING_BELOW else State.UNESTIMATED
+def _state(combined_share: float, own_share: float) -> State:
+    if combined_share > ESTIMATING_BELOW or own_share > UNOBSERVABLE_ABOVE:
+        return State.UNESTIMATED
+    return State.VALID if combined_share < VALID_BELOW else State.ESTIMATING

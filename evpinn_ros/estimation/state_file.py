@@ -40,12 +40,18 @@ def read_state(path: Path) -> dict[str, Any] | None:
         size = path.stat().st_size
     except FileNotFoundError:
         return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
     if size > MAX_FILE_BYTES:
         raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a saved state")
     try:
-        state = json.loads(path.read_text(encoding="utf-8"))
+        state = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a saved state: {error}") from error
     if not isinstance(state, dict):
         raise InputError(f"{path}: not a saved state")
     return state
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no number to be saved")

@@ -85,7 +85,7 @@ class SampleStore:
         if sample.speed < SPEED_EDGES[0]:
             return
         key = (
-            int(np.searchsorted(SPEED_EDGES, sample.speed)),
+            int(np.searchsorted(SPEED_EDGES, sample.speed, side="right")),
             int(np.searchsorted(ACCELERATION_EDGES, sample.acceleration)),
         )
         bucket = self._buckets.setdefault(key, deque(maxlen=BUCKET_SIZE))

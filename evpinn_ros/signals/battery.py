@@ -34,6 +34,11 @@ class PowerTrack:
         del self._stamps[:surplus], self._powers[:surplus]
         return True
 
+    def next_ns(self, stamp_ns: int) -> int | None:
+        """Stamp of the first reading at a moment or after it, None while there is none."""
+        index = bisect_left(self._stamps, stamp_ns)
+        return self._stamps[index] if index < len(self._stamps) else None
+
     def at(self, stamp_ns: int) -> float | None:
         """Power, W, at a moment, linear between its neighbours; None where it was not measured."""
         index = bisect_left(self._stamps, stamp_ns)

@@ -63,7 +63,8 @@ class SpeedTrack:
             until_ns: speed after this is not used.
 
         Returns:
-            Both, or NaN for the acceleration while there are fewer than `MIN_POINTS` speeds.
+            Both, or NaN for the acceleration while there are fewer than `MIN_POINTS` speeds, or
+            these lie too close together to tell it.
         """
         last = bisect_right(self._stamps, until_ns)
         first = bisect_left(self._stamps, stamp_ns - int(SMOOTHING_BACK * NANOSECONDS) - 1)
@@ -74,7 +75,10 @@ class SpeedTrack:
             return float(speed[-1]) if len(speed) else np.nan, np.nan
         basis = np.stack((np.ones_like(time), time, time**2), axis=1)
         normal = basis.T @ basis
-        coefficients = np.linalg.solve(normal, basis.T @ speed)
+        try:
+            coefficients = np.linalg.solve(normal, basis.T @ speed)
+        except np.linalg.LinAlgError:
+            return float(speed[-1]), np.nan
         return float(coefficients[0]), float(coefficients[1])
 
     def differences(self) -> np.ndarray:

@@ -18,13 +18,31 @@ from evpinn_ros.signals.readings import (
 )
 
 GRADE_SPAN = 60.0  # m of road over which altitude is turned into grade
+GRADE_STEP = 1.0  # m between altitudes kept, so that a standing car does not pile them up
 GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
+ALTITUDES = (-500.0, 9000.0)  # m, where roads are
+TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
+MAX_AUXILIARY = 50_000.0  # W
 GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
 STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
 REFERENCE_CELSIUS = 20.0  # at which vehicle files state air density
 KELVIN = 273.15
 
 RoadReading: TypeAlias = AltitudeReading | AuxiliaryReading | GradeReading | TemperatureReading
+
+
+def why_impossible(reading: RoadReading) -> str | None:
+    """Why a reading cannot be true, or None."""
+    match reading:
+        case TemperatureReading():
+            possible, what = TEMPERATURES[0] <= reading.celsius <= TEMPERATURES[1], "temperature"
+        case AuxiliaryReading():
+            possible, what = 0.0 <= reading.power <= MAX_AUXILIARY, "auxiliary"
+        case GradeReading():
+            possible, what = abs(reading.grade) <= GRADE_LIMIT, "grade"
+        case AltitudeReading():
+            possible, what = ALTITUDES[0] <= reading.altitude <= ALTITUDES[1], "altitude"
+    return None if possible else f"{what}_out_of_range"
 
 
 class GradeSource(str, Enum):
@@ -60,13 +78,11 @@ class Road:
             case GradeReading():
                 self._pitch.append((reading.stamp_ns, reading.grade))
                 oldest = reading.stamp_ns - int(GRADE_WINDOW * NANOSECONDS)
-                while self._pitch[0][0] < oldest:
+                while not oldest <= self._pitch[0][0] <= reading.stamp_ns:
                     self._pitch.popleft()
             case AltitudeReading():
-                self._profile.append((self._distance, reading.altitude))
+                self._add_altitude(reading.altitude)
                 self._altitude_ns = reading.stamp_ns
-                while self._profile[0][0] < self._distance - GRADE_SPAN:
-                    self._profile.popleft()
 
     def travel(self, distance: float) -> None:
         """Move on by a distance, m."""
@@ -99,6 +115,14 @@ class Road:
             return 0.0
         return self._auxiliary[1]
 
+    def _add_altitude(self, altitude: float) -> None:
+        if self._profile and self._distance - self._profile[-1][0] < GRADE_STEP:
+            self._profile[-1] = (self._profile[-1][0], altitude)
+            return
+        self._profile.append((self._distance, altitude))
+        while self._profile[0][0] < self._distance - GRADE_SPAN:
+            self._profile.popleft()
+
     def _fresh_pitch(self, stamp_ns: int) -> bool:
         return bool(self._pitch) and _age(stamp_ns, self._pitch[-1][0]) < STALE_AFTER
 
@@ -116,4 +140,5 @@ class Road:
 
 
 def _age(now_ns: int, stamp_ns: int) -> float:
-    return (now_ns - stamp_ns) / NANOSECONDS
+    """Seconds between two stamps; a stamp from the future is as far from now as an old one."""
+    return abs(now_ns - stamp_ns) / NANOSECONDS

@@ -57,4 +57,11 @@ class Gap:
     duration: float
 
 
-StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Gap
+@dataclass(frozen=True, slots=True)
+class TimeJump:
+    """Time went back to this stamp; nothing may be joined across, as for a `Gap`."""
+
+    stamp_ns: int
+
+
+StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Gap | TimeJump

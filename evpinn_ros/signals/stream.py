@@ -2,8 +2,10 @@
 
 Speed sets the pace. Each new speed gives a `NewestSample` at once; each moment that lies
 `smoothing_lag` back gives a `SmoothedSample` (at most one each `SAMPLE_PERIOD`), and a
-`MeasuredSample` as soon as battery readings on both sides of it are known. What is late, doubled
-or impossible is dropped and counted by reason.
+`MeasuredSample` once battery readings on both sides of it are known, and not before the smoothed
+moments up to the later one: so no prediction rests on a battery reading of its own moment or
+after. What is late, doubled or impossible is dropped and counted by reason. When nothing but late
+readings come, time itself went back and the stream starts anew.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import math
 from evpinn_ros.signals.battery import PowerTrack
 from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS, CausalDifferentiator, SpeedTrack
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.signals.road import GradeSource, Road
+from evpinn_ros.signals.road import GradeSource, Road, RoadReading, why_impossible
 from evpinn_ros.signals.sample import (
     Gap,
     MeasuredSample,
@@ -24,6 +26,7 @@ from evpinn_ros.signals.sample import (
     Sample,
     SmoothedSample,
     StreamEvent,
+    TimeJump,
 )
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
@@ -31,6 +34,7 @@ MAX_SPEED = 100.0  # m/s, no production car
 MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
 MAX_VOLTAGE = 2000.0  # V
 MAX_CURRENT = 5000.0  # A
+JUMP_AFTER = 10  # readings late in a row are no stragglers: time went back
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +75,19 @@ class SampleStream:
         self._moments: deque[int] = deque()
         self._unmeasured: deque[Sample] = deque()
         self._last_moment_ns: int | None = None
+        self._speeds_late = self._batteries_late = 0
         self._differentiator.forget_pending()
         self._road.forget()
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest speed, None before the first."""
+        return self._speed.newest_ns if len(self._speed) else None
+
+    @property
+    def battery_ns(self) -> int | None:
+        """Stamp of the newest battery reading, None before the first."""
+        return self._power.newest_ns
 
     def push(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""
@@ -82,16 +97,28 @@ class SampleStream:
             case BatteryReading():
                 self._push_battery(reading)
             case _:
-                self._road.push(reading)
-        yield from self._match_power()
+                self._push_road(reading)
+        if self._last_moment_ns is not None:
+            yield from self._match_power(self._last_moment_ns)
+        self._drop_hopeless()
 
     def _push_speed(self, reading: SpeedReading) -> Iterator[StreamEvent]:
         if not abs(reading.speed) <= MAX_SPEED:
             self.dropped["speed_out_of_range"] += 1
             return
-        newest = self._speed.newest_ns if len(self._speed) else None
+        newest = self.newest_ns
+        if newest is not None and newest - reading.stamp_ns > self._late_ns:
+            self._speeds_late += 1
+            if self._speeds_late < JUMP_AFTER:
+                self.dropped["speed_late"] += 1
+                return
+            self.reset()
+            newest = None
+            yield TimeJump(reading.stamp_ns)
+        self._speeds_late = 0
         if newest is not None and reading.stamp_ns <= newest:
-            self._insert_late_speed(reading, newest)
+            if not self._speed.add(reading.stamp_ns, reading.speed):
+                self.dropped["speed_doubled"] += 1
             return
         if newest is not None and reading.stamp_ns - newest > self._gap_ns:
             yield Gap(reading.stamp_ns, (reading.stamp_ns - newest) / NANOSECONDS)
@@ -102,12 +129,6 @@ class SampleStream:
         self._moments.append(reading.stamp_ns)
         yield from self._newest_sample(reading)
         yield from self._smoothed_samples()
-
-    def _insert_late_speed(self, reading: SpeedReading, newest: int) -> None:
-        if newest - reading.stamp_ns > self._late_ns:
-            self.dropped["speed_late"] += 1
-        elif not self._speed.add(reading.stamp_ns, reading.speed):
-            self.dropped["speed_doubled"] += 1
 
     def _begin_after_gap(self) -> None:
         self._speed = SpeedTrack()
@@ -123,7 +144,7 @@ class SampleStream:
             return
         yield NewestSample(self._sample(reading.stamp_ns, reading.speed, acceleration))
 
-    def _smoothed_samples(self) -> Iterator[SmoothedSample]:
+    def _smoothed_samples(self) -> Iterator[SmoothedSample | MeasuredSample]:
         newest = self._speed.newest_ns
         while self._moments and newest - self._moments[0] >= self._lag_ns:
             stamp_ns = self._moments.popleft()
@@ -132,9 +153,10 @@ class SampleStream:
             speed, acceleration = self._speed.smoothed(stamp_ns, newest)
             if math.isnan(acceleration):
                 continue
-            if abs(acceleration) > MAX_ACCELERATION:
+            if abs(acceleration) > MAX_ACCELERATION or abs(speed) > MAX_SPEED:
                 self.dropped["acceleration_impossible"] += 1
                 continue
+            yield from self._match_power(stamp_ns - 1)
             self._last_moment_ns = stamp_ns
             self._differentiator.learn(stamp_ns, acceleration)
             sample = self._sample(stamp_ns, speed, acceleration)
@@ -165,22 +187,37 @@ class SampleStream:
             return
         newest = self._power.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
-            self.dropped["battery_late"] += 1
-        elif not self._power.add(reading.stamp_ns, reading.power):
+            self._batteries_late += 1
+            if self._batteries_late < JUMP_AFTER:
+                self.dropped["battery_late"] += 1
+                return
+            self._power = PowerTrack(self._settings.max_gap)
+        self._batteries_late = 0
+        if not self._power.add(reading.stamp_ns, reading.power):
             self.dropped["battery_doubled"] += 1
 
-    def _match_power(self) -> Iterator[MeasuredSample]:
-        newest = self._power.newest_ns
-        while self._unmeasured and newest is not None and self._unmeasured[0].stamp_ns <= newest:
+    def _match_power(self, until_ns: int) -> Iterator[MeasuredSample]:
+        """Samples whose power battery readings up to a moment determine."""
+        while self._unmeasured:
+            after = self._power.next_ns(self._unmeasured[0].stamp_ns)
+            if after is None or after > until_ns:
+                return
             sample = self._unmeasured.popleft()
             power = self._power.at(sample.stamp_ns)
             if power is not None:
                 yield MeasuredSample(sample, power)
-        self._drop_hopeless()
 
     def _drop_hopeless(self) -> None:
-        """Stop waiting for the battery at moments further back than `max_gap`."""
+        """Stop waiting for the battery at moments that no two readings to be joined settled."""
         while self._unmeasured and len(self._speed):
-            if self._speed.newest_ns - self._unmeasured[0].stamp_ns <= self._gap_ns:
+            age_ns = self._speed.newest_ns - self._unmeasured[0].stamp_ns
+            if age_ns <= self._gap_ns + self._late_ns + self._lag_ns:
                 return
             self._unmeasured.popleft()
+
+    def _push_road(self, reading: RoadReading) -> None:
+        reason = why_impossible(reading)
+        if reason is None:
+            self._road.push(reading)
+        else:
+            self.dropped[reason] += 1

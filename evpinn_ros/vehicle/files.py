@@ -34,6 +34,7 @@ CONSTANTS: Mapping[str, Constant] = {
     "battery_capacity": Constant(1e6, 5e9, "J"),
 }
 OPTIONAL_CONSTANTS = ("battery_capacity",)
+LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +84,12 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
-        path = _vehicle_directory() / f"{name_or_path}.yaml"
-        if not path.is_file():
+        if str(name_or_path) not in vehicle_names():
             known = ", ".join(vehicle_names())
             raise InputError(
-                f"no vehicle named '{name_or_path}'; known are {known}, or give a path"
+                f"no vehicle named {str(name_or_path)!r}; known are {known}, or give a path"
             )
+        path = _vehicle_directory() / f"{name_or_path}.yaml"
     return _parse(path)
 
 
@@ -125,6 +126,7 @@ def _constant(section: Section, name: str) -> float:
 def _prior(section: Section, name: str) -> Prior:
     section.refuse_unknown(("value", "std", "source"))
     limits = LIMITS[name]
-    value = section.number("value", limits.lower, limits.upper)
+    least = limits.lower if name == "p_aux" else max(limits.lower, LEAST_FACTOR)
+    value = section.number("value", least, limits.upper)
     std = section.number("std", 1e-9, limits.upper)
     return Prior(value, std, section.text("source"))

@@ -58,11 +58,10 @@ def traction_power(
     mass = combined.mass_over_eta
     force = (
         drag_force(speed, combined.drag_area_over_eta, air_density)
-        + rolling_force(mass, combined.c_rr, grade)
         + grade_force(mass, grade)
         + inertia_force(mass * rotating_mass_factor, acceleration)
     )
-    return speed * force
+    return speed * force + abs(speed) * rolling_force(mass, combined.c_rr, grade)
 
 
 def combined_power(
@@ -87,5 +86,5 @@ def combined_power(
         grade=grade,
         rotating_mass_factor=rotating_mass_factor,
     )
-    driving = (traction > 0) * 1.0
-    return traction * (driving + (1.0 - driving) * combined.regeneration) + combined.p_aux
+    driving = traction * (traction > 0)
+    return driving + (traction - driving) * combined.regeneration + combined.p_aux

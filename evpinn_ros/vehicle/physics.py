@@ -47,7 +47,7 @@ def drag_force(speed: Any, drag_area: Any, air_density: Any) -> Any:
 
 
 def rolling_force(mass: Any, c_rr: Any, grade: Any = 0.0) -> Any:
-    """Rolling resistance of a moving car (eq. 13), N."""
+    """Rolling resistance of a moving car (eq. 13), N, against the motion."""
     return c_rr * mass * GRAVITY * _cos(grade)
 
 
@@ -81,12 +81,10 @@ def road_load_power(
     speed: Any, parameters: Parameters, area: float, air_density: Any, grade: Any = 0.0
 ) -> Any:
     """Power against drag, rolling resistance and grade at the wheels (eq. 12-14), W."""
-    force = (
-        drag_force(speed, area * parameters.c_d, air_density)
-        + rolling_force(parameters.mass, parameters.c_rr, grade)
-        + grade_force(parameters.mass, grade)
-    )
-    return speed * force
+    force = drag_force(speed, area * parameters.c_d, air_density)
+    force = force + grade_force(parameters.mass, grade)
+    rolling = rolling_force(parameters.mass, parameters.c_rr, grade)
+    return speed * force + abs(speed) * rolling
 
 
 def battery_power(
@@ -114,15 +112,15 @@ def battery_power(
     kinetic = inertia_force(parameters.mass, acceleration) * speed
     if form is RegenForm.WHEEL_POWER:
         wheel = load + kinetic
-        driving = (wheel > 0) * 1.0
-        traction = wheel * (driving / parameters.eta + (1.0 - driving) * parameters.mu)
+        driving = wheel * (wheel > 0)
+        traction = driving / parameters.eta + (wheel - driving) * parameters.mu
         return traction + parameters.p_aux
-    indicator = regeneration_indicator(acceleration, beta)
+    braking = kinetic * regeneration_indicator(acceleration, beta)
     if form is RegenForm.PRINTED:
-        share = 1.0 - parameters.mu * indicator
+        kinetic = kinetic - parameters.mu * braking
     else:
-        share = parameters.mu * indicator + 1.0 - indicator
-    return (load + kinetic * share) / parameters.eta + parameters.p_aux
+        kinetic = kinetic - (1.0 - parameters.mu) * braking
+    return (load + kinetic) / parameters.eta + parameters.p_aux
 
 
 def auxiliary_power(speed: np.ndarray, power: np.ndarray) -> float:

@@ -1,0 +1,36 @@
+"""`evpinn check-params`: whether a file is right, without starting anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.cli.console import results
+from evpinn_ros.nodes.parameter_file import check_parameter_file
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.yaml_section import compose
+
+
+def check_params(
+    file: Annotated[
+        Path, typer.Argument(help="Parameter file of the nodes, vehicle file or CAN profile.")
+    ],
+) -> None:
+    """Check a parameter file, a vehicle file or a CAN profile.
+
+    Example: evpinn check-params my_car.yaml
+    """
+    root = compose(file, "file")
+    if root.has("parameters"):
+        kind = "vehicle file"
+        load_vehicle(file)
+    elif root.has("dbc"):
+        kind = "CAN profile"
+        load_profile(file)
+    else:
+        kind = "parameter file"
+        check_parameter_file(file)
+    results.print(f"{file}: a valid {kind}", markup=False, soft_wrap=True)

@@ -1,0 +1,34 @@
+"""What a person sees: results on stdout, everything else on stderr, progress on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from evpinn_ros.replay.run import Progress as Report
+
+results = Console(highlight=False)
+notes = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """One line to the person, on stderr."""
+    notes.print(text, markup=False)
+
+
+@contextmanager
+def progress_bar(title: str, total: float | None) -> Iterator[Report]:
+    """Show progress on a terminal and nothing in a pipe; takes seconds of the drive done."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.completed:.0f} s of the drive"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
+        task = bar.add_task(title, total=total)
+        yield lambda done: bar.update(task, completed=done)

@@ -1,0 +1,66 @@
+"""`evpinn convert`: any recorded drive into a rosbag2 MCAP of our topics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.bags.convert import write_readings
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.cli.console import note, results
+from evpinn_ros.errors import InputError
+from evpinn_ros.replay.sources import CsvSource, open_source
+from evpinn_ros.vehicle.files import load_vehicle
+
+
+def convert(
+    source_path: Annotated[
+        Path, typer.Argument(metavar="IN", help="CSV, CAN log (.log, .asc, ...), .db3 or .mcap.")
+    ],
+    out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle by name or path; CAN logs need it.")
+    ] = None,
+    can_profile: Annotated[
+        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
+    ] = None,
+) -> None:
+    """Convert a recorded drive into a rosbag2 MCAP bag.
+
+    A CSV file has the columns t_s, speed_mps, voltage_v, current_a (positive = discharge) or
+    power_w, and optionally elevation_m, ambient_c, heating_w, aircon_w.
+
+    Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
+    """
+    car = load_vehicle(vehicle or "generic")
+    if vehicle is None and can_profile is None and _is_can_log(source_path):
+        raise InputError(f"{source_path}: a CAN log needs --vehicle")
+    source = open_source(source_path, car, can_profile)
+    with BagWriter(out) as writer:
+        dropped: Counter[str] = write_readings(source.readings(), writer)
+    dropped.update(source.dropped)
+    if isinstance(source, CsvSource):
+        _explain_csv(source, car.nominal_voltage)
+    for reason, count in sorted(dropped.items()):
+        note(f"{source_path}: {count} readings dropped: {reason}")
+    if source.problem:
+        raise InputError(f"{source.problem}; what could be read is in {out}")
+    results.print(f"{out}", markup=False, soft_wrap=True)
+
+
+def _is_can_log(path: Path) -> bool:
+    return any(suffix in (".log", ".asc", ".blf", ".trc") for suffix in path.suffixes)
+
+
+def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:
+    drive = source.drive
+    if drive.ignored:
+        note(f"{source.path}: columns not used: {', '.join(drive.ignored)}")
+    if drive.at_nominal_voltage:
+        note(
+            f"{source.path}: {drive.at_nominal_voltage} battery readings hold power alone; "
+            f"their voltage is the nominal {nominal_voltage:g} V"
+        )

@@ -1,0 +1,99 @@
+"""`evpinn demo`: a bundled drive through the three real nodes, and what they learned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import shutil
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.bags.convert import BagReadings
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.tables import energy_lines, live_table, score_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.parameter_table import Value
+from evpinn_ros.replay.recorded import recorded_drive
+from evpinn_ros.replay.run import WARM_UP
+from evpinn_ros.replay.scoring import drive_scores
+from evpinn_ros.report.figure import drive_figure, save_figure
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.simulation.output import read_truth
+from evpinn_ros.vehicle.files import load_vehicle
+
+DRIVE = "urban"
+VEHICLE = "tesla_model_3_lr"
+RATE = 8.0  # of real time: 360 s of driving in 45 s
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder of the bag and the picture.")] = Path(
+        "out/demo"
+    ),
+) -> None:
+    """Replay a bundled drive through the three nodes over DDS, and show what they learned.
+
+    A simulated car in town: its CAN frames go to the node `can_bridge`, its topics to `estimator`
+    and `energy`, each a process of its own. The truth of the car is known, and not told.
+
+    Example: evpinn demo
+    """
+    # Imported here: all other commands work where no ROS is.
+    from evpinn_ros.nodes.processes import record_through_nodes
+
+    source = share_directory() / "bags" / DRIVE
+    bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"
+    _clear(bag)
+    out.mkdir(parents=True, exist_ok=True)
+    frames = _frames(source)
+    write_log(log, frames)
+    end_ns, duration = frames[-1].stamp_ns, (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9
+    note(f"Driving {duration:.0f} s in town at {RATE:g} times real time, through three nodes.")
+    parameters: dict[str, Value] = {
+        "vehicle": VEHICLE,
+        "log_file": str(log),
+        "log_rate": RATE,
+        "wait_for_update": True,
+    }
+    with progress_bar("evpinn demo", total=duration) as progress:
+        record_through_nodes(parameters, end_ns, bag, progress)
+    drive = recorded_drive(bag)
+    truth = read_truth(source)
+    save_figure(
+        drive_figure(drive, "A simulated drive in town, through the nodes", truth), picture
+    )
+    found = drive_scores(drive, WARM_UP)
+    results.print(score_table(drive, found))
+    for line in energy_lines(found):
+        results.print(line, markup=False, soft_wrap=True)
+    results.print(live_table(drive, truth))
+    results.print(f"Picture  {picture}\nBag      {bag}", markup=False, soft_wrap=True)
+
+
+def _frames(source: Path) -> list[CanFrame]:
+    """The drive as the frames of the car's CAN bus."""
+    profile = load_vehicle(VEHICLE).can_profile
+    assert profile is not None, "the demonstration's car has a CAN profile"
+    encoder = Encoder(load_profile(profile))
+    frames = []
+    with BagReader(source) as reader:
+        for reading in BagReadings(reader):
+            if isinstance(reading, SpeedReading):
+                frames.append(encoder.speed(reading))
+            elif isinstance(reading, BatteryReading):
+                frames.append(encoder.battery(reading))
+    return frames
+
+
+def _clear(bag: Path) -> None:
+    """Remove the bag of an earlier demonstration, and nothing that is not one."""
+    if (bag / "metadata.yaml").is_file():
+        shutil.rmtree(bag)
+    elif bag.exists():
+        raise InputError(f"{bag}: is in the way and no bag of an earlier demo; give another --out")

@@ -1,0 +1,189 @@
+"""`evpinn replay`: recorded drives through the whole chain."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import shlex
+import sys
+import time
+from typing import Annotated, Any
+
+import torch
+import typer
+
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.tables import energy_lines, parameter_table, score_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.estimation.state_file import read_state, write_state
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.nodes.parameter_file import read_parameter_file
+from evpinn_ros.nodes.parameter_table import TABLES, Value
+from evpinn_ros.nodes.settings import estimator_settings
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.run import (
+    WARM_UP,
+    Replayed,
+    ReplayOptions,
+    has_battery,
+    output_folders,
+)
+from evpinn_ros.replay.run import replay as replay_drive
+from evpinn_ros.replay.sources import Source, open_source
+from evpinn_ros.report.figure import drive_figure
+from evpinn_ros.report.html import write_html
+from evpinn_ros.simulation.output import read_truth
+from evpinn_ros.vehicle.files import load_vehicle
+
+
+def replay(
+    inputs: Annotated[
+        list[Path], typer.Argument(help="Bags, CAN logs or CSV files of one car, in order.")
+    ],
+    vehicle: Annotated[
+        str, typer.Option(help="Vehicle by name, or the path of its file.")
+    ] = "generic",
+    mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
+    params: Annotated[
+        Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="New bag for inputs and outputs; for several inputs a folder of bags."),
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write an HTML report.")] = None,
+    metrics: Annotated[Path | None, typer.Option(help="Write the scores as JSON.")] = None,
+    withhold_battery_after: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Hide the battery from here on, s: what is speed worth alone?"),
+    ] = None,
+    warm_up: Annotated[float, typer.Option(min=0.0, help="Not scored at the start, s.")] = WARM_UP,
+    state: Annotated[
+        Path | None,
+        typer.Option(help="What was learned: read at the start if there, written at the end."),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.01, help="Of real time; as fast as it can if not given.")
+    ] = None,
+    can_profile: Annotated[
+        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
+    ] = None,
+) -> None:
+    """Replay recorded drives through the chain, and score every prediction.
+
+    The same cores as in the nodes, without ROS: readings, samples, learning, power, energy. What
+    one input teaches is carried over to the next.
+
+    Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
+    """
+    # One thread, so that the same bag gives the same bits and other cores stay free.
+    torch.set_num_threads(1)
+    car = load_vehicle(vehicle)
+    settings = estimator_settings(_parameters(params, mode))
+    sources = [open_source(path, car, can_profile) for path in inputs]
+    chain = Chain(car, settings, InlineWorker(time.perf_counter))
+    _restore(chain, state)
+    options = ReplayOptions(withhold_battery_after, warm_up, rate)
+    done: list[Replayed] = []
+    try:
+        for source, folder in zip(sources, output_folders(out, sources), strict=True):
+            if done:
+                chain.begin_next_drive()
+            done.append(
+                _one(source, chain, options, folder, vehicle=car.key, mode=settings.mode.value)
+            )
+            _show(done[-1], source, warm_up)
+    finally:
+        # Whatever ends a later drive, the results of those before it are kept.
+        _write(done, metrics, report, withhold_battery_after)
+        if state is not None and done:
+            write_state(state, chain.estimator.export())
+    if any(result.problem for result in done):
+        raise typer.Exit(1)
+
+
+def _parameters(params: Path | None, mode: Mode | None) -> dict[str, Value]:
+    """Parameters of the node `estimator`: defaults, the file over them, the command over both."""
+    values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
+    if params is not None:
+        values.update(read_parameter_file(params, "estimator"))
+    if mode is not None:
+        values["mode"] = mode.value
+    return values
+
+
+def _restore(chain: Chain, state: Path | None) -> None:
+    saved = read_state(state) if state is not None else None
+    if saved is None:
+        return
+    try:
+        chain.estimator.restore(saved)
+    except ValueError as error:
+        raise InputError(f"{state}: {error}") from error
+
+
+def _one(
+    source: Source,
+    chain: Chain,
+    options: ReplayOptions,
+    folder: Path | None,
+    *,
+    vehicle: str,
+    mode: str,
+) -> Replayed:
+    """Replay one drive, into a bag if there is a folder for it."""
+    writer = BagWriter(folder) if folder is not None else None
+    try:
+        with progress_bar(source.path.name, total=None) as progress:
+            return replay_drive(
+                source,
+                chain,
+                options,
+                vehicle=vehicle,
+                mode=mode,
+                writer=writer,
+                progress=progress,
+            )
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def _show(result: Replayed, source: Source, warm_up: float) -> None:
+    """Tables for people, and a line for each thing that was missing."""
+    found = result.metrics
+    if result.problem:
+        note(f"evpinn: {result.problem}")
+    if not has_battery(result.drive):
+        note(f"evpinn: {source.path}: no battery voltage and current; nothing could be learned")
+    results.print(
+        f"{found['input']['path']}: {result.drive.duration:.0f} s, {found['vehicle']}, "
+        f"{found['mode']}, {found['replay']['realtime_factor'] or 0:.0f} x real time",
+        markup=False,
+        soft_wrap=True,
+    )
+    dropped = ", ".join(f"{n} {reason}" for reason, n in found["input"]["dropped"].items())
+    if dropped:
+        results.print(f"Dropped readings: {dropped}", markup=False)
+    results.print(score_table(result.drive, found, warm_up))
+    for line in energy_lines(found):
+        results.print(line, markup=False, soft_wrap=True)
+    results.print(parameter_table(found, read_truth(source.path)))
+
+
+def _write(
+    done: list[Replayed], metrics: Path | None, report: Path | None, withheld_from: float | None
+) -> None:
+    if metrics is not None and done:
+        found: list[dict[str, Any]] = [result.metrics for result in done]
+        metrics.parent.mkdir(parents=True, exist_ok=True)
+        metrics.write_text(json.dumps(found if len(found) > 1 else found[0], indent=1) + "\n")
+    if report is not None and done:
+        drives = [
+            (drive_figure(r.drive, Path(r.metrics["input"]["path"]).name, None, withheld_from), r)
+            for r in done
+        ]
+        command = shlex.join(["evpinn", *sys.argv[1:]])
+        write_html(report, [(figure, r.metrics) for figure, r in drives], command)

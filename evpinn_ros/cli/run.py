@@ -1,0 +1,51 @@
+"""`evpinn run`: the three nodes in one process, live."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.nodes.parameter_table import Value
+
+
+def run(
+    vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
+    can_interface: Annotated[
+        str, typer.Option(help="Driver of the adapter, as python-can calls it.")
+    ] = "socketcan",
+    can_channel: Annotated[str, typer.Option(help="can0, /dev/ttyACM0...")] = "can0",
+    can_profile: Annotated[
+        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
+    ] = None,
+    mode: Annotated[Mode | None, typer.Option(help="How to learn.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Record every topic to this bag.")] = None,
+    params: Annotated[
+        Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
+    ] = None,
+    state: Annotated[
+        Path | None, typer.Option(help="Where what was learned is kept between drives.")
+    ] = None,
+) -> None:
+    """Run CAN bridge, estimator and energy live, until Ctrl-C.
+
+    Listens only: nothing is ever sent to the car.
+
+    Example: evpinn run --vehicle nissan_leaf --can-channel can0 --record out/today
+    """
+    # Imported here: all other commands work where no ROS is.
+    from evpinn_ros.nodes.all_in_one import run as run_nodes
+
+    given: dict[str, Value | None] = {
+        "vehicle": vehicle,
+        "interface": can_interface,
+        "channel": can_channel,
+        "can_profile": can_profile,
+        "mode": mode.value if mode is not None else None,
+        "state_file": str(state) if state is not None else None,
+    }
+    parameters = {name: value for name, value in given.items() if value is not None}
+    ros_args = ["--params-file", str(params)] if params is not None else []
+    raise typer.Exit(run_nodes(parameters, record=record, ros_args=ros_args))

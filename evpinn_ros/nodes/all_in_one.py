@@ -1,0 +1,52 @@
+"""The three nodes, and a recorder if wanted, in one process: what `evpinn run` starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from evpinn_ros.nodes import running
+from evpinn_ros.nodes.can_bridge import CanBridgeNode
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.parameter_table import TABLES, Value
+from evpinn_ros.nodes.parameters import overrides
+from evpinn_ros.nodes.recorder import RecorderNode
+from evpinn_ros.nodes.topics import NAMESPACE
+
+NODES = {"can_bridge": CanBridgeNode, "estimator": EstimatorNode, "energy": EnergyNode}
+
+
+def run(
+    parameters: Mapping[str, Value],
+    *,
+    record: Path | None = None,
+    namespace: str = NAMESPACE,
+    ros_args: Sequence[str] = (),
+) -> int:
+    """Run everything until SIGINT or SIGTERM.
+
+    Args:
+        parameters: values by name; each node takes those of its table, over any file's.
+        record: folder of a bag to write.
+        namespace: of all topics.
+        ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
+
+    Returns:
+        The exit code: 0 when told to stop, 1 with one line on stderr when input is wrong.
+    """
+    args = ["--ros-args", *ros_args] if ros_args else []
+    makers: list[running.MakeNode] = [
+        partial(make, **_options(name, namespace, parameters)) for name, make in NODES.items()
+    ]
+    if record is not None:
+        makers.append(partial(RecorderNode, record, namespace=namespace))
+    return running.run(*makers, args=args)
+
+
+def _options(name: str, namespace: str, parameters: Mapping[str, Value]) -> dict[str, Any]:
+    known = {parameter.name for parameter in TABLES[name]}
+    own = {key: value for key, value in parameters.items() if key in known}
+    return {"namespace": namespace, "parameter_overrides": overrides(own)}

@@ -1,0 +1,149 @@
+"""What every node here has: checked parameters, guarded callbacks, counters, diagnostics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import math
+from typing import Any
+
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from evpinn_ros.nodes import factory, topics
+from evpinn_ros.nodes.diagnosis import Health, Status
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.messages import BadMessage, diagnostics
+from evpinn_ros.nodes.parameter_table import TABLES
+from evpinn_ros.nodes.parameters import declare
+from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.signals.readings import NANOSECONDS
+
+REPORT_PERIOD = 1.0  # s, REP-107
+NOT_FINITE = "output_not_finite"
+
+
+class GuardedNode(Node):
+    """A node whose callbacks never raise and which reports its health once a second.
+
+    Attributes:
+        values: of the parameters, by name; they follow changes.
+        received: messages by input.
+        published: messages by output.
+        bad: messages and outputs that were not used, by topic and reason.
+    """
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        """Declare the parameters of the table `name`; `kwargs` go to rclpy's Node.
+
+        Raises:
+            InputError: a parameter is wrong.
+        """
+        super().__init__(name, **kwargs)
+        self.values = declare(self, TABLES.get(name, ()))
+        self.received: Counter[Topic] = Counter()
+        self.published: Counter[Topic] = Counter()
+        self.bad: Counter[str] = Counter()
+        self._faults: Counter[str] = Counter()
+        self._outlets: dict[Topic, Any] = {}
+        self._arrivals: dict[Topic, int] = {}
+        # Timers of the node's clock stand still when that clock does, and so would the report.
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.advertise(topics.DIAGNOSTICS)
+        self.every(REPORT_PERIOD, self.report)
+
+    def statuses(self) -> Iterable[Status]:
+        """The health of the node's parts, for `/diagnostics`."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Let go of threads and files; called once, when the node has stopped spinning."""
+
+    def advertise(self, *outputs: Topic) -> None:
+        """Make publishers for `publish`."""
+        self._outlets |= {topic: factory.advertise(self, topic) for topic in outputs}
+
+    def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
+        """Subscribe, with `raw` to bytes; what the callback raises is counted."""
+
+        def take(message: Any) -> None:
+            self.received[topic] += 1
+            self._arrivals[topic] = self.now_ns()
+            callback(message)
+
+        factory.subscribe(self, topic, self.guarded(take, topic.name), raw=raw)
+
+    def every(self, seconds: float, callback: Callable[[], None]) -> None:
+        """Call back by a clock that never jumps."""
+        safe = self.guarded(callback, callback.__name__)
+        self.create_timer(seconds, safe, clock=self._steady)
+
+    def on_clock_going_back(self, callback: Callable[[], None]) -> None:
+        """Call back when the node's clock jumps back, as /clock does when a bag starts over."""
+        threshold = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        )
+
+        def jumped(_: Any) -> None:
+            self._arrivals.clear()
+            callback()
+
+        self._jump_handle = self.get_clock().create_jump_callback(
+            threshold, post_callback=self.guarded(jumped, "clock jump")
+        )
+
+    def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
+        """Publish messages that belong together; none when one would not be finite."""
+        try:
+            ready = list(messages)
+        except ValueError:
+            self.bad[NOT_FINITE] += 1
+            return
+        for topic, message in ready:
+            self._outlets[topic].publish(message)
+            self.published[topic] += 1
+
+    def now_ns(self) -> int:
+        """The node's clock, for ages and /diagnostics alone."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def health(self, dropped: Mapping[str, int] | None = None) -> Health:
+        """What went wrong so far; `dropped` are messages that were not used, by reason."""
+        return Health({**self.bad, **(dropped or {})}, dict(self._faults))
+
+    def age(self, topic: Topic) -> float:
+        """Seconds since the last message of an input, NaN before the first."""
+        arrived = self._arrivals.get(topic)
+        return math.nan if arrived is None else (self.now_ns() - arrived) / NANOSECONDS
+
+    def report(self) -> None:
+        """Publish the diagnostics now."""
+        self.publish(self._diagnostics())
+
+    def _diagnostics(self) -> Iterator[tuple[Topic, Any]]:
+        statuses: Sequence[tuple[Any, ...]] = [
+            (f"{self.get_name()}: {status.name}", status.level, status.text, status.values)
+            for status in self.statuses()
+        ]
+        yield topics.DIAGNOSTICS, diagnostics(new_message, self.now_ns(), statuses)
+
+    def guarded(self, callback: Callable[..., None], name: str) -> Callable[..., None]:
+        """The callback, such that a bad message or a fault of ours cannot end the node."""
+
+        def safe(*arguments: Any) -> None:
+            try:
+                callback(*arguments)
+            except BadMessage as error:
+                self.bad[f"{name}: {error.reason}"] += 1
+            except Exception as error:
+                # A car drives on: whatever this is, the next message deserves its chance.
+                self.count_fault(f"{name}: {error!r}")
+
+        return safe
+
+    def count_fault(self, text: str) -> None:
+        """Count a fault of our own; it is logged the first time only."""
+        if text not in self._faults:
+            self.get_logger().error(text)
+        self._faults[text] += 1

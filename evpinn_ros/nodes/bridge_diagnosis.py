@@ -1,0 +1,42 @@
+"""How the CAN bridge is doing, decided without ROS."""
+
+from __future__ import annotations
+
+from evpinn_ros.can.bridge import BridgeStatus
+from evpinn_ros.can.bus import BusState, BusStatus
+from evpinn_ros.nodes.diagnosis import Health, Status, flat, rounded, with_health
+from evpinn_ros.nodes.messages import Level
+
+
+def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
+    """The health of the CAN bridge."""
+    values = {
+        "bus": bus.state.name.lower(),
+        "frames": bridge.frames,
+        "unknown_frames": bridge.unknown_frames,
+        "unknown_ids": bridge.unknown_ids,
+        **flat("dropped", bridge.dropped),
+        **flat("bus", bus.counters),
+    }
+    for name, signal in bridge.signals.items():
+        values |= {
+            f"{name}.count": signal.count,
+            f"{name}.rate_hz": rounded(signal.rate),
+            f"{name}.age_s": rounded(signal.age),
+        }
+    if bus.state is BusState.LOST:
+        verdict = Level.ERROR, bus.problem or bus.state.value
+    elif bus.state is BusState.SILENT:
+        verdict = Level.WARN, bus.state.value
+    elif bus.state is BusState.CLOSED:
+        verdict = Level.WARN, bus.problem or "closed"
+    else:
+        verdict = Level.OK if bridge.ok else Level.WARN, bridge.text
+    return with_health(Status("bus", *verdict, values), health)
+
+
+def log_status(text: str, problem: str | None, bridge: BridgeStatus, health: Health) -> Status:
+    """The health of the CAN bridge while it replays a log."""
+    values = {"frames": bridge.frames, **flat("dropped", bridge.dropped)}
+    level = Level.OK if problem is None else Level.ERROR
+    return with_health(Status("log", level, problem or text, values), health)

@@ -1,0 +1,112 @@
+"""The node `can_bridge`: frames of a CAN bus or log in, speed and battery out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import math
+from pathlib import Path
+import threading
+from typing import Any
+
+from evpinn_ros.can.bridge import BridgeStatus, CanBridge
+from evpinn_ros.can.bus import BusReader
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import CanProfile, load_profile
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
+from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.log_player import LogPlayer
+from evpinn_ros.nodes.messages import reading_message, scalar
+from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.nodes.running import run
+from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.signals.readings import BatteryReading, Reading
+from evpinn_ros.vehicle.files import load_vehicle
+
+PUBLISHES = (topics.SPEED, topics.BATTERY, topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
+LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the process ends anyway
+
+
+class CanBridgeNode(GuardedNode):
+    """Decodes one bus, in one thread that owns it, and survives its unplugging."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Start to read; `kwargs` go to rclpy's Node.
+
+        Raises:
+            InputError: a parameter is wrong, or the log is not there.
+        """
+        super().__init__("can_bridge", **kwargs)
+        self._bridge = CanBridge(self._profile())
+        self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
+        self.advertise(*PUBLISHES)
+        self._source = self._open_source()
+        self._thread = threading.Thread(target=self._source.run, name="can", daemon=True)
+        self._thread.start()
+
+    def statuses(self) -> list[Status]:
+        """The health of the bus or of the replay of the log."""
+        source, health = self._source, self.health()
+        if isinstance(source, LogPlayer):
+            bridge = self._bridge_status(source.newest_ns)
+            return [log_status(source.text, source.problem, bridge, health)]
+        return [bus_status(source.status(), self._bridge_status(self.now_ns()), health)]
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._source.stop()
+        self._thread.join(LONGEST_STOP)
+
+    def _profile(self) -> CanProfile:
+        if name := self.values["can_profile"]:
+            return load_profile(name)
+        vehicle = load_vehicle(self.values["vehicle"])
+        if vehicle.can_profile is None:
+            raise InputError(f"vehicle '{vehicle.key}' names no CAN profile; set can_profile")
+        return load_profile(vehicle.can_profile)
+
+    def _open_source(self) -> BusReader | LogPlayer:
+        values = self.values
+        on_frame = self.guarded(self._on_frame, "frame")
+        if values["log_file"]:
+            return LogPlayer(
+                Path(values["log_file"]), values["log_rate"], values["log_delay"], on_frame
+            )
+        options = bus_options(values["bus_options"])
+        if values["bitrate"]:
+            options.setdefault("bitrate", values["bitrate"])
+        return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
+
+    def _on_frame(self, frame: CanFrame) -> None:
+        with self._lock:
+            readings = self._bridge.push(frame)
+        for reading in readings:
+            self.publish(_messages(reading))
+
+    def _bridge_status(self, now_ns: int) -> BridgeStatus:
+        with self._lock:
+            return self._bridge.status(now_ns)
+
+
+def _messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
+    """The messages of a reading: its own, and voltage and current alone, for plots."""
+    if not isinstance(reading, BatteryReading):
+        yield topics.SPEED, reading_message(new_message, reading)
+        return
+    yield topics.BATTERY, reading_message(new_message, reading)
+    if not math.isnan(reading.voltage):
+        yield topics.BATTERY_VOLTAGE, scalar(new_message, reading.voltage)
+    if not math.isnan(reading.current):
+        yield topics.BATTERY_CURRENT, scalar(new_message, reading.current)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop; gives the exit code."""
+    return run(CanBridgeNode, args=args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,57 @@
+"""How a node is doing, as /diagnostics tells it, decided without ROS.
+
+Each node has a module beside this one with its pure function: state in, `Status` out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+from evpinn_ros.nodes.messages import Level
+
+SILENT_AFTER = 3.0  # s without a message of the leading input
+
+
+class Status(NamedTuple):
+    """One status of /diagnostics: of which part, how bad, one sentence, and the numbers."""
+
+    name: str
+    level: Level
+    text: str
+    values: Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What went wrong in a node: messages not used by reason, faults of our own by text."""
+
+    bad: Mapping[str, int]
+    faults: Mapping[str, int]
+
+
+def with_health(status: Status, health: Health) -> Status:
+    """A status with the counters of its node; a fault of our own outweighs all else."""
+    values = {**status.values, **flat("bad", health.bad), **flat("fault", health.faults)}
+    if not health.faults:
+        return status._replace(values=values)
+    newest = list(health.faults)[-1]
+    return status._replace(level=Level.ERROR, text=f"internal fault: {newest}", values=values)
+
+
+def flat(name: str, counts: Mapping[str, int]) -> dict[str, object]:
+    """Counters as values of a status: `name.reason`."""
+    return {f"{name}.{reason}": count for reason, count in sorted(counts.items())}
+
+
+def rounded(number: float) -> object:
+    """A number as people read it."""
+    return number if math.isnan(number) else round(number, 3)
+
+
+def recorder_status(folder: str, count: int, health: Health) -> Status:
+    """The health of the recording."""
+    text = f"{count} messages in {folder}"
+    return with_health(Status("bag", Level.OK, text, {"messages": count}), health)

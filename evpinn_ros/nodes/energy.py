@@ -1,0 +1,168 @@
+"""The node `energy`: power in, energy consumed and the energy of plans out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+import math
+from typing import Any
+
+import numpy as np
+from std_srvs.srv import Trigger
+
+from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
+from evpinn_ros.nodes.estimate_messages import energy_messages
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.forecaster import Forecaster
+from evpinn_ros.nodes.messages import (
+    BadMessage,
+    battery_message,
+    battery_reading,
+    read_named_vector,
+)
+from evpinn_ros.nodes.plan_messages import forecast_message, path_plan, speed_profile_plan
+from evpinn_ros.nodes.running import run
+from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
+
+PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
+
+
+class EnergyNode(GuardedNode):
+    """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Start at zero; `kwargs` go to rclpy's Node.
+
+        Raises:
+            InputError: a parameter is wrong.
+        """
+        super().__init__("energy", **kwargs)
+        self.meter = EnergyMeter(load_rknn(), max_gap=self.values["max_gap"])
+        self.forecaster = Forecaster(load_vehicle(self.values["vehicle"]))
+        self._guard = StampGuard(topics.POWER_SMOOTHED)
+        self._answered = self._refused = 0
+        self._plan_problem: str | None = None
+        self.advertise(*PUBLISHES)
+        for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
+            self.listen(topic, partial(self._take_power, topic))
+        self.listen(topics.IDENTIFIABLE, self._on_identifiable)
+        self.listen(topics.BATTERY, self._on_battery)
+        self.listen(topics.PLAN, self._on_path)
+        self.listen(topics.SPEED_PROFILE, self._on_speed_profile)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.on_clock_going_back(self._guard.clock_went_back)
+
+    def statuses(self) -> list[Status]:
+        """The health of the meter and of the planning."""
+        report = EnergyReport(
+            state=self.meter.state,
+            health=self.health(self._guard.dropped),
+            power_age=self.age(topics.POWER_SMOOTHED),
+            jumps=self._guard.jumps,
+            state_of_charge=self.forecaster.state_of_charge,
+            learned=self.forecaster.learned,
+            answered=self._answered,
+            refused=self._refused,
+            plan_problem=self._plan_problem,
+        )
+        return [meter_status(report), plan_status(report)]
+
+    def _take_power(self, topic: Topic, message: Any) -> None:
+        vector = read_named_vector(message)
+        if "power" not in vector.values:
+            raise BadMessage("no_power")
+        power = vector.values["power"], vector.sigmas.get("power", math.nan)
+        item = topic, vector.stamp_ns, *power
+        if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
+            self._push(*item)
+            return
+        threshold = self.values["time_jump_threshold"]
+        for passed in self._guard.push(topic, vector.stamp_ns, item, threshold):
+            if isinstance(passed, Jump):
+                self._on_jump(passed)
+            else:
+                self._push(*passed)
+
+    def _push(self, topic: Topic, stamp_ns: int, power: float, sigma: float) -> None:
+        if topic is topics.POWER_MEASURED:
+            self.meter.push_measured(stamp_ns, power, sigma)
+            return
+        self.meter.push_predicted(stamp_ns, power, sigma)
+        self.forecaster.hear_sigma(sigma)
+        self.publish(energy_messages(new_message, self.meter.state))
+
+    def _on_jump(self, jump: Jump) -> None:
+        policy = self.values["time_jump_policy"]
+        self.get_logger().warning(f"time went back by {jump.seconds:.1f} s: {policy}")
+        if policy == JumpPolicy.RESET.value:
+            self.meter.reset()
+        else:
+            self.meter.restore(self.meter.exported())
+
+    def _on_identifiable(self, message: Any) -> None:
+        vector = read_named_vector(message)
+        if any(name not in vector.values for name in IDENTIFIABLE_NAMES):
+            raise BadMessage("incomplete")
+        values, sigmas = (
+            Identifiable(*(numbers.get(name, 0.0) for name in IDENTIFIABLE_NAMES))
+            for numbers in (vector.values, vector.sigmas)
+        )
+        self.forecaster.hear_identifiable(values, sigmas)
+
+    def _on_battery(self, message: Any) -> None:
+        self.forecaster.hear_battery(battery_reading(message).state_of_charge)
+
+    def _on_path(self, message: Any) -> None:
+        self._answer(message, lambda: path_plan(message, self.values["nominal_speed"]))
+
+    def _on_speed_profile(self, message: Any) -> None:
+        self._answer(message, lambda: speed_profile_plan(message))
+
+    def _answer(self, message: Any, read: Callable[[], Plan]) -> None:
+        try:
+            plan = read()
+        except PlanError as error:
+            self._refused += 1
+            self._plan_problem = str(error)
+            return
+        self.publish(self._forecast(message.header, plan))
+        self._answered += 1
+        self._plan_problem = None
+
+    def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
+        """The answer to a plan; the header is echoed, so that the planner knows its plan."""
+        answer = self.forecaster.answer(plan)
+        result = answer.forecast
+        times_ns = np.rint((result.time - result.time[0]) * NANOSECONDS).astype(int).tolist()
+        columns = (result.energy.tolist(), result.power.tolist(), result.sigma.tolist())
+        yield topics.FORECAST, forecast_message(new_message, header, times_ns, *columns)
+        if answer.state_of_charge is not None:
+            reading = BatteryReading(0, math.nan, math.nan, answer.state_of_charge)
+            battery = battery_message(new_message, reading)
+            battery.header = header
+            yield topics.FORECAST_BATTERY, battery
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        self.meter.reset()
+        response.success = True
+        response.message = "energy counts from zero"
+        return response
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop; gives the exit code."""
+    return run(EnergyNode, args=args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,144 @@
+"""The node `estimator`: readings in, power and parameters out. The work is `OnlineEstimator`'s."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+import time
+from typing import Any
+
+from std_srvs.srv import SetBool, Trigger
+
+from evpinn_ros.estimation.estimator import OnlineEstimator
+from evpinn_ros.estimation.worker import ThreadWorker
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.estimate_messages import output_messages
+from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.messages import to_reading
+from evpinn_ros.nodes.running import run
+from evpinn_ros.nodes.settings import estimator_settings
+from evpinn_ros.nodes.state_keeper import StateKeeper
+from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.signals.readings import Reading
+from evpinn_ros.vehicle.files import load_vehicle
+
+SAVE_PERIOD = 60.0  # s
+LISTENS_TO = (
+    topics.SPEED,
+    topics.BATTERY,
+    topics.IMU,
+    topics.FIX,
+    topics.TEMPERATURE,
+    topics.AUXILIARY_POWER,
+)
+PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
+
+
+class EstimatorNode(GuardedNode):
+    """Learns one car; see `docs` for its topics, services and parameters."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Start from the state file or the vehicle's priors; `kwargs` go to rclpy's Node.
+
+        Raises:
+            InputError: a parameter is wrong.
+        """
+        super().__init__("estimator", **kwargs)
+        self._vehicle = load_vehicle(self.values["vehicle"])
+        self._worker = ThreadWorker(time.perf_counter, wait=self.values["wait_for_update"])
+        self.estimator = OnlineEstimator(
+            self._vehicle, estimator_settings(self.values), self._worker
+        )
+        self._guard = StampGuard(topics.SPEED)
+        path = self.values["state_file"]
+        self._keeper = StateKeeper(Path(path).expanduser() if path else None, self.estimator)
+        self._load()
+        self.advertise(*PUBLISHES)
+        for topic in LISTENS_TO:
+            self.listen(topic, partial(self._take, topic))
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/save", self._on_save)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.every(SAVE_PERIOD, self.save)
+        self.on_clock_going_back(self._guard.clock_went_back)
+
+    def statuses(self) -> list[Status]:
+        """The health of the estimate."""
+        report = EstimatorReport(
+            status=self.estimator.status(),
+            health=self.health(self._guard.dropped),
+            speed_age=self.age(topics.SPEED),
+            jumps=self._guard.jumps,
+            state_problem=self._keeper.problem,
+        )
+        return [estimator_status(report)]
+
+    def save(self) -> None:
+        """Write what was learned, if there is a file for it; a failure shows in diagnostics."""
+        if self.values["state_file"]:
+            self._keeper.save()
+
+    def close(self) -> None:
+        """Save, and stop the thread of the updates."""
+        self.save()
+        self._worker.close()
+
+    def _load(self) -> None:
+        self._keeper.load()
+        if self._keeper.problem is not None:
+            self.get_logger().warning(f"starting from the vehicle file: {self._keeper.problem}")
+
+    def _take(self, topic: Topic, message: Any) -> None:
+        reading = to_reading(topic.type_name, message)
+        if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
+            self._push(reading)
+            return
+        threshold = self.values["time_jump_threshold"]
+        for item in self._guard.push(topic, reading.stamp_ns, reading, threshold):
+            if isinstance(item, Jump):
+                self._on_jump(item)
+            else:
+                self._push(item)
+
+    def _push(self, reading: Reading) -> None:
+        for output in self.estimator.push(reading):
+            self.publish(output_messages(new_message, output))
+
+    def _on_jump(self, jump: Jump) -> None:
+        policy = self.values["time_jump_policy"]
+        self.get_logger().warning(f"time went back by {jump.seconds:.1f} s: {policy}")
+        if policy == JumpPolicy.RESET.value:
+            self._keeper.start_over()
+        else:
+            self.estimator.handle_time_jump()
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        self.estimator.reset()
+        response.success = True
+        response.message = f"started again from the vehicle file {self._vehicle.key}"
+        return response
+
+    def _on_save(self, _: Any, response: Any) -> Any:
+        reason = self._keeper.save()
+        response.success = reason is None
+        response.message = reason or f"written to {self.values['state_file']}"
+        return response
+
+    def _on_enable(self, request: Any, response: Any) -> Any:
+        self.estimator.enabled = request.data
+        response.success = True
+        response.message = "learning" if request.data else "paused: predicting only"
+        return response
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop; gives the exit code."""
+    return run(EstimatorNode, args=args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,80 @@
+"""How the estimator is doing, decided without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+import statistics
+
+from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.nodes.diagnosis import (
+    SILENT_AFTER,
+    Health,
+    Status,
+    flat,
+    rounded,
+    with_health,
+)
+from evpinn_ros.nodes.messages import Level
+
+OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
+RECENT = 60  # updates whose median duration is told
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorReport:
+    """All that the diagnosis of the estimator rests on.
+
+    Attributes:
+        status: of the core.
+        health: of the node.
+        speed_age: s since the last speed, NaN before the first.
+        jumps: times that time went back.
+        state_problem: why the saved state was not used or not written, None if all is well.
+    """
+
+    status: EstimatorStatus
+    health: Health
+    speed_age: float
+    jumps: int
+    state_problem: str | None
+
+
+def estimator_status(report: EstimatorReport) -> Status:
+    """The health of the estimator."""
+    status = report.status
+    values = {
+        "activity": status.activity.value,
+        "updates": status.updates,
+        "accepted": status.accepted,
+        "update_ms": _milliseconds(status.durations),
+        "speed_age_s": rounded(report.speed_age),
+        "time_jumps": report.jumps,
+        **flat("rejected", status.rejected),
+        **flat("dropped", status.dropped),
+        **flat("gated", status.gated),
+    }
+    level, text = _estimator_verdict(report)
+    return with_health(Status("estimate", level, text, values), report.health)
+
+
+def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
+    status = report.status
+    if status.activity is Activity.WAITING:
+        return Level.WARN, "waiting for vehicle/speed"
+    if report.speed_age > SILENT_AFTER:
+        return Level.WARN, f"no vehicle/speed for {report.speed_age:.0f} s"
+    if report.state_problem is not None:
+        return Level.WARN, report.state_problem
+    if status.activity is Activity.PREDICTING:
+        return Level.WARN, "predicting from speed alone: battery/state is silent"
+    if status.activity is Activity.PAUSED:
+        return Level.OK, "predicting; learning is paused by ~/enable"
+    if status.rejected.get("overrun", 0) > OVERRUN_SHARE * max(status.updates, 10):
+        return Level.WARN, "updates take longer than a second: this computer is too slow or busy"
+    return Level.OK, f"learning: {status.accepted} of {status.updates} updates adopted"
+
+
+def _milliseconds(durations: tuple[float, ...]) -> object:
+    recent = durations[-RECENT:]
+    return rounded(1000 * statistics.median(recent)) if recent else math.nan

@@ -1,0 +1,86 @@
+"""Declares the parameters of a node from their table, and refuses wrong ones while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+import math
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.parameter_table import Parameter, Value, refuse_wrong
+
+
+def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
+    """Declare the parameters of a table; give their values, which follow later changes.
+
+    Raises:
+        InputError: a value is wrong.
+    """
+    entries = [(each.name, each.default, _descriptor(each)) for each in table]
+    try:
+        declared = node.declare_parameters("", entries)
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        raise InputError(str(error)) from error
+    values = {parameter.name: parameter.value for parameter in declared}
+    refuse_wrong(table, values)
+    node.add_on_set_parameters_callback(_refuser(table, values))
+    node.add_post_set_parameters_callback(lambda changed: _apply(values, changed))
+    return values
+
+
+def overrides(values: Mapping[str, Value]) -> list[RosParameter]:
+    """Values as a node takes them: `EnergyNode(parameter_overrides=overrides({...}))`."""
+    return [RosParameter(name, value=value) for name, value in values.items()]
+
+
+def _refuser(
+    table: tuple[Parameter, ...], values: Mapping[str, Any]
+) -> Callable[[list[RosParameter]], Any]:
+    def refuse(changed: list[RosParameter]) -> Any:
+        new = {parameter.name: parameter.value for parameter in changed}
+        try:
+            refuse_wrong(table, {**values, **new})
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    return refuse
+
+
+def _apply(values: dict[str, Any], changed: list[RosParameter]) -> None:
+    values.update({each.name: each.value for each in changed if each.name in values})
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    unit = f" [{parameter.unit}]" if parameter.unit else ""
+    descriptor = ParameterDescriptor(
+        description=parameter.description + unit,
+        read_only=parameter.read_only,
+        additional_constraints=f"one of {', '.join(parameter.choices)}"
+        if parameter.choices
+        else "",
+    )
+    if math.isfinite(parameter.lower):
+        _set_range(descriptor, parameter)
+    return descriptor
+
+
+def _set_range(descriptor: ParameterDescriptor, parameter: Parameter) -> None:
+    if isinstance(parameter.default, float):
+        ends = FloatingPointRange(from_value=parameter.lower, to_value=parameter.upper)
+        descriptor.floating_point_range = [ends]
+    else:
+        whole = IntegerRange(
+            from_value=int(parameter.lower), to_value=int(parameter.upper), step=1
+        )
+        descriptor.integer_range = [whole]

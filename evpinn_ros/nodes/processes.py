@@ -1,0 +1,126 @@
+"""The three nodes as processes of their own, fed from a CAN log and recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.messages import read_named_vector
+from evpinn_ros.nodes.parameter_table import TABLES, Value
+from evpinn_ros.nodes.recorder import RecorderNode
+from evpinn_ros.nodes.topics import NAMESPACE
+from evpinn_ros.signals.readings import NANOSECONDS
+
+START_TIMEOUT = 60.0  # s for the nodes to come up on a busy machine
+SILENCE_TIMEOUT = 15.0  # s without any prediction: something has died
+STOP_TIMEOUT = 10.0  # s for a node to save and end
+SPIN = 0.2  # s
+
+
+def record_through_nodes(
+    parameters: Mapping[str, Value],
+    end_ns: int,
+    folder: Path,
+    progress: Callable[[float], None],
+) -> None:
+    """Play a CAN log through the three executables over DDS and record all their topics.
+
+    Args:
+        parameters: by name, for each node that has them; `log_file` names the log.
+        end_ns: stamp of the log's last frame.
+        folder: of the new bag.
+        progress: takes seconds of the drive done.
+
+    Raises:
+        InputError: a node ended or fell silent before the end of the log.
+    """
+    rclpy.init(args=[])
+    recorder = RecorderNode(folder, namespace=NAMESPACE)
+    watch = _Watch(end_ns, progress)
+    recorder.listen(topics.POWER_SMOOTHED, watch.take)
+    executor = SingleThreadedExecutor()
+    executor.add_node(recorder)
+    try:
+        with _process("estimator", parameters), _process("energy", parameters):
+            _await_listeners(recorder, executor)
+            with _process("can_bridge", parameters) as bridge:
+                watch.follow(executor, bridge)
+    finally:
+        recorder.close()
+        rclpy.try_shutdown()
+
+
+class _Watch:
+    """Follows the stamps of `power/smoothed` to the end of the log."""
+
+    def __init__(self, end_ns: int, progress: Callable[[float], None]) -> None:
+        self._end_ns, self._progress = end_ns, progress
+        self._first_ns = self._newest_ns = 0
+
+    def take(self, message: object) -> None:
+        stamp_ns = read_named_vector(message).stamp_ns
+        self._first_ns = self._first_ns or stamp_ns
+        self._newest_ns = stamp_ns
+        self._progress((stamp_ns - self._first_ns) / NANOSECONDS)
+
+    def follow(self, executor: SingleThreadedExecutor, bridge: subprocess.Popen[bytes]) -> None:
+        """Spin until the newest prediction is within a second of the log's end."""
+        seen, since = self._newest_ns, time.monotonic()
+        while self._newest_ns < self._end_ns - NANOSECONDS:
+            executor.spin_once(timeout_sec=SPIN)
+            if self._newest_ns != seen:
+                seen, since = self._newest_ns, time.monotonic()
+            waited = time.monotonic() - since
+            if bridge.poll() is not None or waited > (SILENCE_TIMEOUT if seen else START_TIMEOUT):
+                raise InputError("the nodes fell silent before the end of the drive")
+        _spin_for(executor, 1.0)
+
+
+def _await_listeners(recorder: RecorderNode, executor: SingleThreadedExecutor) -> None:
+    """Wait until estimator and energy are there, so that they miss nothing."""
+    speed, power = (topic.under() for topic in (topics.SPEED, topics.POWER_SMOOTHED))
+    given_up = time.monotonic() + START_TIMEOUT
+    # The recorder listens to all, and to power/smoothed twice.
+    while recorder.count_subscribers(speed) < 2 or recorder.count_subscribers(power) < 3:
+        if time.monotonic() > given_up:
+            raise InputError(f"the nodes did not come up within {START_TIMEOUT:g} s")
+        executor.spin_once(timeout_sec=SPIN)
+    _spin_for(executor, 1.0)
+
+
+def _spin_for(executor: SingleThreadedExecutor, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        executor.spin_once(timeout_sec=SPIN)
+
+
+@contextmanager
+def _process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
+    """One node's executable, stopped as a launch file would stop it."""
+    known = {parameter.name for parameter in TABLES[name]}
+    command = [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args"]
+    command += ["-r", f"__ns:={NAMESPACE}", "--log-level", "warn"]
+    for key, value in parameters.items():
+        if key in known:
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            command += ["-p", f"{key}:={text}"]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -1,0 +1,57 @@
+"""Runs nodes in one thread until they are told to stop, and ends them in good order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import sys
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.base import GuardedNode
+
+MakeNode = Callable[[], GuardedNode]
+
+
+def run(*makers: MakeNode, args: list[str] | None = None) -> int:
+    """Make nodes and spin them until SIGINT, SIGTERM or a shutdown.
+
+    Args:
+        makers: of the nodes, called once ROS is up.
+        args: of the command line, None for those of the process.
+
+    Returns:
+        The exit code: 0 when told to stop, 1 with one line on stderr when input is wrong.
+    """
+    # In Jazzy `rclpy.init` is no context manager yet.
+    try:
+        rclpy.init(args=args)
+    except RuntimeError as error:
+        return _fail(error)
+    nodes: list[GuardedNode] = []
+    try:
+        for make in makers:
+            nodes.append(make())
+        _spin(nodes)
+    except InputError as error:
+        return _fail(error)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        for node in nodes:
+            node.close()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(nodes: list[GuardedNode]) -> None:
+    executor = SingleThreadedExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    executor.spin()
+
+
+def _fail(error: Exception) -> int:
+    sys.stderr.write(" ".join(str(error).split()) + "\n")
+    return 1

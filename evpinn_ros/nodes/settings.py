@@ -1,0 +1,26 @@
+"""From the parameters of a node to the settings of its core. Knows no ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.signals.road import GradeSource
+from evpinn_ros.signals.stream import StreamSettings
+from evpinn_ros.vehicle.physics import RegenForm
+
+
+def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
+    """Settings of the estimator from all parameters of its table, by name and checked."""
+    return EstimatorSettings(
+        mode=Mode(values["mode"]),
+        regen_form=RegenForm(values["regen_form"]),
+        seed=values["seed"],
+        stream=StreamSettings(
+            smoothing_lag=values["smoothing_lag"],
+            allowed_lateness=values["allowed_lateness"],
+            max_gap=values["max_gap"],
+            grade_source=GradeSource(values["grade_source"]),
+        ),
+    )

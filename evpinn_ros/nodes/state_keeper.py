@@ -1,0 +1,82 @@
+"""Keeps what an estimator learned in a file, and never loses what it cannot use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.state_file import read_state, write_state
+
+
+class Stateful(Protocol):
+    """Something whose state can be saved: `OnlineEstimator`."""
+
+    def export(self) -> Mapping[str, Any]:
+        """State to save."""
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a saved state; ValueError when it does not fit."""
+
+    def reset(self) -> None:
+        """Forget all that was learned."""
+
+
+class StateKeeper:
+    """The state file of one estimator.
+
+    Attributes:
+        problem: why the file was not used or not written, None if all is well.
+    """
+
+    def __init__(self, path: Path | None, owner: Stateful) -> None:
+        """Keep the state of `owner` at `path`; None keeps nothing."""
+        self.problem: str | None = None
+        self._path, self._owner = path, owner
+        self._loaded: Mapping[str, Any] | None = None
+        self._refused = False
+
+    def load(self) -> None:
+        """Restore the owner from the file, if there is a usable one."""
+        try:
+            self._loaded = None if self._path is None else read_state(self._path)
+        except InputError as error:
+            self._refuse(str(error))
+            return
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Set the owner to what it was at the start: the loaded state, or nothing learned."""
+        self._owner.reset()
+        if self._loaded is None:
+            return
+        try:
+            self._owner.restore(self._loaded)
+        except Exception as error:
+            # Any content is possible in a file that is JSON: nothing in it may stop the node.
+            self._owner.reset()
+            self._loaded = None
+            self._refuse(f"{self._path}: not used: {error}")
+
+    def save(self) -> str | None:
+        """Write the state; gives the reason when that fails."""
+        if self._path is None:
+            return "no state_file is set"
+        try:
+            self._set_refused_aside(self._path)
+            write_state(self._path, self._owner.export())
+        except (OSError, ValueError) as error:
+            self.problem = f"{self._path}: not written: {error}"
+            return self.problem
+        self.problem = None
+        return None
+
+    def _refuse(self, problem: str) -> None:
+        self.problem, self._refused = problem, True
+
+    def _set_refused_aside(self, path: Path) -> None:
+        """A file that was refused may be another car's: it is renamed, not overwritten."""
+        if self._refused and path.exists():
+            path.replace(path.with_name(path.name + ".refused"))
+        self._refused = False

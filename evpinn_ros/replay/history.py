@@ -1,0 +1,127 @@
+"""What a replay leaves behind: time series to score and to draw."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
+from evpinn_ros.replay.chain import ChainOutput
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+
+class Columns:
+    """Rows of numbers that grow, in compact memory: an hour at 10 Hz is a few MB."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._numbers = array("d")
+
+    def add(self, *row: float) -> None:
+        """Append one row."""
+        self._numbers.extend(row)
+
+    def values(self) -> np.ndarray:
+        """All rows, shape (n, width)."""
+        return np.array(self._numbers).reshape(-1, self._width)
+
+
+class PowerSeries(NamedTuple):
+    """Predictions: time since the start, s, power and 1-sigma, W, and lag, s; shape (n,) each."""
+
+    time: np.ndarray
+    power: np.ndarray
+    sigma: np.ndarray
+    lag: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """The series of one replayed drive; times in s since its first reading.
+
+    Attributes:
+        duration: s.
+        speed: time and m/s, shape (n, 2).
+        measured: time and W, all that the battery said, withheld or not, shape (n, 2).
+        smoothed: predictions of `power/smoothed`.
+        newest: predictions of `power/predicted`.
+        energy: time, predicted and RKNN energy, J, shape (n, 3).
+        parameters: for each name time, value, 1-sigma and prior share, shape (n, 4).
+        final: the last parameters, None if there never were any.
+    """
+
+    duration: float
+    speed: np.ndarray
+    measured: np.ndarray
+    smoothed: PowerSeries
+    newest: PowerSeries
+    energy: np.ndarray
+    parameters: Mapping[str, np.ndarray]
+    final: ParameterSet | None
+
+
+class History:
+    """Collects a `Drive` while it is replayed."""
+
+    def __init__(self) -> None:
+        self._start_ns: int | None = None
+        self._last_ns = 0
+        self._speed, self._measured, self._energy = Columns(2), Columns(2), Columns(3)
+        self._power = {PowerKind.SMOOTHED: Columns(4), PowerKind.PREDICTED: Columns(4)}
+        self._parameters = {name: Columns(4) for name in PARAMETER_NAMES}
+        self._final: ParameterSet | None = None
+
+    def seconds(self, stamp_ns: int) -> float:
+        """Time since the first reading, s."""
+        start = stamp_ns if self._start_ns is None else self._start_ns
+        return (stamp_ns - start) / NANOSECONDS
+
+    def add_reading(self, reading: Reading) -> None:
+        """Take a reading as the car told it."""
+        if self._start_ns is None:
+            self._start_ns = self._last_ns = reading.stamp_ns
+        self._last_ns = max(self._last_ns, reading.stamp_ns)
+        if isinstance(reading, SpeedReading):
+            self._speed.add(self.seconds(reading.stamp_ns), reading.speed)
+        elif isinstance(reading, BatteryReading) and np.isfinite(reading.power):
+            self._measured.add(self.seconds(reading.stamp_ns), reading.power)
+
+    def add_output(self, output: ChainOutput) -> None:
+        """Take what the chain said of the last reading."""
+        time = self.seconds(output.stamp_ns)
+        if isinstance(output, EnergyState):
+            self._energy.add(time, output.predicted.energy, output.rknn.energy)
+        elif isinstance(output, PowerEstimate):
+            if output.kind in self._power:
+                lag = (self._last_ns - output.stamp_ns) / NANOSECONDS
+                self._power[output.kind].add(time, output.power, output.sigma, lag)
+        else:
+            self._final = output
+            for name, estimate in output.parameters.items():
+                row = (time, estimate.value, estimate.std, estimate.prior_share)
+                self._parameters[name].add(*row)
+
+    def drive(self) -> Drive:
+        """The series so far."""
+        return Drive(
+            duration=self.seconds(self._last_ns),
+            speed=self._speed.values(),
+            measured=_in_order(self._measured.values()),
+            smoothed=PowerSeries(*self._power[PowerKind.SMOOTHED].values().T),
+            newest=PowerSeries(*self._power[PowerKind.PREDICTED].values().T),
+            energy=self._energy.values(),
+            parameters={name: rows.values() for name, rows in self._parameters.items()},
+            final=self._final,
+        )
+
+
+def _in_order(rows: np.ndarray) -> np.ndarray:
+    """Rows by time, one for each time: late readings are put where they belong."""
+    _, first = np.unique(rows[:, 0], return_index=True)
+    return rows[first]

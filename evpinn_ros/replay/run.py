@@ -1,0 +1,160 @@
+"""Replay of recorded drives through the chain, as fast as it can or at a given rate."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+import time
+from typing import Any
+
+from evpinn_ros.bags.convert import reading_messages
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages
+from evpinn_ros.nodes.topics import NAMESPACE
+from evpinn_ros.replay.chain import Chain, ChainOutput
+from evpinn_ros.replay.history import Drive, History
+from evpinn_ros.replay.scoring import metrics
+from evpinn_ros.replay.sources import Source
+from evpinn_ros.signals.readings import BatteryReading, Reading
+
+WARM_UP = 120.0  # s at the start that are not scored
+PROGRESS_STEP = 1.0  # s of the drive between two reports of progress
+
+Progress = Callable[[float], None]  # takes s of the drive done
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """How a drive is replayed.
+
+    Attributes:
+        withhold_battery_after: s since the start, None to withhold nothing.
+        warm_up: s at the start that are not scored.
+        rate: of real time, None for as fast as possible.
+    """
+
+    withhold_battery_after: float | None = None
+    warm_up: float = WARM_UP
+    rate: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """Result of one drive: its series, its metrics, and what could not be read, if anything."""
+
+    drive: Drive
+    metrics: dict[str, Any]
+    problem: str | None
+
+
+def replay(
+    source: Source,
+    chain: Chain,
+    options: ReplayOptions,
+    *,
+    vehicle: str,
+    mode: str,
+    writer: BagWriter | None = None,
+    progress: Progress | None = None,
+) -> Replayed:
+    """Run one drive through the chain, which keeps what it learned.
+
+    Raises:
+        InputError: the source holds no speed at all.
+    """
+    history = History()
+    not_recorded: Counter[str] = Counter()
+    started = time.perf_counter()
+    for reading in _paced(source.readings(), history, options.rate, progress):
+        outputs = _outputs(reading, history, chain, options)
+        if writer is not None:
+            not_recorded.update(_record(writer, reading, outputs))
+    wall = time.perf_counter() - started
+    drive = history.drive()
+    if len(drive.speed) == 0:
+        raise InputError(f"{source.path}: holds no vehicle/speed, nothing can be predicted")
+    status = chain.estimator.status()
+    found = metrics(
+        path=str(source.path),
+        vehicle=vehicle,
+        mode=mode,
+        drive=drive,
+        status=status,
+        dropped=Counter(status.dropped) + source.dropped + not_recorded,
+        warm_up=options.warm_up,
+        withheld_from=options.withhold_battery_after,
+        wall=wall,
+    )
+    return Replayed(drive, found, source.problem)
+
+
+def _outputs(
+    reading: Reading, history: History, chain: Chain, options: ReplayOptions
+) -> list[ChainOutput]:
+    """What the chain says of a reading, unless it is withheld from it."""
+    after = options.withhold_battery_after
+    withholding = after is not None and history.seconds(reading.stamp_ns) > after
+    if withholding and isinstance(reading, BatteryReading):
+        return []
+    outputs = list(chain.push(reading))
+    for output in outputs:
+        history.add_output(output)
+    return outputs
+
+
+def _paced(
+    readings: Iterator[Reading],
+    history: History,
+    rate: float | None,
+    progress: Progress | None,
+) -> Iterator[Reading]:
+    """The readings, each noted, held back to the rate, with reports of progress."""
+    started, reported = time.perf_counter(), 0.0
+    for reading in readings:
+        history.add_reading(reading)
+        done = history.seconds(reading.stamp_ns)
+        if rate is not None:
+            time.sleep(max(0.0, started + done / rate - time.perf_counter()))
+        if progress is not None and done - reported >= PROGRESS_STEP:
+            progress(done)
+            reported = done
+        yield reading
+
+
+def _record(writer: BagWriter, reading: Reading, outputs: list[ChainOutput]) -> Iterator[str]:
+    """Write a reading and what was said of it; gives a reason for each that no message holds."""
+    try:
+        messages = list(reading_messages(reading))
+    except ValueError:
+        yield "not_recordable"
+        messages = []
+    for output in outputs:
+        if isinstance(output, EnergyState):
+            messages += energy_messages(new_message, output)
+        else:
+            messages += output_messages(new_message, output)
+    for topic, message in messages:
+        writer.write(topic.under(NAMESPACE), message, reading.stamp_ns)
+
+
+def has_battery(drive: Drive) -> bool:
+    """Whether the battery said anything in a drive."""
+    return len(drive.measured) > 0
+
+
+def output_folders(out: Path | None, sources: list[Source]) -> list[Path | None]:
+    """Where each drive's bag goes: `out` itself for one, a folder in it for each of several."""
+    if out is None:
+        return [None] * len(sources)
+    if len(sources) == 1:
+        return [out]
+    return [out / f"{index:03d}_{_stem(s.path)}" for index, s in enumerate(sources, start=1)]
+
+
+def _stem(path: Path) -> str:
+    return path.name.split(".")[0] or path.resolve().name

@@ -1,0 +1,148 @@
+"""What can be replayed: bags, CAN logs and CSV drives, each as one stream of readings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+import gzip
+from pathlib import Path
+from typing import Protocol
+
+from evpinn_ros.bags.convert import BagReadings
+from evpinn_ros.bags.csv_drive import CsvDrive
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.logs import LOG_SUFFIXES, LogFile
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import Reading
+from evpinn_ros.vehicle.files import Vehicle
+
+CSV_TIME_COLUMN = "t_s"  # tells a drive's CSV from a CAN log's
+
+
+class Source(Protocol):
+    """A recorded drive.
+
+    Attributes:
+        path: where it lies.
+        dropped: what was not used, by reason; complete once the readings are exhausted.
+    """
+
+    path: Path
+    dropped: Counter[str]
+
+    @property
+    def problem(self) -> str | None:
+        """What could not be read, in one line; None while all is well, final when exhausted."""
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings in recorded order."""
+
+
+class BagSource:
+    """A rosbag2 folder, a bare `.mcap` or `.db3`."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the bag; InputError when it is none or has none of our topics."""
+        self.path = path
+        self._reader = BagReader(path)
+        self._readings = BagReadings(self._reader)
+        self.dropped = self._readings.dropped
+
+    @property
+    def problem(self) -> str | None:
+        """What the bag has lost."""
+        return self._reader.problem
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings in order of log time."""
+        with self._reader:
+            yield from self._readings
+
+
+class CsvSource:
+    """A CSV drive (`bags.csv_drive`)."""
+
+    def __init__(self, path: Path, vehicle: Vehicle) -> None:
+        """Open the file; power alone becomes current at the vehicle's nominal voltage."""
+        self.path = path
+        self.drive = CsvDrive(path, vehicle.nominal_voltage)
+        self.dropped = self.drive.dropped
+
+    @property
+    def problem(self) -> None:
+        """Rows that cannot be read are dropped and counted, the file as a whole is well."""
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings row by row."""
+        yield from self.drive.readings()
+
+
+class CanLogSource:
+    """A CAN log, decoded by a profile."""
+
+    def __init__(self, path: Path, profile: str) -> None:
+        """Open the log; InputError when log or profile are wrong."""
+        self.path = path
+        self.dropped: Counter[str] = Counter()
+        self._log = LogFile(path)
+        self._bridge = CanBridge(load_profile(profile))
+        self._decoded = 0
+
+    @property
+    def problem(self) -> str | None:
+        """Where the log breaks off, or that nothing in it fits the profile."""
+        return self._log.problem
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings frame by frame.
+
+        Raises:
+            InputError: no frame of the whole log gave a reading.
+        """
+        newest = 0
+        for frame in self._log.frames():
+            newest = max(newest, frame.stamp_ns)
+            for reading in self._bridge.push(frame):
+                self._decoded += 1
+                yield reading
+        status = self._bridge.status(newest)
+        self.dropped.update(status.dropped)
+        self.dropped.update(self._log.skipped)
+        if self._decoded == 0:
+            raise InputError(f"{self.path}: {status.text}")
+
+
+def open_source(path: Path, vehicle: Vehicle, can_profile: str | None = None) -> Source:
+    """Open a recorded drive of any kind.
+
+    Raises:
+        InputError: no such file, no kind known, or a CAN log without a profile.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if path.is_dir() or path.suffix in (".mcap", ".db3"):
+        return BagSource(path)
+    suffix = Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
+    if suffix == ".csv" and _is_drive(path):
+        return CsvSource(path, vehicle)
+    if suffix in LOG_SUFFIXES:
+        profile = can_profile or vehicle.can_profile
+        if profile is None:
+            raise InputError(
+                f"{path}: vehicle '{vehicle.key}' names no CAN profile; give --can-profile"
+            )
+        return CanLogSource(path, profile)
+    raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a CSV")
+
+
+def _is_drive(path: Path) -> bool:
+    """Whether a CSV file's header names the time column of a drive."""
+    opener = gzip.open if path.suffix == ".gz" else Path.open
+    try:
+        with opener(path, "rb") as file:
+            header = file.readline(10_000)
+    except (OSError, EOFError) as error:
+        raise InputError(f"{path}: {error}") from error
+    return CSV_TIME_COLUMN.encode() in header

@@ -1,0 +1,194 @@
+"""The command as a person meets it: results, one-line errors, exit codes."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"}
+METRIC_KEYS = {
+    "input": {"path", "duration_s", "samples", "dropped"},
+    "power": {"lag_s", "rmse_w", "mae_w", "r2", "coverage_90"},
+    "power_now": {"rmse_w", "mae_w", "r2", "coverage_90"},
+    "energy": {"measured_j", "predicted_j", "rknn_j", "error_percent", "rknn_error_percent"},
+    "updates": {"count", "accepted", "rejected", "p50_ms", "p99_ms"},
+    "replay": {"wall_s", "realtime_factor", "peak_rss_mb"},
+}
+
+
+def evpinn(*arguments, cwd: Path) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=150
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A simulated drive of 45 s as bag and as CAN log, and the same drive without a battery."""
+    folder = tmp_path_factory.mktemp("cli")
+    done = evpinn(
+        *("simulate", "drive", "--duration", 45, "--seed", 5, "--can-log", "drive.log"), cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    (folder / "speed.csv").write_text(
+        "t_s,speed_mps,power_w\n" + "".join(f"{0.1 * i:.1f},{0.05 * i:.2f},\n" for i in range(100))
+    )
+    return folder
+
+
+def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> None:
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    (line,) = done.stderr.strip().splitlines()
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize("name", ["replay", "run", "convert", "simulate", "demo", "check-params"])
+def test_help_has_an_example(name, tmp_path):
+    done = evpinn(name, "--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert f"Example: evpinn {name}" in done.stdout
+
+
+def test_wrong_usage_is_exit_code_2(tmp_path):
+    assert evpinn("replay", "--no-such-option", cwd=tmp_path).returncode == 2
+    assert evpinn("replay", "bag", "--mode", "psychic", cwd=tmp_path).returncode == 2
+
+
+def test_replay_metrics_keep_the_contract(folder):
+    done = evpinn(
+        *("replay", "drive", "--vehicle", "tesla_model_3_lr", "--metrics", "found.json"),
+        *("--warm-up", 10, "--withhold-battery-after", 30, "--out", "learned"),
+        *("--report", "report.html", "--state", "state.json"),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""  # no progress bar in a pipe
+    assert "true value" in done.stdout and "null" in done.stdout
+    found = json.loads((folder / "found.json").read_text())
+    for section, keys in METRIC_KEYS.items():
+        assert set(found[section]) == keys
+    assert set(found["withheld"]) == {"from_s", "power", "power_now", "energy"}
+    assert set(found["parameters"]) == {"eta", "mu", "mass", "c_rr", "c_d", "p_aux"}
+    keys = {"value", "std", "prior_share", "lower", "upper", "state"}
+    assert all(set(each) == keys for each in found["parameters"].values())
+    assert found["withheld"]["power"]["rmse_w"] > 0
+    assert "data:image/png;base64," in (folder / "report.html").read_text()
+    assert (folder / "learned" / "metadata.yaml").is_file()
+    assert json.loads((folder / "state.json").read_text())["vehicle"] == "tesla_model_3_lr"
+
+
+def test_can_log_and_bag_of_one_drive_give_the_same_scores(folder):
+    done = evpinn(
+        *("replay", "drive", "drive.log", "--vehicle", "tesla_model_3_lr", "--warm-up", 10),
+        *("--metrics", "both.json"),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    bag, log = json.loads((folder / "both.json").read_text())
+    assert log["input"]["samples"] == bag["input"]["samples"]
+    # The second drive starts with what the first taught: it is the same drive, so it goes better.
+    assert log["power"]["rmse_w"] < bag["power"]["rmse_w"]
+
+
+def test_state_is_taken_up_and_another_car_refuses_it(folder):
+    replay = ("replay", "drive", "--state", "kept.json", "--metrics", "m.json", "--warm-up", 5)
+    first = evpinn(*replay, "--vehicle", "tesla_model_3_lr", cwd=folder)
+    assert first.returncode == 0, first.stderr
+    before = json.loads((folder / "m.json").read_text())["power"]["rmse_w"]
+    second = evpinn(*replay, "--vehicle", "tesla_model_3_lr", cwd=folder)
+    assert second.returncode == 0, second.stderr
+    assert json.loads((folder / "m.json").read_text())["power"]["rmse_w"] < before
+    other = evpinn(*replay, "--vehicle", "nissan_leaf", cwd=folder)
+    assert_fails_in_one_line(other, "kept.json", "nissan_leaf")
+
+
+def test_convert_csv_says_what_it_assumed(folder):
+    (folder / "power.csv").write_text("t_s,speed_mps,power_w,note\n0,1,700,x\n0.1,1,1400,y\n")
+    done = evpinn("convert", "power.csv", "bag_of_power", "--vehicle", "bmw_i3", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "355 V" in done.stderr and "note" in done.stderr
+    assert done.stdout.strip() == "bag_of_power"
+
+
+def test_convert_can_log_needs_a_vehicle(folder):
+    assert_fails_in_one_line(evpinn("convert", "drive.log", "x", cwd=folder), "--vehicle")
+    done = evpinn("convert", "drive.log", "from_log", "--vehicle", "tesla_model_3_lr", cwd=folder)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_battery_is_said_and_predictions_go_on(folder):
+    done = evpinn("replay", "speed.csv", "--metrics", "speed.json", cwd=folder)
+    assert done.returncode == 0
+    (line,) = done.stderr.strip().splitlines()
+    assert "no battery" in line
+    found = json.loads((folder / "speed.json").read_text())
+    assert found["energy"]["predicted_j"] > 0 and found["power"]["rmse_w"] is None
+
+
+def test_bad_inputs_fail_in_one_line(folder):
+    (folder / "empty_folder").mkdir(exist_ok=True)
+    (folder / "empty.mcap").write_bytes(b"")
+    assert_fails_in_one_line(evpinn("replay", "nowhere", cwd=folder), "nowhere", "no such file")
+    assert_fails_in_one_line(evpinn("replay", "empty_folder", cwd=folder), "empty_folder")
+    assert_fails_in_one_line(evpinn("replay", "empty.mcap", cwd=folder), "empty.mcap")
+    done = evpinn("replay", "drive", "--vehicle", "teapot", cwd=folder)
+    assert_fails_in_one_line(done, "teapot", "tesla_model_3_lr")
+
+
+def test_battery_alone_is_an_error(folder):
+    (folder / "battery.csv").write_text("t_s,speed_mps,power_w\n0,,700\n0.1,,800\n")
+    assert_fails_in_one_line(evpinn("replay", "battery.csv", cwd=folder), "vehicle/speed")
+
+
+def test_truncated_bag_is_replayed_as_far_as_it_goes(folder):
+    (bag,) = (folder / "drive").glob("*.mcap")
+    data = bag.read_bytes()
+    (folder / "cut.mcap").write_bytes(data[: len(data) * 6 // 10])
+    done = evpinn("replay", "cut.mcap", "--metrics", "cut.json", "--warm-up", 5, cwd=folder)
+    assert_fails_in_one_line(done, "cut.mcap")
+    found = json.loads((folder / "cut.json").read_text())
+    assert 15 < found["input"]["duration_s"] < 45
+    assert found["power"]["rmse_w"] > 0
+
+
+def test_results_before_a_bad_input_are_kept(folder):
+    (folder / "wrong.csv").write_text("t_s,speed_mps,power_w\n0,,700\n")
+    done = evpinn("replay", "drive", "wrong.csv", "--metrics", "kept_metrics.json", cwd=folder)
+    assert_fails_in_one_line(done, "wrong.csv")
+    assert json.loads((folder / "kept_metrics.json").read_text())["input"]["path"] == "drive"
+
+
+def test_output_is_never_overwritten(folder):
+    evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
+    done = evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
+    assert done.returncode == 1
+    assert "once" in done.stderr.strip().splitlines()[-1]
+
+
+def test_check_params_knows_the_three_kinds(tmp_path):
+    for path, kind in (
+        (ROOT / "config" / "evpinn.param.yaml", "parameter file"),
+        (ROOT / "config" / "vehicles" / "generic.yaml", "vehicle file"),
+        (ROOT / "config" / "can" / "nissan_leaf.yaml", "CAN profile"),
+    ):
+        done = evpinn("check-params", path, cwd=tmp_path)
+        assert (done.returncode, kind in done.stdout) == (0, True), done.stderr
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("/**/estimator:\n  ros__parameters:\n    smoothing_lag: .nan\n")
+    assert_fails_in_one_line(evpinn("check-params", wrong, cwd=tmp_path), "wrong.yaml:3", "lag")
+
+
+def test_parameter_file_reaches_the_cores(folder):
+    (folder / "paper.yaml").write_text("/**/estimator:\n  ros__parameters:\n    mode: paper\n")
+    done = evpinn(
+        "replay", "speed.csv", "--params", "paper.yaml", "--metrics", "p.json", cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads((folder / "p.json").read_text())["mode"] == "paper"

@@ -1,0 +1,212 @@
+from itertools import pairwise
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.hybrid import MIN_SAMPLES, TRUST_PRIOR, WIDTHS, HybridLearner
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.identifiable import combined_power, identifiable
+from evpinn_ros.vehicle.parameters import Parameters
+
+TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
+
+
+def teach(learner: HybridLearner, drive) -> HybridLearner:
+    for sample, power in zip(drive.samples, drive.powers, strict=True):
+        learner.advance(sample)
+        learner.observe(sample, power)
+    return learner
+
+
+def second(learner: HybridLearner, drive, k: int) -> None:
+    """The samples of one second."""
+    for sample, power in list(zip(drive.samples, drive.powers, strict=True))[5 * k : 5 * k + 5]:
+        learner.advance(sample)
+        learner.observe(sample, power)
+
+
+def said(weights: float) -> torch.Tensor:
+    """Weights of a network that says the same everywhere."""
+    vector = torch.zeros(sum(a * b + b for a, b in pairwise(WIDTHS)))
+    vector[-1] = weights
+    return vector.double()
+
+
+def saying(learner: HybridLearner, output: float):
+    candidate = learner.prepare_update()()
+    candidate.load_vector(said(output))
+    return candidate
+
+
+def test_before_anything_it_says_what_the_prior_says(vehicle):
+    learner = HybridLearner(vehicle)
+    sample = Sample(0, 15.0, 0.3, 0.0, 1.17, 200.0)
+    expected = combined_power(
+        15.0,
+        0.3,
+        identifiable(vehicle.initial, vehicle.frontal_area),
+        air_density=1.17,
+        rotating_mass_factor=vehicle.rotating_mass_factor,
+    )
+    prediction = learner.predict(sample)
+    assert prediction.power == pytest.approx(expected + 200.0)
+    assert prediction.sigma > 0 and learner.trust == 0.0
+    assert learner.prepare_update() is None
+    states = {found.state for found in learner.parameters().parameters.values()}
+    assert states == {State.UNESTIMATED} and not learner.parameters().reliable
+
+
+def test_after_two_minutes_of_town_it_is_reliable(vehicle, synthetic):
+    found = teach(HybridLearner(vehicle), synthetic(TRUTH, noise=0.5)).parameters()
+    assert found.reliable
+    assert found.parameters["mass"].state is State.VALID
+    # Nothing tells C_d in town: its own prior is all there is.
+    assert found.parameters["c_d"].state is State.UNESTIMATED
+    for name, estimate in found.parameters.items():
+        assert estimate.lower <= estimate.value <= estimate.upper, name
+        assert 0.0 <= estimate.prior_share <= 1.0 and estimate.std > 0
+
+
+def test_bounds_by_hand(vehicle, synthetic):
+    """eta and mu in [q, 1]; mass in [q, 1] m/eta; C_d likewise, with the drag area over A."""
+    found = teach(HybridLearner(vehicle), synthetic(TRUTH, noise=0.5)).parameters()
+    combined, bounds = found.identifiable, found.parameters
+    q = combined.regeneration
+    assert (bounds["eta"].lower, bounds["eta"].upper) == (q, 1.0)
+    assert (bounds["mu"].lower, bounds["mu"].upper) == (q, 1.0)
+    assert bounds["mass"].upper == pytest.approx(combined.mass_over_eta)
+    assert bounds["mass"].lower == pytest.approx(q * combined.mass_over_eta)
+    drag = combined.drag_area_over_eta / vehicle.frontal_area
+    assert bounds["c_d"].upper == pytest.approx(drag)
+    assert bounds["c_d"].lower == pytest.approx(q * drag)
+    assert bounds["mass"].lower < TRUTH.mass < bounds["mass"].upper
+
+
+def test_reverse_and_charging_teach_nothing(vehicle):
+    learner = HybridLearner(vehicle)
+    before = learner.export()
+    learner.observe(Sample(0, -0.11, 0.0, 0.0, 1.17, 0.0), 5000.0)
+    learner.observe(Sample(NANOSECONDS, 0.05, 0.0, 0.0, 1.17, 0.0), -501.0)
+    assert learner.gated == {"reverse": 1, "charging": 1}
+    assert learner.export() == before
+    learner.observe(Sample(2 * NANOSECONDS, 0.05, 0.0, 0.0, 1.17, 0.0), -499.0)
+    learner.observe(Sample(3 * NANOSECONDS, 5.0, -1.0, 0.0, 1.17, 0.0), -9000.0)
+    assert learner.gated.total() == 2 and learner.export() != before
+
+
+def test_an_update_waits_for_samples_and_trains_a_copy(vehicle, synthetic):
+    learner, drive = HybridLearner(vehicle), synthetic(TRUTH)
+    for k in range(MIN_SAMPLES // 5):
+        assert learner.prepare_update() is None
+        second(learner, drive, k)
+    before = learner.export()
+    work = learner.prepare_update()
+    first, again = work(), learner.prepare_update()()
+    assert learner.export() == before
+    assert torch.equal(first.vector(), again.vector())
+    assert not torch.equal(first.vector(), torch.tensor(before["network"]).double())
+
+
+def test_work_is_a_snapshot(vehicle, synthetic):
+    """What is observed after `prepare_update` does not reach the work, whenever it runs."""
+    learner, drive = HybridLearner(vehicle), synthetic(TRUTH)
+    for k in range(40):
+        second(learner, drive, k)
+    at_once, later = learner.prepare_update()(), learner.prepare_update()
+    for k in range(40, 60):
+        second(learner, drive, k)
+    assert torch.equal(at_once.vector(), later().vector())
+
+
+@pytest.mark.parametrize(("offset", "adopted"), [(1.0, True), (-1.0, False)])
+def test_a_candidate_must_foretell_the_next_second_better(vehicle, synthetic, offset, adopted):
+    """The next second reads more than physics says: a network that says more is adopted."""
+    learner, drive = HybridLearner(vehicle), synthetic(TRUTH, noise=0.0, hills=0.0)
+    for k in range(40):
+        second(learner, drive, k)
+    assert learner.consider(saying(learner, offset)) is None  # judged from here on
+    for sample, _ in zip(drive.samples[200:205], range(5), strict=True):
+        learner.advance(sample)
+        physics = learner.power_filter.predict(sample).power
+        learner.observe(sample, physics + learner.power_filter.residual_std(sample))
+    reason = learner.consider(saying(learner, 0.0))
+    assert reason == (None if adopted else "not_better")
+    expected = said(offset) if adopted else learner._start.vector()
+    assert learner.export()["network"] == expected.tolist()
+
+
+def test_a_candidate_that_is_not_finite_is_never_adopted(vehicle, synthetic):
+    learner, drive = HybridLearner(vehicle), synthetic(TRUTH)
+    for k in range(40):
+        second(learner, drive, k)
+    start = learner.export()["network"]
+    assert learner.consider(saying(learner, math.nan)) == "not_finite"
+    for k in range(40, 45):
+        second(learner, drive, k)
+    learner.consider(saying(learner, 0.5))
+    assert learner.export()["network"] == start
+
+
+def test_forgetting_the_window_forgets_the_candidate_and_nothing_learned(vehicle, synthetic):
+    learner, drive = HybridLearner(vehicle), synthetic(TRUTH)
+    for k in range(40):
+        second(learner, drive, k)
+    learner.consider(saying(learner, 1.0))
+    before = learner.export()
+    learner.forget_window()
+    assert learner.export() == before
+    assert learner.prepare_update() is None
+
+
+def test_trust_is_the_regression_on_what_the_network_says(vehicle, synthetic):
+    """Physics is off by half of what the network says: trust goes to 0.5, less its prior.
+
+    n samples, each with said = 1 and left = 0.5: merit (0.5 n, n + 200) while nothing is
+    forgotten, and 200 is kept up when something is.
+    """
+    learner, drive = HybridLearner(vehicle), synthetic(TRUTH, seconds=600.0)
+    learner._network.load_vector(said(1.0))
+    for sample in drive.samples[:2000]:
+        learner.advance(sample)
+        scale = learner.power_filter.residual_std(sample)
+        learner._judge(sample, learner.power_filter.predict(sample).power + 0.5 * scale, 0.2)
+    keep = 1 - 0.2 / 300.0
+    seen = (1 - keep**2000) / (1 - keep)
+    assert learner.trust == pytest.approx(0.5 * seen / (seen + TRUST_PRIOR), rel=1e-6)
+
+
+def test_the_network_does_no_harm(vehicle, synthetic):
+    """A drivetrain that wastes 4 kW at about 8 m/s alone: no state of the filter knows it."""
+    drive = synthetic(TRUTH, seconds=200.0, noise=0.2, hills=0.0)
+    learner = HybridLearner(vehicle)
+    physics, both = [], []
+    for k, (sample, power) in enumerate(zip(drive.samples, drive.powers, strict=True)):
+        measured = power + 4000.0 * math.exp(-(((sample.speed - 8.0) / 1.5) ** 2))
+        learner.advance(sample)
+        if k > 500:
+            physics.append(learner.power_filter.predict(sample).power - measured)
+            both.append(learner.predict(sample).power - measured)
+        learner.observe(sample, measured)
+        if k % 15 == 14:  # every third second saves time
+            work = learner.prepare_update()
+            if work is not None:
+                learner.consider(work())
+    assert 0.0 < learner.trust < 1.0
+    assert any(learner.export()["network"][-1:])
+    assert np.linalg.norm(both) < 1.005 * np.linalg.norm(physics)
+
+
+def test_samples_from_before_time_went_back_count_as_old(vehicle, synthetic):
+    learner, drive = HybridLearner(vehicle), synthetic(TRUTH)
+    teach(learner, drive)
+    for observation in list(learner._window):
+        learner._store.add(observation)
+    learner.forget_window()
+    learner.observe(Sample(0, 10.0, 0.0, 0.0, 1.17, 0.0), 5000.0)
+    observations = [*learner._window, *learner._store]
+    inputs = learner._problem(observations, 0).inputs
+    assert np.array_equal(np.unique(inputs[:, 2]), [0.0, 1.0])

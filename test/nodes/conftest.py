@@ -1,0 +1,147 @@
+"""A bench for nodes: the far end of every topic, in one executor with the nodes under test."""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+import os
+from pathlib import Path
+import time
+from typing import Any
+
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import encode
+from evpinn_ros.nodes import factory
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.messages import Level
+from evpinn_ros.nodes.parameters import overrides
+from evpinn_ros.nodes.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
+
+# One ROS domain for each worker of one run of the tests, so that none hears another. All of this
+# is read when ROS starts or the first message class is loaded, later than here.
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+os.environ["ROS_DOMAIN_ID"] = str(2 + os.getppid() % 20 * 4 + _WORKER % 4)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+
+ROOT = Path(__file__).resolve().parents[2]
+VEHICLE = "tesla_model_3_lr"
+
+
+class Bench:
+    """Sends and hears; `pump` lets the nodes work until something is so."""
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node("bench", namespace=NAMESPACE)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.nodes: list[GuardedNode] = []
+        self.heard: dict[Topic, list[Any]] = defaultdict(list)
+        self._publishers: dict[Topic, Any] = {}
+
+    def start(self, make: Callable[..., GuardedNode], **parameters: Any) -> Any:
+        """Make a node under test."""
+        values = {"vehicle": VEHICLE, **parameters}
+        node = make(namespace=NAMESPACE, parameter_overrides=overrides(values))
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def listen(self, *topics: Topic) -> None:
+        """Hear topics, and wait until their publishers are found."""
+        listeners = [factory.subscribe(self.node, t, self.heard[t].append) for t in topics]
+        self.pump(lambda: all(self.node.count_publishers(s.topic_name) for s in listeners))
+
+    def publisher(self, topic: Topic) -> Any:
+        """The publisher of a topic, once somebody listens to it."""
+        if topic not in self._publishers:
+            publisher = self._publishers[topic] = factory.advertise(self.node, topic)
+            self.pump(lambda: publisher.get_subscription_count() > 0)
+        return self._publishers[topic]
+
+    def send(self, topic: Topic, message: Any) -> None:
+        self.publisher(topic).publish(message)
+
+    def deliver(self, node: GuardedNode, topic: Topic, message: Any) -> None:
+        """One message in flight: return when the node has dealt with it."""
+        count = node.received[topic]
+        self.send(topic, message)
+        self.pump(lambda: node.received[topic] > count)
+
+    def call(self, kind: Any, name: str, **request: Any) -> Any:
+        """Call a service of a node under test."""
+        client = self.node.create_client(kind, name)
+        self.pump(client.service_is_ready)
+        future = client.call_async(kind.Request(**request))
+        self.pump(future.done)
+        return future.result()
+
+    def diagnosis(self, node: GuardedNode) -> dict[str, Any]:
+        """What a node says of itself now: (level, text, values) by the name of the part."""
+        if DIAGNOSTICS not in self.heard:
+            self.listen(DIAGNOSTICS)
+        heard = self.heard[DIAGNOSTICS]
+        heard.clear()
+        node.report()
+        self.pump(lambda: any(s.name.startswith(node.get_name()) for m in heard for s in m.status))
+        statuses = [s for m in heard for s in m.status if s.name.startswith(node.get_name())]
+        return {
+            status.name.rpartition(" ")[2]: (
+                Level(int.from_bytes(status.level, "little")),
+                status.message,
+                {pair.key: pair.value for pair in status.values},
+            )
+            for status in statuses
+        }
+
+    def pump(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, "timed out"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def settle(self) -> None:
+        """Let every listener hear all that the nodes under test have published."""
+        sent = sum((node.published for node in self.nodes), Counter())
+        self.pump(lambda: all(len(heard) == sent[topic] for topic, heard in self.heard.items()))
+
+    def close(self) -> None:
+        for node in self.nodes:
+            node.close()
+            assert not node.health().faults
+        self.executor.shutdown()
+        for node in [*self.nodes, self.node]:
+            node.destroy_node()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    rclpy.init()
+    bench = Bench()
+    try:
+        yield bench
+        bench.close()
+    finally:
+        rclpy.try_shutdown()
+
+
+def _messages(seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
+    with BagReader(ROOT / "bags" / "urban") as bag:
+        start = None
+        for record in bag.records():
+            start = start or record.log_time_ns
+            if record.log_time_ns - start > seconds * 1e9:
+                return
+            topic = topic_of(record.topic)
+            if record.topic.endswith(("vehicle/speed", "battery/state")):
+                kind = factory.message_class(topic.type_name)
+                yield topic, record.message, deserialize_message(encode(record.message), kind)
+
+
+@pytest.fixture
+def urban() -> Callable[[float], Iterator[tuple[Topic, Any, Any]]]:
+    """The first seconds of a bundled bag: topic, message of rosbags, the same of rclpy."""
+    return _messages

@@ -1,0 +1,112 @@
+"""What the nodes say of themselves, decided without ROS."""
+
+import dataclasses
+import math
+
+import pytest
+
+from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
+from evpinn_ros.can.bus import BusState, BusStatus
+from evpinn_ros.energy.meter import EnergyState, Flow
+from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
+from evpinn_ros.nodes.diagnosis import Health
+from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
+from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
+from evpinn_ros.nodes.messages import Level
+
+WELL = Health({}, {})
+STATUS = EstimatorStatus(
+    activity=Activity.LEARNING,
+    dropped={"speed_late": 2},
+    gated={"standing": 5},
+    updates=40,
+    accepted=35,
+    rejected={"not_better": 5},
+    durations=(0.004, 0.006, 0.005),
+    newest_ns=1,
+)
+FLOW = Flow(3600.0, 100.0, 10.0)
+STATE = EnergyState(1, FLOW, FLOW, FLOW, FLOW, 3600.0, 0, 0, 0.0, True)
+ENERGY = EnergyReport(STATE, WELL, 0.1, 0, 0.8, True, 3, 0, None)
+BRIDGE = BridgeStatus(True, "receiving", 9, 2, 1, {}, {"speed": SignalStatus(9, 50.0, 0.0, False)})
+
+
+def estimator(status=STATUS, health=WELL, age=0.1, problem=None):
+    return estimator_status(EstimatorReport(status, health, age, 0, problem))
+
+
+def test_learning_is_well_and_shows_its_counters():
+    status = estimator()
+    assert status.level is Level.OK and status.text == "learning: 35 of 40 updates adopted"
+    assert status.values["dropped.speed_late"] == 2 and status.values["gated.standing"] == 5
+    assert status.values["rejected.not_better"] == 5 and status.values["update_ms"] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("change", "age", "level", "text"),
+    [
+        ({"activity": Activity.WAITING}, math.nan, Level.WARN, "waiting for vehicle/speed"),
+        ({}, 12.0, Level.WARN, "no vehicle/speed for 12 s"),
+        ({"activity": Activity.PREDICTING}, 0.1, Level.WARN, "battery/state is silent"),
+        ({"activity": Activity.PAUSED}, 0.1, Level.OK, "paused"),
+        ({"rejected": {"overrun": 9}}, 0.1, Level.WARN, "too slow or busy"),
+    ],
+)
+def test_states_of_the_estimator(change, age, level, text):
+    status = estimator(dataclasses.replace(STATUS, **change), age=age)
+    assert status.level is level and text in status.text
+
+
+def test_a_state_file_not_used_is_told():
+    assert estimator(problem="x.json: not used").text == "x.json: not used"
+
+
+def test_bad_messages_are_counted_and_faults_outweigh_all():
+    bad = Health({"vehicle/speed: not_finite": 3}, {})
+    assert estimator(health=bad).values["bad.vehicle/speed: not_finite"] == 3
+    assert estimator(health=bad).level is Level.OK
+    fault = estimator(health=Health({}, {"vehicle/speed: KeyError('x')": 1}))
+    assert fault.level is Level.ERROR and "KeyError" in fault.text
+
+
+def test_states_of_the_meter():
+    assert meter_status(ENERGY).level is Level.OK
+    assert meter_status(ENERGY).values["consumed_wh"] == 1.0
+    for change, text in (
+        ({"power_age": math.nan}, "waiting for power/smoothed"),
+        ({"power_age": 9.0}, "no power/smoothed for 9 s"),
+        ({"state": dataclasses.replace(STATE, measuring=False)}, "predicting"),
+    ):
+        status = meter_status(dataclasses.replace(ENERGY, **change))
+        assert status.level is Level.WARN and text in status.text
+
+
+def test_states_of_planning():
+    assert plan_status(ENERGY).text == "ready"
+    assert "vehicle file" in plan_status(dataclasses.replace(ENERGY, learned=False)).text
+    refused = plan_status(dataclasses.replace(ENERGY, plan_problem="time goes back at point 3"))
+    assert refused.level is Level.WARN and refused.text.endswith("time goes back at point 3")
+
+
+@pytest.mark.parametrize(
+    ("state", "ok", "level", "text"),
+    [
+        (BusState.OPEN, True, Level.OK, "receiving"),
+        (BusState.OPEN, False, Level.WARN, "receiving"),
+        (BusState.SILENT, True, Level.WARN, "silent"),
+        (BusState.LOST, True, Level.ERROR, "is the adapter plugged in"),
+    ],
+)
+def test_states_of_the_bus(state, ok, level, text):
+    problem = "CAN bus: is the adapter plugged in" if state is BusState.LOST else None
+    status = bus_status(
+        BusStatus(state, problem, {"lost": 1}), dataclasses.replace(BRIDGE, ok=ok), WELL
+    )
+    assert status.level is level and text in status.text
+    assert status.values["bus.lost"] == 1 and status.values["speed.rate_hz"] == 50.0
+
+
+def test_states_of_a_log():
+    assert log_status("playing", None, BRIDGE, WELL).level is Level.OK
+    assert log_status("playing", "x.log: cut off", BRIDGE, WELL).text == "x.log: cut off"

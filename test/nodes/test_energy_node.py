@@ -1,0 +1,225 @@
+"""The energy node: counting, and answering planners."""
+
+import math
+
+import pytest
+from std_srvs.srv import Trigger
+
+from evpinn_ros.energy.forecast import forecast
+from evpinn_ros.energy.plan import plan_from_speed_profile
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.forecaster import FIRST_RESIDUAL, prior_identifiable
+from evpinn_ros.nodes.messages import Level, battery_message, header, named_vector
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
+
+NOW = 1_700_000_000 * NANOSECONDS
+VEHICLE = load_vehicle("tesla_model_3_lr")
+ANSWERS = (topics.FORECAST, topics.FORECAST_BATTERY)
+
+
+def power(seconds, watts, sigma=200.0):
+    stamp = NOW + round(seconds * NANOSECONDS)
+    return named_vector(new_message, stamp, ["power"], [watts], [sigma])
+
+
+def profile(*points, frame="plan 7"):
+    """A speed profile of (s, m, m/s)."""
+    return new_message(
+        topics.TRAJECTORY_TYPE,
+        header=header(new_message, NOW, frame),
+        joint_names=["distance"],
+        points=[
+            new_message(
+                "trajectory_msgs/msg/JointTrajectoryPoint",
+                positions=[float(distance)],
+                velocities=[float(speed)],
+                time_from_start=new_message("builtin_interfaces/msg/Duration", sec=time),
+            )
+            for time, distance, speed in points
+        ],
+    )
+
+
+def path(*points, stamps=None):
+    """A path of (x, y, z)."""
+    stamps = stamps or [0] * len(points)
+    return new_message(
+        topics.PATH_TYPE,
+        header=header(new_message, NOW, "map"),
+        poses=[
+            new_message(
+                "geometry_msgs/msg/PoseStamped",
+                header=header(new_message, stamp * NANOSECONDS, "map"),
+                pose=new_message(
+                    "geometry_msgs/msg/Pose",
+                    position=new_message("geometry_msgs/msg/Point", x=x, y=y, z=z),
+                ),
+            )
+            for (x, y, z), stamp in zip(points, stamps, strict=True)
+        ],
+    )
+
+
+TRIP = ((0, 0, 0), (20, 150, 15), (120, 1650, 15), (140, 1800, 0))
+
+
+def charge(bench, node, state_of_charge):
+    reading = BatteryReading(NOW, 350.0, -10.0, state_of_charge)
+    bench.deliver(node, topics.BATTERY, battery_message(new_message, reading))
+
+
+def ask(bench, node, topic, message):
+    """Send a plan; give the answers, which are published before the node takes another."""
+    for each in ANSWERS:
+        bench.heard[each].clear()
+    expected = dict(node.published)
+    bench.deliver(node, topic, message)
+    expected = {each: node.published[each] - expected.get(each, 0) for each in ANSWERS}
+    bench.pump(lambda: all(len(bench.heard[each]) == expected[each] for each in ANSWERS))
+    return bench.heard[topics.FORECAST], bench.heard[topics.FORECAST_BATTERY]
+
+
+def test_a_plan_is_answered_from_the_vehicle_file_first(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    message = profile(*TRIP)
+    (answer,), batteries = ask(bench, node, topics.SPEED_PROFILE, message)
+    assert batteries == [], "the state of charge is unknown"
+    assert answer.header == message.header and list(answer.joint_names) == ["energy"]
+    plan = plan_from_speed_profile(*zip(*TRIP, strict=True))
+    expected = forecast(plan, *prior_identifiable(VEHICLE), VEHICLE, FIRST_RESIDUAL)
+    assert [p.positions[0] for p in answer.points] == list(expected.energy)
+    assert [p.velocities[0] for p in answer.points] == list(expected.power)
+    assert [p.effort[0] for p in answer.points] == list(expected.sigma)
+    assert [p.time_from_start.sec for p in answer.points] == [0, 20, 120, 140]
+    assert expected.energy[-1] > 0 and expected.sigma[-1] > 0
+    assert "vehicle file" in bench.diagnosis(node)["plan"][1]
+
+
+def test_the_battery_at_the_end_follows_the_state_of_charge(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    charge(bench, node, 0.5)
+    charge(bench, node, math.nan)  # says nothing new
+    message = profile(*TRIP)
+    (answer,), (battery,) = ask(bench, node, topics.SPEED_PROFILE, message)
+    used = answer.points[-1].positions[0] / VEHICLE.battery_capacity
+    assert battery.percentage == pytest.approx(0.5 - used, abs=1e-7)
+    assert battery.header == message.header
+    assert math.isnan(battery.voltage)
+    charge(bench, node, 0.0)
+    _, (battery,) = ask(bench, node, topics.SPEED_PROFILE, message)
+    assert battery.percentage == 0.0
+
+
+def test_forecasts_follow_the_estimate_and_the_residual(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    combined, sigmas = prior_identifiable(VEHICLE)
+    light = [1.0, 0.8, combined.c_rr, combined.regeneration, combined.p_aux]
+    vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, light, [0.0] * 5)
+    bench.deliver(node, topics.IDENTIFIABLE, vector)
+    for _ in range(3000):
+        node.forecaster.hear_sigma(100.0)
+    (after,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    assert after.points[-1].positions[0] < before.points[-1].positions[0]
+    assert after.points[-1].effort[0] < 0.1 * before.points[-1].effort[0]
+    assert bench.diagnosis(node)["plan"][:2] == (Level.OK, "ready")
+
+
+def test_a_path_with_and_without_times(bench):
+    node = bench.start(EnergyNode, nominal_speed=20.0)
+    bench.listen(*ANSWERS)
+    points = (0.0, 0.0, 0.0), (600.0, 800.0, 0.0), (600.0, 2800.0, 30.0)
+    (timed,), _ = ask(bench, node, topics.PLAN, path(*points, stamps=[100, 160, 280]))
+    assert [p.time_from_start.sec for p in timed.points] == [0, 60, 180]
+    (nominal,), _ = ask(bench, node, topics.PLAN, path(*points))
+    duration = nominal.points[-1].time_from_start
+    assert duration.sec == pytest.approx(3000 / 20 + 20, abs=1)
+    flat = [(x, y, 0.0) for x, y, _ in points]
+    (level,), _ = ask(bench, node, topics.PLAN, path(*flat))
+    assert nominal.points[-1].positions[0] > level.points[-1].positions[0] + 4e5
+
+
+def no_distance():
+    message = profile(*TRIP)
+    message.joint_names = ["wheel"]
+    return message
+
+
+def no_speed():
+    message = profile(*TRIP)
+    message.points[2].velocities = []
+    return message
+
+
+@pytest.mark.parametrize(
+    ("topic", "message", "reason"),
+    [
+        (topics.SPEED_PROFILE, no_distance(), "no joint 'distance' in this profile"),
+        (topics.SPEED_PROFILE, no_speed(), "velocities are missing at point 2"),
+        (topics.SPEED_PROFILE, profile(), "needs at least two points"),
+        (topics.SPEED_PROFILE, profile((0, 0, 0), (0, 9, 0)), "time does not rise at point 0"),
+        (topics.SPEED_PROFILE, profile((0, 0, 0), (9, math.nan, 0)), "distance is not finite"),
+        (topics.PLAN, path(), "needs at least two points"),
+        (topics.PLAN, path((0.0, 0.0, 0.0), (math.inf, 0.0, 0.0)), "x is not finite"),
+        (topics.PLAN, path((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), stamps=[9, 1]), "time goes back"),
+        (topics.PLAN, path((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), "neither length nor duration"),
+    ],
+)
+def test_a_plan_that_cannot_be_driven_is_refused_with_the_reason(bench, topic, message, reason):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    assert ask(bench, node, topic, message) == ([], [])
+    level, text, values = bench.diagnosis(node)["plan"]
+    assert level is Level.WARN and reason in text and values["refused"] == "1"
+    assert len(ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))[0]) == 1
+    assert bench.diagnosis(node)["plan"][0] is Level.OK
+
+
+def test_energy_is_counted_and_reset(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(topics.ENERGY_STATE, topics.ENERGY_CONSUMED)
+    for second in range(11):
+        bench.deliver(node, topics.POWER_MEASURED, power(second, 2000.0))
+        bench.deliver(node, topics.POWER_SMOOTHED, power(second, 2100.0))
+    bench.settle()
+    assert bench.heard[topics.ENERGY_CONSUMED][-1].data == 20_000.0
+    state = bench.heard[topics.ENERGY_STATE][-1]
+    energies = dict(zip(state.name, state.position, strict=True))
+    assert energies["measured"] == 20_000.0 and energies["predicted"] == 21_000.0
+    assert energies["rknn"] == pytest.approx(21_000.0, rel=1e-3)
+    assert state.header.stamp.sec == 1_700_000_010
+    assert bench.call(Trigger, "/ev/energy/reset").success
+    bench.deliver(node, topics.POWER_SMOOTHED, power(11, 2100.0))
+    bench.settle()
+    assert bench.heard[topics.ENERGY_CONSUMED][-1].data == 0.0
+
+
+def test_energy_goes_on_while_the_battery_is_silent(bench):
+    node = bench.start(EnergyNode)
+    for second in range(21):
+        if second <= 10:
+            bench.deliver(node, topics.POWER_MEASURED, power(second, 2000.0))
+        bench.deliver(node, topics.POWER_SMOOTHED, power(second, 2100.0))
+    # Where the two join, one sample may count twice.
+    assert node.meter.state.consumed == pytest.approx(20_000.0 + 21_000.0, abs=2100.0)
+    level, text, _ = bench.diagnosis(node)["meter"]
+    assert level is Level.WARN and "predicting" in text
+
+
+def test_bad_messages_are_counted(bench):
+    node = bench.start(EnergyNode)
+    other = named_vector(new_message, NOW, ["torque"], [1.0])
+    bench.deliver(node, topics.POWER_SMOOTHED, other)
+    bench.deliver(node, topics.IDENTIFIABLE, other)
+    bench.deliver(node, topics.POWER_MEASURED, new_message(topics.NAMED_VECTOR_TYPE))
+    values = bench.diagnosis(node)["meter"][2]
+    assert values["bad.power/smoothed: no_power"] == "1"
+    assert values["bad.estimate/identifiable: incomplete"] == "1"
+    assert values["bad.power/measured: no_stamp"] == "1"

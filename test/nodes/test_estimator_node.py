@@ -1,0 +1,196 @@
+"""The estimator node: its services, its state file, and what it does with bad input."""
+
+import json
+import math
+
+import pytest
+from std_srvs.srv import SetBool, Trigger
+
+from evpinn_ros.nodes import estimator as module
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.forecaster import prior_identifiable
+from evpinn_ros.nodes.messages import Level, battery_message, speed_message
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.vehicle.files import load_vehicle
+
+START = 1_700_000_000 * NANOSECONDS
+
+
+def speed(seconds, value=10.0):
+    return speed_message(new_message, SpeedReading(START + round(seconds * 1e9), value))
+
+
+def battery(seconds, current=-30.0):
+    reading = BatteryReading(START + round(seconds * 1e9), 350.0, current)
+    return battery_message(new_message, reading)
+
+
+def drive(bench, node, begin, end, with_battery=True):
+    for tenth in range(round(begin * 10), round(end * 10)):
+        at = tenth / 10
+        if with_battery:
+            bench.deliver(node, topics.BATTERY, battery(at))
+        bench.deliver(node, topics.SPEED, speed(at, 10.0 + 5 * math.sin(at / 3)))
+
+
+def unsure(node):
+    """1-sigma of m / eta relative to that of the vehicle file."""
+    vehicle = load_vehicle("tesla_model_3_lr")
+    prior = prior_identifiable(vehicle)[1].mass_over_eta
+    return node.estimator.parameters().identifiable_std.mass_over_eta / prior
+
+
+def said(bench, node):
+    return bench.diagnosis(node)["estimate"]
+
+
+def test_prediction_goes_on_without_the_battery(bench):
+    node = bench.start(EstimatorNode)
+    bench.listen(topics.POWER_PREDICTED, topics.POWER_SMOOTHED, topics.POWER_MEASURED)
+    assert said(bench, node)[:2] == (Level.WARN, "waiting for vehicle/speed")
+    drive(bench, node, 0, 4)
+    assert said(bench, node)[0] is Level.OK and "learning" in said(bench, node)[1]
+    measured = node.published[topics.POWER_MEASURED]
+    drive(bench, node, 4, 9, with_battery=False)
+    bench.settle()
+    level, text, values = said(bench, node)
+    assert level is Level.WARN and "predicting from speed alone" in text
+    assert values["activity"] == "predicting"
+    assert len(bench.heard[topics.POWER_MEASURED]) == measured == 40
+    for topic in (topics.POWER_PREDICTED, topics.POWER_SMOOTHED):
+        vectors = bench.heard[topic]
+        assert len(vectors) > 80 and all(math.isfinite(v.position[0]) for v in vectors)
+        assert all(v.effort[0] > 0 for v in vectors)
+    newest = bench.heard[topics.POWER_PREDICTED][-1].header.stamp
+    assert (newest.sec, newest.nanosec) == (1_700_000_008, 900_000_000)
+
+
+def test_enable_pauses_learning_alone(bench):
+    node = bench.start(EstimatorNode)
+    assert bench.call(SetBool, "/ev/estimator/enable", data=False).success
+    drive(bench, node, 0, 4)
+    assert said(bench, node)[:2] == (Level.OK, "predicting; learning is paused by ~/enable")
+    assert node.published[topics.POWER_SMOOTHED] > 30
+    assert unsure(node) == pytest.approx(1.0, abs=0.01)
+    bench.call(SetBool, "/ev/estimator/enable", data=True)
+    drive(bench, node, 4, 8)
+    assert unsure(node) < 0.9
+
+
+def test_reset_forgets_what_was_learned(bench):
+    node = bench.start(EstimatorNode)
+    prior = node.estimator.export()["learner"]
+    drive(bench, node, 0, 3)
+    assert node.estimator.export()["learner"] != prior
+    answer = bench.call(Trigger, "/ev/estimator/reset")
+    assert answer.success and "tesla_model_3_lr" in answer.message
+    assert node.estimator.export()["learner"] == prior
+
+
+def test_save_gives_the_reason_when_it_cannot(bench, tmp_path):
+    bench.start(EstimatorNode)
+    answer = bench.call(Trigger, "/ev/estimator/save")
+    assert not answer.success and answer.message == "no state_file is set"
+
+
+def test_what_was_learned_is_saved_and_read_again(bench, tmp_path):
+    path = tmp_path / "state" / "car.json"
+    node = bench.start(EstimatorNode, state_file=str(path))
+    drive(bench, node, 0, 3)
+    answer = bench.call(Trigger, "/ev/estimator/save")
+    assert answer.success and str(path) in answer.message
+    saved = json.loads(path.read_text())
+    again = bench.start(EstimatorNode, state_file=str(path))
+    assert json.loads(json.dumps(again.estimator.export())) == saved
+    drive(bench, node, 3, 4)
+    node.close()
+    assert json.loads(path.read_text()) != saved, "saved at the end too"
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("{", "not a saved state"),
+        ("[]", "not a saved state"),
+        ('{"version": 99}', "not used: saved for"),
+        ('{"vehicle": "bmw_i3"}', "not used: saved for"),
+        (None, "not used"),
+    ],
+)
+def test_a_state_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, content, reason):
+    path = tmp_path / "car.json"
+    if content is None:  # the right car, and nonsense in it
+        state = bench.start(EstimatorNode).estimator.export()
+        content = json.dumps({**state, "learner": {**state["learner"], "network": "x"}})
+    path.write_text(content)
+    node = bench.start(EstimatorNode, state_file=str(path))
+    prior = node.estimator.export()
+    drive(bench, node, 0, 0.2)
+    level, text, _ = said(bench, node)
+    assert level is Level.WARN and reason in text and str(path) in text
+    assert prior["vehicle"] == "tesla_model_3_lr"
+    node.save()
+    assert json.loads(path.read_text())["version"] == prior["version"]
+    assert path.with_name("car.json.refused").read_text() == content
+
+
+def test_a_state_that_cannot_be_written_is_told(bench, tmp_path):
+    (tmp_path / "file").write_text("")
+    node = bench.start(EstimatorNode, state_file=str(tmp_path / "file" / "car.json"))
+    drive(bench, node, 0, 0.2)
+    assert not bench.call(Trigger, "/ev/estimator/save").success
+    assert "not written" in said(bench, node)[1]
+
+
+def test_bad_messages_are_counted_by_reason(bench):
+    node = bench.start(EstimatorNode)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    broken = speed(0.1)
+    broken.twist.twist.linear.x = math.nan
+    bench.deliver(node, topics.SPEED, broken)
+    bench.deliver(node, topics.SPEED, new_message(topics.SPEED_TYPE))
+    bench.deliver(node, topics.BATTERY, new_message(topics.BATTERY_TYPE))
+    bench.deliver(node, topics.IMU, new_message(topics.IMU_TYPE))
+    bench.deliver(node, topics.SPEED, speed(0.2, 1e9))
+    values = said(bench, node)[2]
+    assert values["bad.vehicle/speed: not_finite"] == "1"
+    assert values["bad.vehicle/speed: no_stamp"] == "1"
+    assert values["bad.battery/state: no_stamp"] == "1"
+    assert values["bad.vehicle/imu: no_stamp"] == "1"
+    assert values["dropped.speed_out_of_range"] == "1"
+
+
+def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
+    node = bench.start(EstimatorNode)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    published = node.published[topics.POWER_PREDICTED]
+    learner = node.estimator._learner
+    wrong = learner.predict
+    monkeypatch.setattr(learner, "predict", lambda s: wrong(s)._replace(power=math.nan))
+    bench.deliver(node, topics.SPEED, speed(0.1))
+    assert node.published[topics.POWER_PREDICTED] == published
+    assert said(bench, node)[2]["bad.output_not_finite"] == "1"
+
+
+def test_a_fault_of_ours_is_told_and_the_node_lives(bench, monkeypatch):
+    node = bench.start(EstimatorNode)
+    monkeypatch.setattr(node.estimator, "push", lambda reading: 1 / 0)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    bench.deliver(node, topics.SPEED, speed(0.1))
+    level, text, values = said(bench, node)
+    assert level is Level.ERROR and "ZeroDivisionError" in text
+    assert [v for k, v in values.items() if k.startswith("fault")] == ["2"]
+    monkeypatch.undo()
+    bench.deliver(node, topics.SPEED, speed(0.2))
+    assert node.estimator.status().newest_ns is not None
+    node._faults.clear()  # the bench demands that there are none
+
+
+def test_the_reliable_estimate_reaches_a_late_subscriber(bench, monkeypatch):
+    node = bench.start(EstimatorNode)
+    message = module.new_message(topics.NAMED_VECTOR_TYPE, name=["eta"], position=[0.9])
+    node.publish([(topics.RELIABLE, message)])
+    bench.listen(topics.RELIABLE)
+    bench.pump(lambda: bench.heard[topics.RELIABLE])

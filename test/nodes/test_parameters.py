@@ -1,0 +1,166 @@
+"""One table of parameters: the file, the declaration and every check say the same."""
+
+from itertools import pairwise
+import math
+
+import pytest
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter as RosParameter
+import yaml
+
+from evpinn_ros.energy.plan import MAX_SPEED, NOMINAL_SPEED
+from evpinn_ros.energy.quadrature import MAX_GAP
+from evpinn_ros.energy.rknn import STEP_LIMIT
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.parameter_file import check_parameter_file, read_parameter_file
+from evpinn_ros.nodes.parameter_table import TABLES, bus_options, refuse_wrong
+from evpinn_ros.nodes.time_jump import JumpPolicy
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.road import GradeSource
+from evpinn_ros.vehicle.physics import RegenForm
+
+FILE = share_directory() / "config" / "evpinn.param.yaml"
+PARAMETERS = [(node, p) for node, table in TABLES.items() for p in table]
+
+
+def table(node):
+    return {parameter.name: parameter for parameter in TABLES[node]}
+
+
+def test_the_file_holds_every_default():
+    check_parameter_file(FILE)
+    whole = yaml.safe_load(FILE.read_text())
+    sections = {name.rpartition("/")[2]: s["ros__parameters"] for name, s in whole.items()}
+    defaults = {node: {p.name: p.default for p in table} for node, table in TABLES.items()}
+    assert sections == defaults
+    assert all(read_parameter_file(FILE, node) == defaults[node] for node in TABLES)
+
+
+def test_the_file_has_a_comment_above_every_parameter():
+    lines = FILE.read_text().splitlines()
+    for above, line in pairwise(lines):
+        if line.startswith("    ") and not line.strip().startswith("#"):
+            assert above.strip().startswith("#"), line
+
+
+@pytest.mark.parametrize(("node", "parameter"), PARAMETERS, ids=lambda x: getattr(x, "name", x))
+def test_every_default_passes_its_own_check(node, parameter):
+    assert parameter.problem(parameter.default) is None
+    assert parameter.description.endswith(".")
+
+
+def test_choices_and_defaults_are_those_of_the_cores():
+    estimator, settings = table("estimator"), EstimatorSettings()
+    for name, kind in (
+        ("mode", Mode),
+        ("regen_form", RegenForm),
+        ("grade_source", GradeSource),
+        ("time_jump_policy", JumpPolicy),
+    ):
+        assert set(estimator[name].choices) == {member.value for member in kind}
+    assert estimator["mode"].default == settings.mode.value
+    assert estimator["regen_form"].default == settings.regen_form.value
+    assert estimator["grade_source"].default == settings.stream.grade_source.value
+    for name in ("smoothing_lag", "allowed_lateness", "max_gap"):
+        assert estimator[name].default == getattr(settings.stream, name)
+    energy = table("energy")
+    assert (energy["max_gap"].default, energy["max_gap"].upper) == (MAX_GAP, STEP_LIMIT)
+    speed = energy["nominal_speed"]
+    assert (speed.default, speed.upper) == (NOMINAL_SPEED, MAX_SPEED)
+
+
+@pytest.mark.parametrize(
+    ("node", "name", "value", "reason"),
+    [
+        ("estimator", "max_gap", math.nan, "max_gap = nan is outside"),
+        ("estimator", "max_gap", math.inf, "outside"),
+        ("estimator", "max_gap", 2, "with a decimal point"),
+        ("estimator", "seed", True, "a whole number"),
+        ("estimator", "seed", -1, "outside"),
+        ("estimator", "mode", "clever", "not one of hybrid, paper"),
+        ("estimator", "vehicle", "tesla", "no vehicle named 'tesla'"),
+        ("estimator", "time_jump_threshold", 0.5, "above allowed_lateness"),
+        ("can_bridge", "can_profile", "vw", "no CAN profile named 'vw'"),
+        ("can_bridge", "interface", "usb", "interface: known are"),
+        ("can_bridge", "bus_options", "hop_limit", "not of the form name=value"),
+    ],
+)
+def test_wrong_values_are_refused_with_the_reason(node, name, value, reason):
+    with pytest.raises(InputError, match=reason):
+        refuse_wrong(TABLES[node], {name: value})
+
+
+def test_bus_options_have_types():
+    assert bus_options("port=43113 listen_only=true sleep=0.5 mode=a") == {
+        "port": 43113, "listen_only": True, "sleep": 0.5, "mode": "a",
+    }  # fmt: skip
+
+
+GOOD = """
+/**:
+  ros__parameters: {use_sim_time: true, vehicle: nissan_leaf}
+ev:
+  energy:
+    ros__parameters:
+      max_gap: 1e0
+      qos_overrides: {/ev/plan: {subscription: {depth: 3}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "reason"),
+    [
+        ("/ev/estimator:\n  ros__parameters:\n    max_gap: .nan", 3, "outside"),
+        ("/ev/estimator:\n  ros__parameters:\n    max_gpa: 1.0", 3, "unknown parameter 'max_gpa'"),
+        ("/ev/estimator:\n  ros__parameters:\n\n    max_gap: 1", 4, "with a decimal point"),
+        ("/ev/estimater:\n  ros__parameters:\n    max_gap: 1.0", 2, "unknown node 'estimater'"),
+        ("estimator:\n  max_gap: 1.0", 2, "expected 'name: value' lines"),
+        ("/**:\n  ros__parameters:\n    vehicle: [1]", 3, "must be text"),
+        ("/**:\n  ros__parameters:\n    {allowed_lateness: 3.0}", 3, "above allowed_lateness"),
+        ("{}", 1, "not a parameter file"),
+        ("a: b: c", 1, "not YAML"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_line_and_reason(tmp_path, text, line, reason):
+    path = tmp_path / "car.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=reason) as error:
+        check_parameter_file(path)
+    assert str(error.value).startswith(f"{path}:{line}: ")
+
+
+def test_a_right_file_of_any_form_passes(tmp_path):
+    path = tmp_path / "car.yaml"
+    path.write_text(GOOD)
+    assert read_parameter_file(path, "energy") == {"vehicle": "nissan_leaf", "max_gap": 1.0}
+    assert read_parameter_file(path, "estimator") == {"vehicle": "nissan_leaf"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("max_gap", math.nan), ("max_gap", 1), ("vehicle", "nope"), ("time_jump_threshold", 0.1)],
+)
+def test_a_node_with_a_wrong_parameter_does_not_start(bench, name, value):
+    with pytest.raises(InputError, match=name if name != "vehicle" else "no vehicle named"):
+        bench.start(EstimatorNode, **{name: value})
+
+
+def test_a_running_node_takes_right_changes_and_refuses_wrong_ones_as_a_whole(bench):
+    node = bench.start(EnergyNode)
+
+    def change(**values):
+        parameters = [RosParameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        name = "/ev/energy/set_parameters_atomically"
+        return bench.call(SetParametersAtomically, name, parameters=parameters).result
+
+    assert change(nominal_speed=20.0).successful and node.values["nominal_speed"] == 20.0
+    refused = change(nominal_speed=10.0, time_jump_policy="guess")
+    assert not refused.successful and "not one of" in refused.reason
+    assert not change(nominal_speed=math.nan).successful
+    assert not change(max_gap=1.0).successful, "read only"
+    assert node.values["nominal_speed"] == 20.0 and node.values["max_gap"] == 2.0
+    description = node.describe_parameter("nominal_speed")
+    assert description.floating_point_range[0].to_value == 100.0 and description.description

@@ -1,0 +1,238 @@
+"""The nodes as processes of their own: DDS in between, real signals, exit codes."""
+
+from contextlib import contextmanager
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import can
+import pytest
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.messages import Level, to_reading
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.vehicle.files import load_vehicle
+
+ROOT = share_directory()
+GROUP = "239.74.163.86"
+PROFILE = load_profile("tesla_model_3")
+
+
+@contextmanager
+def process(*command, stop=signal.SIGINT):
+    """A process, stopped by a signal in the end; it must then end well and say nothing."""
+    running = subprocess.Popen(
+        [sys.executable, *map(str, command)], cwd=ROOT, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield running
+        running.send_signal(stop)
+        _, said = running.communicate(timeout=20)
+        assert running.returncode == 0, said
+        assert "Traceback" not in said, said
+    finally:
+        running.kill()
+        running.communicate()
+
+
+def node(name, **parameters):
+    """The command of a node under /ev."""
+    values = {"vehicle": "tesla_model_3_lr", **parameters}
+    options = [word for k, v in values.items() for word in ("-p", f"{k}:={json.dumps(v)}")]
+    return "-m", f"evpinn_ros.nodes.{name}", "--ros-args", "-r", "__ns:=/ev", *options
+
+
+def refused(name, *options):
+    return subprocess.run(
+        [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args", *options],
+        cwd=ROOT, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_node_well_and_saves_the_state(bench, tmp_path, stop):
+    path = tmp_path / "car.json"
+    with process(*node("estimator", state_file=str(path)), stop=stop):
+        bench.listen(topics.DIAGNOSTICS)
+        bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
+        assert not path.exists()
+    assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "reason"),
+    [
+        ("estimator", ("-p", "vehicle:=nope"), "no vehicle named 'nope'"),
+        ("energy", ("--params-file", "/nowhere.yaml"), "/nowhere.yaml"),
+        ("can_bridge", ("-p", "vehicle:=generic"), "names no CAN profile"),
+    ],
+)
+def test_a_node_that_cannot_start_says_why_and_fails(name, options, reason):
+    done = refused(name, *options)
+    assert done.returncode == 1
+    assert reason in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
+
+
+def test_the_bridge_reads_a_bus_of_another_process(bench):
+    port = 20_000 + os.getpid() % 20_000
+    options = {
+        "interface": "udp_multicast",
+        "channel": GROUP,
+        "bitrate": 0,
+        "bus_options": f"port={port} hop_limit=0",
+    }
+    try:
+        bus = can.Bus(GROUP, interface="udp_multicast", port=port, hop_limit=0)
+    except (OSError, can.CanError) as error:
+        pytest.skip(f"no multicast here: {error}")
+    heard = bench.heard
+    with bus, process(*node("can_bridge", **options)):
+        bench.listen(topics.SPEED, topics.BATTERY, topics.BATTERY_VOLTAGE, topics.DIAGNOSTICS)
+        bench.pump(lambda: "bus" in said(bench, "can_bridge"))
+        encoder, before = Encoder(PROFILE), time.time()
+        for index in range(100):
+            send(bus, encoder.battery(BatteryReading(0, 350.0, -index / 2)))
+            send(bus, encoder.speed(SpeedReading(0, index / 5)))
+            bench.pump(lambda n=index: len(heard[topics.SPEED]) > n)
+        bench.pump(lambda: len(heard[topics.BATTERY]) == 100)
+        while said(bench, "can_bridge")["bus"][1] != "receiving":  # it reports once a second
+            send(bus, encoder.battery(BatteryReading(0, 350.0, 0.0)))
+            send(bus, encoder.speed(SpeedReading(0, 0.0)))
+            bench.executor.spin_once(timeout_sec=0.02)
+    readings = [to_reading(topics.SPEED_TYPE, message) for message in heard[topics.SPEED][:100]]
+    assert [r.speed for r in readings] == pytest.approx([i / 5 for i in range(100)], abs=0.02)
+    stamps = [r.stamp_ns / 1e9 for r in readings]
+    assert stamps == sorted(stamps) and before - 1 < stamps[0] < before + 30
+    currents = [message.current for message in heard[topics.BATTERY][:100]]
+    assert currents == pytest.approx([-i / 2 for i in range(100)], abs=0.06)
+    assert heard[topics.BATTERY_VOLTAGE][0].data == pytest.approx(350.0, abs=0.01)
+
+
+def send(bus, frame):
+    bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False))
+
+
+def said(bench, name):
+    """The newest diagnostics of a process: (level, text) by the part of the node."""
+    statuses = [s for m in bench.heard[topics.DIAGNOSTICS] for s in m.status]
+    return {
+        status.name.rpartition(" ")[2]: (Level(status.level[0]), status.message)
+        for status in statuses
+        if status.name.startswith(name)
+    }
+
+
+def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(bench, urban):
+    rate, drive = 10.0, list(urban(60.0))
+    core = Chain(
+        load_vehicle("tesla_model_3_lr"), EstimatorSettings(), InlineWorker(time.perf_counter)
+    )
+    for topic, bag_message, _ in drive:
+        list(core.push(to_reading(topic.type_name, bag_message)))
+    expected = core.meter.state
+    with process(*node("estimator", wait_for_update=True)), process(*node("energy")):
+        bench.listen(topics.POWER_SMOOTHED, topics.ENERGY_STATE, topics.FORECAST)
+        bench.listen(topics.FORECAST_BATTERY, topics.IDENTIFIABLE)
+        play(bench, [(topic, message) for topic, _, message in drive], rate)
+        bench.pump(
+            lambda: stamp(bench.heard[topics.ENERGY_STATE][-1]) >= expected.stamp_ns - 10**9
+        )
+        state = bench.heard[topics.ENERGY_STATE][-1]
+        bench.send(topics.SPEED_PROFILE, plan())
+        bench.pump(lambda: bench.heard[topics.FORECAST] and bench.heard[topics.FORECAST_BATTERY])
+    energies = dict(zip(state.name, state.position, strict=True))
+    for name in ("measured", "predicted", "rknn"):
+        assert energies[name] == pytest.approx(getattr(expected, name).energy, rel=0.05)
+    assert len(bench.heard[topics.IDENTIFIABLE]) > 45
+    answer, battery = bench.heard[topics.FORECAST][-1], bench.heard[topics.FORECAST_BATTERY][-1]
+    assert answer.header.frame_id == "route 66" and 1e5 < answer.points[-1].positions[0] < 1e7
+    assert 0.4 < battery.percentage < 0.48
+
+
+def stamp(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def play(bench, messages, rate):
+    """Publish messages at the pace of their stamps, once somebody listens to all of them."""
+    for topic in {topic for topic, _ in messages}:
+        bench.publisher(topic)
+    begin, first = time.monotonic(), stamp(messages[0][1])
+    for topic, message in messages:
+        due = begin + (stamp(message) - first) / 1e9 / rate
+        while time.monotonic() < due:
+            bench.executor.spin_once(timeout_sec=max(due - time.monotonic(), 0.0))
+        bench.send(topic, message)
+
+
+def plan():
+    points = [
+        new_message(
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            positions=[distance],
+            velocities=[15.0],
+            time_from_start=new_message(
+                "builtin_interfaces/msg/Duration", sec=int(distance) // 15
+            ),
+        )
+        for distance in (0.0, 1500.0, 3000.0)
+    ]
+    return new_message(
+        topics.TRAJECTORY_TYPE,
+        header=new_message("std_msgs/msg/Header", frame_id="route 66"),
+        joint_names=["distance"],
+        points=points,
+    )
+
+
+ALL_IN_ONE = """
+import json, sys
+from pathlib import Path
+from evpinn_ros.nodes.all_in_one import run
+parameters, record = sys.argv[1:]
+raise SystemExit(run(json.loads(parameters), record=Path(record)))
+"""
+
+
+def test_all_in_one_plays_a_log_and_records_everything(bench, urban, tmp_path):
+    encoder, frames = Encoder(PROFILE), []
+    for topic, message, _ in urban(20.0):
+        reading = to_reading(topic.type_name, message)
+        encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
+        frames.append(encode(reading))
+    write_log(tmp_path / "drive.log", frames)
+    values = {
+        "vehicle": "tesla_model_3_lr",
+        "log_file": str(tmp_path / "drive.log"),
+        "log_rate": 10.0,
+    }
+    with process("-c", ALL_IN_ONE, json.dumps(values), tmp_path / "bag"):
+        bench.listen(topics.DIAGNOSTICS)
+        bench.pump(lambda: "at its end" in said(bench, "can_bridge").get("log", ("", ""))[1])
+        bench.pump(lambda: said(bench, "estimator")["estimate"][0] is Level.OK)
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.problem is None
+        counts = {name: info.count for name, info in bag.topics.items()}
+    for topic in (topics.SPEED, topics.BATTERY, topics.POWER_SMOOTHED, topics.ENERGY_STATE):
+        assert counts[topic.under()] > 150, topic.name
+    assert counts[topics.PARAMETERS.under()] > 15 and counts["/diagnostics"] > 4
+
+
+def test_the_bridge_survives_a_bus_that_is_not_there(bench):
+    with process(*node("can_bridge", interface="slcan", channel="/dev/none")):
+        bench.listen(topics.DIAGNOSTICS)
+        bench.pump(lambda: said(bench, "can_bridge"))
+        level, text = said(bench, "can_bridge")["bus"]
+    assert level is Level.ERROR and "/dev/none" in text

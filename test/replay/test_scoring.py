@@ -1,0 +1,83 @@
+"""Scores against values worked out by hand."""
+
+import numpy as np
+import pytest
+
+from evpinn_ros.replay.history import Drive, PowerSeries
+from evpinn_ros.replay.scoring import Span, energy_score, measured_at, null_scores, power_score
+
+
+def drive(measured, predicted, *, sigma=100.0, energy=None) -> Drive:
+    """A drive of one reading and one prediction a second."""
+    time = np.arange(float(len(predicted)))
+    columns = (
+        time,
+        np.array(predicted, float),
+        np.full(len(time), sigma),
+        np.full(len(time), 0.3),
+    )
+    return Drive(
+        duration=float(len(measured)) - 1.0,
+        speed=np.zeros((0, 2)),
+        measured=np.stack((np.arange(float(len(measured))), np.array(measured, float)), axis=1),
+        smoothed=PowerSeries(*columns),
+        newest=PowerSeries(*columns),
+        energy=np.zeros((0, 3)) if energy is None else np.array(energy, float),
+        parameters={},
+        final=None,
+    )
+
+
+WHOLE = Span(-1.0, 1e9)
+
+
+def test_power_score_by_hand():
+    # Errors +100, -100, +300, -300 W; truth 0, 1000, 2000, 3000 W has variance 1.25e6 W^2.
+    found = drive([0, 1000, 2000, 3000], [100, 900, 2300, 2700], sigma=100.0)
+    score = power_score(found, found.smoothed, WHOLE)
+    assert score["rmse_w"] == pytest.approx(np.sqrt((2 * 100**2 + 2 * 300**2) / 4))
+    assert score["mae_w"] == pytest.approx(200.0)
+    assert score["r2"] == pytest.approx(1 - 5e4 / 1.25e6)
+    # The band is 1.645 * 100 W = 164 W: it holds two of four.
+    assert score["coverage_90"] == 0.5
+
+
+def test_warm_up_and_withheld_part_are_not_scored():
+    found = drive([0, 0, 0, 0], [9, 9, 1, 9])
+    assert power_score(found, found.smoothed, Span(1.0, 2.0))["rmse_w"] == 1.0
+
+
+def test_nothing_measured_gives_null_not_zero():
+    found = drive([], [1, 2, 3])
+    assert set(power_score(found, found.smoothed, WHOLE).values()) == {None}
+
+
+def test_power_is_not_known_across_a_gap():
+    found = drive([0, 0, 0, 0, 0, 0], [0])
+    rows = np.array([[0.0, 1.0], [1.0, 1.0], [5.0, 1.0], [6.0, 1.0]])
+    gappy = Drive(**{**{f: getattr(found, f) for f in found.__slots__}, "measured": rows})
+    _, known = measured_at(gappy, np.array([0.5, 3.0, 5.5, 7.0]))
+    assert known.tolist() == [True, False, True, False]
+
+
+def test_energy_is_compared_over_the_same_stretch():
+    # 1000 W measured from 0 to 4 s, predictions from 1 to 3 s only: 2000 J against 2100 J.
+    energy = [[1.0, 0.0, 0.0], [2.0, 1050.0, 1000.0], [3.0, 2100.0, 2020.0]]
+    score = energy_score(drive([1000] * 5, [0], energy=energy), WHOLE)
+    assert score["measured_j"] == pytest.approx(2000.0)
+    assert score["error_percent"] == pytest.approx(5.0)
+    assert score["rknn_error_percent"] == pytest.approx(1.0)
+
+
+def test_energy_of_the_withheld_part_starts_at_its_begin():
+    energy = [[float(t), 1000.0 * t, 1000.0 * t] for t in range(5)]
+    score = energy_score(drive([500] * 5, [0], energy=energy), Span(1.5, 4.0))
+    assert score["measured_j"] == pytest.approx(1000.0)  # 500 W from 2 to 4 s
+    assert score["predicted_j"] == pytest.approx(2000.0)
+
+
+def test_nulls_by_hand():
+    found = drive(list(range(100)), [0])
+    nulls = null_scores(found, WHOLE)
+    assert nulls["last_value"] == pytest.approx(1.0)  # a ramp of 1 W per reading
+    assert nulls["interpolation"] == pytest.approx(0.0, abs=1e-9)  # and linear in time

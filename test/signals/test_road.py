@@ -1,0 +1,125 @@
+import math
+
+import pytest
+
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    GradeReading,
+    TemperatureReading,
+)
+from evpinn_ros.signals.road import GradeSource, Road, why_impossible
+
+START = 1_700_000_000 * NANOSECONDS
+
+
+def at(seconds: float) -> int:
+    return START + round(seconds * NANOSECONDS)
+
+
+def climb(road: Road, slope: float, seconds: int = 20, speed: float = 10.0) -> int:
+    """Drive with one altitude a second on a road that rises `slope` m each m of road."""
+    for second in range(seconds):
+        road.push(AltitudeReading(at(second), 100.0 + slope * speed * second))
+        road.travel(speed)
+    return at(seconds - 1)
+
+
+@pytest.mark.parametrize("slope", [0.05, -0.05, 0.0])
+def test_grade_from_altitude_is_positive_uphill(slope):
+    road = Road(GradeSource.AUTO, 1.2)
+    now = climb(road, slope)
+    assert road.grade(now) == pytest.approx(math.atan(slope), abs=1e-12)
+
+
+def test_grade_from_altitude_needs_half_the_span_and_fresh_news():
+    road = Road(GradeSource.FIX, 1.2)
+    assert road.grade(at(2)) == 0.0
+    climb(road, 0.05, seconds=3)  # altitudes at 0, 10 and 20 m
+    assert road.grade(at(2)) == 0.0
+    now = climb(road, 0.05)
+    assert road.grade(now + 9 * NANOSECONDS) == pytest.approx(math.atan(0.05), abs=0.01)
+    assert road.grade(now + 11 * NANOSECONDS) == 0.0
+    road.forget()
+    assert road.grade(now) == 0.0
+
+
+def test_a_slope_no_road_has_is_not_believed():
+    road = Road(GradeSource.FIX, 1.2)
+    assert road.grade(climb(road, 0.4)) == 0.0
+
+
+def test_a_parked_car_piles_up_no_altitudes():
+    """Ten hours at 10 Hz on one spot, then off: still quick, and the grade of the new road."""
+    road = Road(GradeSource.FIX, 1.2)
+    for tick in range(360_000):
+        road.push(AltitudeReading(at(tick / 10), 100.0))
+    assert road.grade(at(36_000)) == 0.0
+    road.travel(1.0)
+    assert road.grade(climb(road, 0.05)) == pytest.approx(math.atan(0.05), abs=1e-6)
+
+
+def test_grade_from_the_imu_is_a_mean_over_a_second():
+    road = Road(GradeSource.IMU, 1.2)
+    for tick, grade in enumerate([0.3, 0.3, *[0.02, 0.04] * 5, 0.03]):
+        road.push(GradeReading(at(tick / 10), grade))
+    # 0.02 to 1.2 s: the readings of the last second, 0.2 to 1.2 s, five pairs and 0.03
+    assert road.grade(at(1.2)) == pytest.approx((5 * 0.06 + 0.03) / 11)
+    assert road.grade(at(12.0)) == 0.0
+
+
+def test_a_stray_stamp_does_not_keep_an_old_grade():
+    road = Road(GradeSource.IMU, 1.2)
+    road.push(GradeReading(2**62, 0.2))
+    assert road.grade(at(0)) == 0.0
+    for tick in range(11):
+        road.push(GradeReading(at(tick / 10), 0.01))
+    assert road.grade(at(1.0)) == pytest.approx(0.01)
+
+
+def test_sources():
+    both = {source: Road(source, 1.2) for source in GradeSource}
+    for road in both.values():
+        now = climb(road, 0.05)
+        road.push(GradeReading(now, 0.01))
+    grades = {source.value: road.grade(now) for source, road in both.items()}
+    fix = pytest.approx(math.atan(0.05))
+    assert grades == {"none": 0.0, "imu": 0.01, "fix": fix, "auto": 0.01}
+    assert both[GradeSource.AUTO].grade(now + 10 * NANOSECONDS) == fix  # the IMU fell silent
+
+
+def test_air_density_follows_temperature():
+    road = Road(GradeSource.NONE, 1.2)
+    assert road.air_density() == 1.2
+    road.push(TemperatureReading(at(0), 20.0))
+    assert road.air_density() == pytest.approx(1.2)
+    road.push(TemperatureReading(at(1), 0.0))
+    assert road.air_density() == pytest.approx(1.2 * 293.15 / 273.15)
+    road.forget()
+    assert road.air_density() == pytest.approx(1.2 * 293.15 / 273.15)
+
+
+def test_known_loads_count_while_they_are_fresh():
+    road = Road(GradeSource.NONE, 1.2)
+    assert road.known_auxiliary(at(0)) == 0.0
+    road.push(AuxiliaryReading(at(0), 1500.0))
+    assert road.known_auxiliary(at(10)) == 1500.0
+    assert road.known_auxiliary(at(10.1)) == 0.0
+    road.push(AuxiliaryReading(2**62, 900.0))
+    assert road.known_auxiliary(at(0)) == 0.0
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -1e9])
+@pytest.mark.parametrize(
+    ("kind", "what"),
+    [
+        (AltitudeReading, "altitude"),
+        (AuxiliaryReading, "auxiliary"),
+        (GradeReading, "grade"),
+        (TemperatureReading, "temperature"),
+    ],
+)
+def test_what_cannot_be_is_named(kind, what, value):
+    assert why_impossible(kind(0, value)) == f"{what}_out_of_range"
+    assert why_impossible(kind(0, 0.1)) is None

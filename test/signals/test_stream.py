@@ -1,0 +1,281 @@
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    SpeedReading,
+    TemperatureReading,
+)
+from evpinn_ros.signals.sample import Gap, MeasuredSample, NewestSample, SmoothedSample, TimeJump
+from evpinn_ros.signals.stream import JUMP_AFTER, SAMPLE_PERIOD
+
+LAG = 0.3
+
+
+def of(events, kind) -> list:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def stamps(events, kind) -> list[int]:
+    return [event.sample.stamp_ns for event in of(events, kind)]
+
+
+@pytest.fixture
+def ramp(at):
+    """Speeds of a constant acceleration at a rate, from and to these seconds."""
+
+    def readings(rate, begin, end, start=5.0, acceleration=0.5):
+        times = begin + np.arange(round((end - begin) * rate) + 1) / rate
+        return [SpeedReading(at(t), start + acceleration * (t - begin)) for t in times.tolist()]
+
+    return readings
+
+
+@pytest.fixture
+def battery(at):
+    """Battery readings at these seconds whose power is linear in time: 100 W/s from 0."""
+
+    def readings(*times):
+        return [BatteryReading(at(t), 100.0, -t) for t in times]
+
+    return readings
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0, 10.0, 12.5, 50.0, 100.0])
+def test_every_speed_gives_a_newest_sample_and_smoothed_ones_follow(
+    new_stream, play, ramp, at, rate
+):
+    readings = ramp(rate, 0.0, 12.0)
+    events = play(new_stream(), readings)
+    assert stamps(events, NewestSample) == [reading.stamp_ns for reading in readings]
+    found = of(events, SmoothedSample)
+    assert len(found) >= min(rate, 6.0) * (12.0 - 0.5) - 4
+    for event in found:
+        seconds = (event.sample.stamp_ns - at(0)) / NANOSECONDS
+        assert event.sample.speed == pytest.approx(5.0 + 0.5 * seconds, rel=1e-6)
+        assert event.sample.acceleration == pytest.approx(0.5, rel=1e-5)
+    # Every so manyth moment, the fewest that are `SAMPLE_PERIOD` less the tolerance apart.
+    every = math.ceil((SAMPLE_PERIOD - LAG_TOLERANCE_NS / NANOSECONDS) * rate - 1e-6)
+    steps = np.diff(stamps(events, SmoothedSample)) / NANOSECONDS
+    np.testing.assert_allclose(steps, every / rate, atol=1e-8)
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0, 10.0, 12.5, 50.0, 100.0])
+def test_a_smoothed_sample_comes_with_the_first_speed_a_lag_later(new_stream, ramp, rate):
+    stream = new_stream()
+    newest = None
+    for reading in ramp(rate, 0.0, 12.0):
+        before, newest = newest, reading.stamp_ns
+        for stamp in stamps(stream.push(reading), SmoothedSample):
+            needed = stamp + int(LAG * NANOSECONDS) - LAG_TOLERANCE_NS
+            early = stamp <= before and before >= needed  # it could have come before
+            # The first moments wait for enough speeds to fit a quadratic.
+            assert newest >= needed and not early
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 100.0])
+def test_a_smoothed_sample_uses_no_speed_beyond_its_lag(new_stream, play, ramp, rate):
+    readings = ramp(rate, 0.0, 6.0)
+    readings = [SpeedReading(r.stamp_ns, 8 + math.sin(k)) for k, r in enumerate(readings)]
+    reference = of(play(new_stream(), readings), SmoothedSample)
+    for event in reference[10::7]:
+        beyond = event.sample.stamp_ns + int(LAG * NANOSECONDS) + LAG_TOLERANCE_NS
+        changed = [SpeedReading(r.stamp_ns, 0.0) if r.stamp_ns > beyond else r for r in readings]
+        assert event in of(play(new_stream(), changed), SmoothedSample)
+
+
+def test_the_newest_acceleration_rests_on_the_past(new_stream, play, ramp):
+    events = of(play(new_stream(), ramp(10.0, 0.0, 5.0)), NewestSample)
+    assert events[0].sample.acceleration == 0.0  # one speed tells none
+    # Before it has learned: the mean slope of the last 0.4 s, of which 0.1, 0.2... are known.
+    found = [e.sample.acceleration for e in events[1:4]]
+    assert found == pytest.approx([0.5 / 4, 2 * 0.5 / 4, 3 * 0.5 / 4])
+    assert events[-1].sample.acceleration == pytest.approx(0.5, rel=0.01)
+
+
+def test_measured_samples_interpolate_power(new_stream, play, ramp, battery, at):
+    """Battery at 4 Hz and off the beat; the power is linear, so interpolation is exact."""
+    times = 0.07 + np.arange(24) / 4
+    readings = sorted(
+        [*ramp(10.0, 0.0, 6.0), *battery(*times.tolist())], key=lambda reading: reading.stamp_ns
+    )
+    found = of(play(new_stream(), readings), MeasuredSample)
+    assert len(found) > 45
+    for event in found:
+        seconds = (event.sample.stamp_ns - at(0)) / NANOSECONDS
+        assert seconds >= 0.07 and event.power == pytest.approx(100.0 * seconds, rel=1e-6)
+
+
+def test_a_measured_sample_waits_for_the_predictions_up_to_its_readings(
+    new_stream, ramp, battery, at
+):
+    """Battery once a second and early. No smoothed moment before a reading comes after its use."""
+    readings = [r for k in range(8) for r in (*battery(float(k)), *ramp(10.0, k, k + 0.9))]
+    stream, used_ns = new_stream(), 0
+    smoothed = measured = 0
+    for reading in readings:
+        for event in stream.push(reading):
+            if isinstance(event, MeasuredSample):
+                second = (event.sample.stamp_ns - at(0)) / NANOSECONDS
+                used_ns = max(used_ns, at(math.ceil(second - 1e-9)))
+                measured += 1
+            elif isinstance(event, (SmoothedSample, NewestSample)):
+                assert event.sample.stamp_ns > used_ns
+                smoothed += isinstance(event, SmoothedSample)
+    assert smoothed > 70 and measured > 60
+
+
+def test_a_battery_that_comes_late_is_waited_for(new_stream, play, ramp, battery):
+    """Two seconds of speed first, then their battery readings."""
+    stream = new_stream()
+    events = play(stream, ramp(10.0, 0.0, 2.0))
+    assert not of(events, MeasuredSample)
+    events = play(stream, battery(*(k / 10 for k in range(21))))
+    assert len(of(events, MeasuredSample)) >= 13
+
+
+def test_moments_without_a_battery_are_given_up(new_stream, play, ramp, battery):
+    stream = new_stream()
+    play(stream, ramp(10.0, 0.0, 600.0, acceleration=0.01))
+    events = play(stream, battery(*(599.0 + k / 10 for k in range(10))))
+    assert len(of(events, MeasuredSample)) == 8  # 599.0 to 599.7 s
+    assert not stream.dropped
+
+
+def test_a_gap_separates(new_stream, play, ramp, at):
+    stream = new_stream()
+    play(stream, ramp(10.0, 0.0, 3.0))
+    events = play(stream, ramp(10.0, 5.6, 8.0, start=30.0))
+    assert events[0] == Gap(at(5.6), pytest.approx(2.6))
+    # The quadratic never bends from one side to the other: all of it is the new ramp.
+    for event in of(events, SmoothedSample):
+        assert event.sample.stamp_ns >= at(5.6)
+        assert event.sample.acceleration == pytest.approx(0.5, rel=1e-5)
+    assert events[1].sample.acceleration == 0.0
+
+
+def test_just_within_max_gap_is_no_gap(new_stream, play, at):
+    stream = new_stream()
+    readings = [SpeedReading(at(t), 5.0) for t in (0.0, 2.5, 5.0, 7.5)]
+    assert not of(play(stream, readings), Gap)
+
+
+def test_late_and_doubled_speeds(new_stream, play, ramp, at):
+    stream = new_stream()
+    play(stream, ramp(10.0, 0.0, 2.0))
+    late = [SpeedReading(at(1.45), 5.7), SpeedReading(at(2.0), 99.0), SpeedReading(at(1.55), 5.8)]
+    assert play(stream, late) == []
+    assert stream.dropped == {"speed_late": 1, "speed_doubled": 1}
+    assert stream.newest_ns == at(2.0)
+
+
+def test_a_straggler_within_the_lateness_is_used(new_stream, play, ramp, at):
+    readings = ramp(10.0, 0.0, 2.1)
+    straggler = readings[17]
+    late = [*readings[:17], *readings[18:20], straggler, *readings[20:]]
+    in_order = of(play(new_stream(), readings), SmoothedSample)
+    found = of(play(new_stream(), late), SmoothedSample)
+    # Those after it are smoothed with it; it is no moment of its own.
+    assert in_order[-1].sample.stamp_ns == at(1.8) and found[-1] == in_order[-1]
+    assert straggler.stamp_ns not in [event.sample.stamp_ns for event in found]
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf, 100.1, -100.1])
+def test_impossible_speeds(new_stream, play, at, speed):
+    stream = new_stream()
+    assert play(stream, [SpeedReading(at(0), speed)]) == []
+    assert stream.dropped == {"speed_out_of_range": 1} and stream.newest_ns is None
+
+
+def test_impossible_accelerations(new_stream, play, ramp, at):
+    stream = new_stream()
+    play(stream, ramp(10.0, 0.0, 2.0))
+    events = play(stream, [SpeedReading(at(2.1), 60.0)])
+    assert not of(events, NewestSample)
+    assert stream.dropped["acceleration_impossible"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("voltage", "current", "reason"),
+    [
+        (math.nan, -1.0, "battery_unmeasured"),
+        (350.0, math.nan, "battery_unmeasured"),
+        (350.0, math.inf, "battery_unmeasured"),
+        (-1.0, 1.0, "battery_out_of_range"),
+        (2001.0, 1.0, "battery_out_of_range"),
+        (350.0, -5001.0, "battery_out_of_range"),
+    ],
+)
+def test_impossible_batteries(new_stream, play, at, voltage, current, reason):
+    stream = new_stream()
+    play(stream, [BatteryReading(at(0), voltage, current)])
+    assert stream.dropped == {reason: 1} and stream.battery_ns is None
+
+
+def test_late_and_doubled_batteries(new_stream, play, battery, at):
+    stream = new_stream()
+    play(stream, battery(1.0, 0.49, 0.5, 1.0))
+    assert stream.dropped == {"battery_late": 1, "battery_doubled": 1}
+    assert stream.battery_ns == at(1.0)
+
+
+def test_impossible_surroundings_are_dropped(new_stream, play, ramp, at):
+    stream = new_stream()
+    wrong = [
+        TemperatureReading(at(0), -273.15),
+        AltitudeReading(at(0), math.nan),
+        AuxiliaryReading(at(0), -1.0),
+    ]
+    events = play(stream, [*wrong, *ramp(10.0, 0.0, 1.0)])
+    assert {(e.sample.grade, e.sample.air_density, e.sample.known_auxiliary) for e in events} == {
+        (0.0, 1.2, 0.0)
+    }
+    assert stream.dropped == {
+        "temperature_out_of_range": 1,
+        "altitude_out_of_range": 1,
+        "auxiliary_out_of_range": 1,
+    }
+
+
+def test_time_that_goes_back_is_followed(new_stream, play, ramp, battery, at):
+    """The clock is set back by an hour: ten speeds later all is as before."""
+    stream = new_stream()
+    play(stream, [*ramp(10.0, 3600.0, 3605.0), *battery(3604.0, 3605.0)])
+    readings = [*ramp(10.0, 0.0, 5.0), *battery(*(k / 10 for k in range(51)))]
+    readings.sort(key=lambda reading: reading.stamp_ns)
+    events = play(stream, readings)
+    assert events[0] == TimeJump(at((JUMP_AFTER - 1) / 10))
+    assert stamps(events, SmoothedSample)[-1] == at(4.7)
+    assert len(of(events, MeasuredSample)) > 25
+    assert stream.dropped["speed_late"] == JUMP_AFTER - 1
+    assert stream.battery_ns == at(5.0)
+
+
+def test_one_stray_stamp_from_the_future_deafens_for_a_second_only(new_stream, play, ramp, at):
+    stream = new_stream()
+    play(stream, [*ramp(10.0, 0.0, 3.0), SpeedReading(2**62, 5.0)])
+    events = play(stream, ramp(10.0, 3.1, 8.0))
+    assert isinstance(events[0], TimeJump)
+    assert stamps(events, SmoothedSample)[-1] == at(7.7)
+
+
+def test_a_reset_forgets_readings_and_keeps_what_was_learned(new_stream, play, ramp, at):
+    stream = new_stream()
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(600)
+    readings = [SpeedReading(at(k / 10), 10 + noise[k]) for k in range(600)]
+    play(stream, readings)
+    stream.reset()
+    assert (stream.newest_ns, stream.battery_ns) == (None, None)
+    # As the first time, but for what the differentiator has learned meanwhile.
+    again, fresh = (play(one, readings[:20]) for one in (stream, new_stream()))
+    assert of(again, SmoothedSample) == of(fresh, SmoothedSample)
+    found, first = (of(events, NewestSample) for events in (again, fresh))
+    assert [e.sample.stamp_ns for e in found] == [e.sample.stamp_ns for e in first]
+    assert found[2].sample.acceleration != first[2].sample.acceleration
