@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from evpinn_ros.replay.run import Progress as Report
+Report = Callable[[float], None]  # takes seconds of the drive done
 
 results = Console(highlight=False)
 notes = Console(stderr=True, highlight=False, soft_wrap=True)

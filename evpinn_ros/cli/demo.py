@@ -24,7 +24,7 @@ from evpinn_ros.replay.scoring import drive_scores
 from evpinn_ros.report.figure import drive_figure, save_figure
 from evpinn_ros.share import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from evpinn_ros.simulation.output import read_truth
+from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import load_vehicle
 
 DRIVE = "urban"

@@ -2,31 +2,43 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 import os
 import sys
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from evpinn_ros import __version__
-from evpinn_ros.cli.check_params import check_params
-from evpinn_ros.cli.convert import convert
-from evpinn_ros.cli.demo import demo
-from evpinn_ros.cli.replay import replay
-from evpinn_ros.cli.run import run
-from evpinn_ros.cli.simulate import simulate
 from evpinn_ros.errors import InputError
 
 FAILED = 1
+# Each is a function of the same name in a module of this package.
+COMMANDS = ("replay", "run", "convert", "simulate", "demo", "check_params")
+
+
+class LazyCommands(TyperGroup):
+    """Imports a command when it is asked for: torch alone takes more than a second."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names in the order of the help."""
+        return [name.replace("_", "-") for name in COMMANDS]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a name, None when there is none."""
+        name = cmd_name.replace("-", "_")
+        if name not in COMMANDS:
+            return None
+        function = getattr(import_module(f"evpinn_ros.cli.{name}"), name)
+        alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        alone.command(cmd_name)(function)
+        return typer.main.get_command(alone)
+
 
 app = typer.Typer(
-    help="Learn an electric car's parameters, power and energy from its CAN bus, while driving.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
+    cls=LazyCommands, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
 )
-for command in (replay, run, convert, simulate, demo):
-    app.command()(command)
-app.command("check-params")(check_params)
 
 
 def _print_version(wanted: bool) -> None:
@@ -36,12 +48,12 @@ def _print_version(wanted: bool) -> None:
 
 
 @app.callback()
-def options(
+def evpinn(
     version: bool = typer.Option(
         False, "--version", is_eager=True, callback=_print_version, help="Print the version."
     ),
 ) -> None:
-    """Options of the command itself."""
+    """Learn an electric car's parameters, power and energy from its CAN bus, while it drives."""
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ from evpinn_ros.replay.run import replay as replay_drive
 from evpinn_ros.replay.sources import Source, open_source
 from evpinn_ros.report.figure import drive_figure
 from evpinn_ros.report.html import write_html
-from evpinn_ros.simulation.output import read_truth
+from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import load_vehicle
 
 

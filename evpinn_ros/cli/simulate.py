@@ -11,9 +11,10 @@ import typer
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.output import TRUTH_FILE, write
+from evpinn_ros.simulation.output import write
 from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, SimulatedDrive
 from evpinn_ros.simulation.simulate import simulate as simulate_drive
+from evpinn_ros.simulation.truth_file import TRUTH_FILE
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 

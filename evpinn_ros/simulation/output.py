@@ -14,10 +14,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.simulation.simulate import SimulatedDrive
 from evpinn_ros.simulation.truth import DEFINITIONS
-from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
-from evpinn_ros.yaml_section import compose
-
-TRUTH_FILE = "truth.yaml"
+from evpinn_ros.simulation.truth_file import TRUTH_FILE
 
 
 def write(drive: SimulatedDrive, folder: Path, can_log: Path | None = None) -> None:
@@ -55,22 +52,6 @@ def truth_document(drive: SimulatedDrive) -> dict[str, Any]:
         "definitions": dict(DEFINITIONS),
         "hidden": _plain(_hidden(drive)),
     }
-
-
-def read_truth(path: Path) -> Parameters | None:
-    """True parameters beside a simulated drive, None for a real one.
-
-    Args:
-        path: of the bag's folder.
-
-    Raises:
-        InputError: there is a `truth.yaml`, but a wrong one.
-    """
-    file = path / TRUTH_FILE
-    if not file.is_file():
-        return None
-    section = compose(file, "truth").section("parameters")
-    return Parameters(*(section.number(name, *LIMITS[name]) for name in PARAMETER_NAMES))
 
 
 def _hidden(drive: SimulatedDrive) -> dict[str, float]:

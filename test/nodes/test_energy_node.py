@@ -120,7 +120,7 @@ def test_forecasts_follow_the_estimate_and_the_residual(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
     (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-    combined, sigmas = prior_identifiable(VEHICLE)
+    combined, _ = prior_identifiable(VEHICLE)
     light = [1.0, 0.8, combined.c_rr, combined.regeneration, combined.p_aux]
     vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, light, [0.0] * 5)
     bench.deliver(node, topics.IDENTIFIABLE, vector)
