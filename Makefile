@@ -19,7 +19,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint bags clean
+.PHONY: demo test lint bags docs clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
@@ -32,9 +32,16 @@ lint: $(INSTALLED)
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
 
-# The recipe of the bundled bags is the one their README shows: each line that starts `evpinn`.
+# The recipe of the bundled bags is the one their README shows: from each line that starts
+# `evpinn` to the first that does not go on.
 bags: $(INSTALLED)
-	@sed -n 's/^ *evpinn /evpinn /p' bags/README.md | PATH="$(CURDIR)/$(BIN):$$PATH" bash -eux
+	@rm -rf bags/urban bags/highway
+	@sed -n '/^evpinn /,/[^\\]$$/p' bags/README.md | PATH="$(CURDIR)/$(BIN):$$PATH" bash -eux
+
+# The picture of the README and the reference pages, from code.
+docs: demo
+	@cp out/demo/demo.png docs/demo.png
+	@$(BIN)/python docs/generate.py
 
 clean:
 	rm -rf $(VENV) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -38,13 +38,13 @@ def generate_launch_description():
 def _actions(context):
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     actions = [_node(executable, given) for executable in EXECUTABLES]
-    if given["record"].lower() == "true":
-        actions.append(_recorder(given["namespace"]))
+    if _is_true(given["record"]):
+        actions.append(_recorder(given["namespace"], _is_true(given["use_sim_time"])))
     return actions
 
 
 def _node(executable, given):
-    overrides = {"use_sim_time": given["use_sim_time"].lower() == "true"}
+    overrides = {"use_sim_time": _is_true(given["use_sim_time"])}
     for argument, parameter, executables in OVERRIDES:
         if given[argument] and executable in executables:
             # As text, also where it looks like a number: channels may be called `0`.
@@ -59,7 +59,12 @@ def _node(executable, given):
     )
 
 
-def _recorder(namespace):
-    names = [topic.under(namespace) for topic in TOPICS]
-    command = ["ros2", "bag", "record", "--storage", "mcap", "--topics", *names]
+def _recorder(namespace, use_sim_time):
+    command = ["ros2", "bag", "record", "--storage", "mcap"]
+    command += ["--use-sim-time"] if use_sim_time else []
+    command += ["--topics", *(topic.under(namespace) for topic in TOPICS)]
     return ExecuteProcess(cmd=command, output="screen")
+
+
+def _is_true(text):
+    return text.lower() == "true"

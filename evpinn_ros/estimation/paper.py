@@ -30,6 +30,7 @@ import torch
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
 from evpinn_ros.estimation.learner import PowerPrediction, gate
 from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
+from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.estimation.window import Batch, Observation, SlidingWindow, batch
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -154,18 +155,24 @@ class PaperLearner:
         return None
 
     def parameters(self) -> ParameterSet:
-        """Present estimate, its 1-sigma from the curvature of the physics loss and the priors."""
+        """Present estimate, its 1-sigma from the curvature of the physics loss and the priors.
+
+        No prior holds the paper's parameters: where the data say nothing, Adam lets them drift.
+        So what lies off the prior without the data's support counts as error too.
+        """
         values = self._values(self._trained)
         variance = np.diag(self._trained.covariance)
         share = np.minimum(1.0, variance / self._prior_std**2)
+        drift = share * self._trained.log_scale.double().numpy()
+        relative_std = np.hypot(np.sqrt(variance), drift)
         estimates = {
             name: ParameterEstimate(
                 value=float(np.clip(getattr(values, name), *LIMITS[name])),
-                std=float(np.sqrt(variance[i]) * getattr(values, name)),
+                std=float(relative_std[i] * getattr(values, name)),
                 prior_share=float(share[i]),
                 lower=LIMITS[name].lower,
                 upper=LIMITS[name].upper,
-                state=State.UNESTIMATED if self._fresh else State.ESTIMATING,
+                state=State.UNESTIMATED if share[i] > UNOBSERVABLE_ABOVE else State.ESTIMATING,
             )
             for i, name in enumerate(LEARNED)
         }

@@ -78,18 +78,21 @@ class StampGuard:
                 self._go_on()
             yield item
         else:
-            confirmed = self._confirmed(source, stamp_ns, leap_ns)
+            confirmed = self._confirmed(source, stamp_ns, leap_ns, threshold)
             self._hold(_Held(source, stamp_ns, item))
             if confirmed:
                 yield from self._leap(stamp_ns, leap_ns)
 
-    def _confirmed(self, source: Hashable, stamp_ns: int, leap_ns: int) -> bool:
+    def _confirmed(self, source: Hashable, stamp_ns: int, leap_ns: int, threshold: float) -> bool:
         if leap_ns < 0 and self._clock_went_back:
             return True
-        if leap_ns < 0 and source != self._leader:
-            return False
         before = [held.stamp_ns for held in self._held if held.source == source]
-        return bool(before) and 0 <= stamp_ns - before[-1] <= AGREE_NS
+        if not before:
+            return False
+        if source == self._leader:
+            return 0 <= stamp_ns - before[-1] <= AGREE_NS
+        # A leader that speaks clears what is held, so this one has gone on without it for long.
+        return leap_ns > 0 and stamp_ns - before[0] >= threshold * NANOSECONDS
 
     def _hold(self, held: _Held) -> None:
         self._held.append(held)

@@ -195,8 +195,7 @@ def test_the_network_does_no_harm(vehicle, synthetic):
             work = learner.prepare_update()
             if work is not None:
                 learner.consider(work())
-    assert 0.0 < learner.trust < 1.0
-    assert any(learner.export()["network"][-1:])
+    assert learner._candidate is not None
     assert np.linalg.norm(both) < 1.005 * np.linalg.norm(physics)
 
 

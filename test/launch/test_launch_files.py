@@ -97,6 +97,8 @@ def test_live_records_every_topic_when_asked(launch):
     (command,) = commands(launch("evpinn.launch.py", record="true", namespace="/truck"))
     assert command[:6] == ["ros2", "bag", "record", "--storage", "mcap", "--topics"]
     assert command[6:] == [topic.under("/truck") for topic in TOPICS]
+    (command,) = commands(launch("evpinn.launch.py", record="true", use_sim_time="true"))
+    assert "--use-sim-time" in command
 
 
 def test_replay_plays_inputs_alone_and_by_the_clock_of_the_bag(launch):

@@ -69,9 +69,15 @@ def test_a_silence_is_no_jump_and_loses_nothing():
     assert passed(guard, items) == items and guard.jumps == 0
 
 
-def test_a_battery_whose_clock_is_wrong_cannot_reset_the_rest():
+def test_a_battery_goes_on_without_speed():
+    items = [*speeds(0.0), *(("battery", 100.0 + s / 10) for s in range(100))]
+    assert passed(StampGuard("speed"), items) == items
+
+
+@pytest.mark.parametrize("offset", [-50.0, 50.0, 3600.0])
+def test_a_battery_whose_clock_is_wrong_cannot_reset_the_rest(offset):
     guard = StampGuard("speed")
-    items = [item for s in range(20) for item in speeds(s) + 5 * [("battery", s - 50.0)]]
+    items = [item for s in range(20) for item in speeds(s) + 5 * [("battery", s + offset)]]
     assert passed(guard, items) == speeds(*range(20))
     assert guard.jumps == 0 and guard.dropped["stamp_leaps"] == 95
 

@@ -1,0 +1,53 @@
+"""A CAN log played as if it were a bus."""
+
+import threading
+import time
+
+import pytest
+
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.log_player import LogPlayer
+
+NOW = 1_700_000_000 * 10**9
+FRAMES = [CanFrame(NOW + i * 50_000_000, 0x132, bytes([i])) for i in range(20)]
+
+
+@pytest.fixture
+def log(tmp_path):
+    write_log(tmp_path / "drive.log", FRAMES)
+    return tmp_path / "drive.log"
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(0.0, 0.0), (5.0, 0.19)])
+def test_frames_keep_their_stamps_and_the_rate(log, rate, seconds):
+    heard = []
+    player = LogPlayer(log, rate, 0.0, heard.append)
+    begin = time.monotonic()
+    player.run()
+    assert heard == FRAMES and time.monotonic() - begin >= seconds
+    assert player.newest_ns == FRAMES[-1].stamp_ns
+    assert player.problem is None and player.text.endswith("at its end after 20 frames")
+
+
+def test_it_stops_when_told(log):
+    player = LogPlayer(log, 1e-3, 0.0, lambda frame: None)
+    thread = threading.Thread(target=player.run)
+    thread.start()
+    player.stop()
+    thread.join(5)
+    assert not thread.is_alive()
+
+
+def test_a_log_that_is_cut_or_is_none_is_told(log):
+    log.write_text(log.read_text()[:-5])
+    player = LogPlayer(log, 0.0, 0.0, lambda frame: None)
+    player.run()
+    assert "cut off" in player.problem
+    log.write_text("nothing\n")
+    player = LogPlayer(log, 0.0, 0.0, lambda frame: None)
+    player.run()
+    assert str(log) in player.problem
+    with pytest.raises(InputError, match=r"nowhere\.log"):
+        LogPlayer(log.with_name("nowhere.log"), 0.0, 0.0, lambda frame: None)
