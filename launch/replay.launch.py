@@ -16,13 +16,14 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from evpinn_ros.nodes.topics import INPUTS, NAMESPACE
+from evpinn_ros.nodes.topics import INPUTS, NAMESPACE, POWER_MEASURED, POWER_SMOOTHED
 from evpinn_ros.share import share_directory
 from launch import LaunchDescription
 
-EXECUTABLES = ("estimator", "energy")
 CLOCK_RATE = "100"  # Hz
 DELAY = "3"  # s for the nodes to load and to be discovered; the bag's first messages matter
+QUEUE = 1000  # messages of each stream that may wait, so that a fast replay loses none
+QUEUED = {"estimator": INPUTS, "energy": (POWER_MEASURED, POWER_SMOOTHED)}
 ARGUMENTS = {
     "vehicle": ("", "Vehicle by name or path; empty: as in params_file."),
     "params_file": (str(share_directory() / "config" / "evpinn.param.yaml"), "Parameters."),
@@ -44,7 +45,7 @@ def _actions(context):
     given = {name: LaunchConfiguration(name).perform(context) for name in ("bag", *ARGUMENTS)}
     player = _player(given)
     over = OnProcessExit(target_action=player, on_exit=[EmitEvent(event=Shutdown())])
-    nodes = [_node(executable, given) for executable in EXECUTABLES]
+    nodes = [_node(executable, given) for executable in QUEUED]
     return [*nodes, player, RegisterEventHandler(over)]
 
 
@@ -56,7 +57,9 @@ def _player(given):
 
 
 def _node(executable, given):
-    overrides = {"use_sim_time": True}
+    names = [topic.under(given["namespace"]) for topic in QUEUED[executable]]
+    overrides = {f"qos_overrides.{name}.subscription.depth": QUEUE for name in names}
+    overrides["use_sim_time"] = True
     if executable == "estimator":
         overrides["wait_for_update"] = True  # the same numbers at any rate
     if given["vehicle"]:

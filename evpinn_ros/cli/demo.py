@@ -49,7 +49,7 @@ def demo(
 
     source = share_directory() / "bags" / DRIVE
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"
-    _clear(bag)
+    _clear(bag, log)
     out.mkdir(parents=True, exist_ok=True)
     frames = _frames(source)
     write_log(log, frames)
@@ -91,9 +91,8 @@ def _frames(source: Path) -> list[CanFrame]:
     return frames
 
 
-def _clear(bag: Path) -> None:
-    """Remove the bag of an earlier demonstration, and nothing that is not one."""
-    if (bag / "metadata.yaml").is_file():
-        shutil.rmtree(bag)
-    elif bag.exists():
-        raise InputError(f"{bag}: is in the way and no bag of an earlier demo; give another --out")
+def _clear(bag: Path, log: Path) -> None:
+    """Remove the bag of an earlier demonstration, known by the log beside it; nothing else."""
+    if bag.exists() and not log.is_file():
+        raise InputError(f"{bag}: is in the way and not of an earlier demo; give another --out")
+    shutil.rmtree(bag, ignore_errors=True)

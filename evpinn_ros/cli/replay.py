@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import json
 from pathlib import Path
 import shlex
@@ -97,10 +98,8 @@ def replay(
             _show(done[-1], source, warm_up)
     finally:
         # Whatever ends a later drive, the results of those before it are kept.
-        _write(done, metrics, report, withhold_battery_after)
-        if state is not None and done:
-            write_state(state, chain.estimator.export())
-    if any(result.problem for result in done):
+        written = _write(done, chain, metrics, report, state, withhold_battery_after)
+    if not written or any(result.problem for result in done):
         raise typer.Exit(1)
 
 
@@ -174,16 +173,43 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
 
 
 def _write(
-    done: list[Replayed], metrics: Path | None, report: Path | None, withheld_from: float | None
-) -> None:
-    if metrics is not None and done:
-        found: list[dict[str, Any]] = [result.metrics for result in done]
-        metrics.parent.mkdir(parents=True, exist_ok=True)
-        metrics.write_text(json.dumps(found if len(found) > 1 else found[0], indent=1) + "\n")
-    if report is not None and done:
-        drives = [
-            (drive_figure(r.drive, Path(r.metrics["input"]["path"]).name, None, withheld_from), r)
-            for r in done
-        ]
-        command = shlex.join(["evpinn", *sys.argv[1:]])
-        write_html(report, [(figure, r.metrics) for figure, r in drives], command)
+    done: list[Replayed],
+    chain: Chain,
+    metrics: Path | None,
+    report: Path | None,
+    state: Path | None,
+    withheld_from: float | None,
+) -> bool:
+    """Write all that was asked for; one file that cannot be written does not cost the others."""
+    if not done:
+        return True
+    jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
+        (metrics, lambda path: _write_metrics(path, done)),
+        (report, lambda path: _write_report(path, done, withheld_from)),
+        (state, lambda path: write_state(path, chain.estimator.export())),
+    ]
+    problems = 0
+    for path, write in jobs:
+        try:
+            if path is not None:
+                write(path)
+        except (OSError, ValueError) as error:
+            problems += 1
+            note(f"evpinn: {path}: {getattr(error, 'strerror', None) or error}")
+    return problems == 0
+
+
+def _write_metrics(path: Path, done: list[Replayed]) -> None:
+    found: list[dict[str, Any]] = [result.metrics for result in done]
+    text = json.dumps(found if len(found) > 1 else found[0], indent=1, allow_nan=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _write_report(path: Path, done: list[Replayed], withheld_from: float | None) -> None:
+    drives = [
+        (drive_figure(r.drive, Path(r.metrics["input"]["path"]).name, None, withheld_from), r)
+        for r in done
+    ]
+    command = shlex.join(["evpinn", *sys.argv[1:]])
+    write_html(path, [(figure, r.metrics) for figure, r in drives], command)

@@ -14,9 +14,12 @@ from evpinn_ros.nodes.parameter_table import Value
 def run(
     vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
     can_interface: Annotated[
-        str, typer.Option(help="Driver of the adapter, as python-can calls it.")
-    ] = "socketcan",
-    can_channel: Annotated[str, typer.Option(help="can0, /dev/ttyACM0...")] = "can0",
+        str | None,
+        typer.Option(help="Driver of the adapter, in python-can; socketcan if not given."),
+    ] = None,
+    can_channel: Annotated[
+        str | None, typer.Option(help="can0, /dev/ttyACM0...; can0 if not given.")
+    ] = None,
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,

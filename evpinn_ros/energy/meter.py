@@ -36,7 +36,7 @@ class EnergyState:
         predicted: quadrature of predicted power; for sigma see `energy.uncertainty`.
         rknn: the Runge-Kutta network on the same power; its power is the last step's mean.
         regenerated: as positive J and W; of measured power, and of predicted power for the time
-            the battery was silent. Its sigma is not known.
+            the battery was silent. Its sigma is that of the net energy it is a part of.
         consumed: net energy by the same rule, J: measured where possible, predicted elsewhere.
             Where they join, one sample may count twice or not at all.
         gaps: steps too long to integrate, of measured and predicted power together.
@@ -157,7 +157,7 @@ class EnergyMeter:
             regenerated=Flow(
                 self._measured.regenerated + regenerated,
                 power if math.isnan(power) else max(-power, 0.0),
-                math.nan,
+                self._measured_error.sigma if measuring else sigma,
             ),
             consumed=self._measured.energy + energy,
             gaps=self._measured.gaps + self._predicted.gaps,

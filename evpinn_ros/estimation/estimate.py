@@ -12,8 +12,10 @@ from evpinn_ros.vehicle.identifiable import Identifiable
 class State(str, Enum):
     """How far a parameter can be believed.
 
-    `unestimated` while the data say next to nothing of it, `estimating` until they speak louder
-    than the prior, `valid` after that, `stale` when the battery has been silent for long.
+    `unestimated` while the data say next to nothing of it; `estimating` while they still learn
+    the combination it rests on; `valid` when they have told what they can of it (how much of the
+    absolute value is prior all the same, `prior_share` says); `stale` when the battery has been
+    silent for long.
     """
 
     UNESTIMATED = "unestimated"
@@ -30,7 +32,7 @@ class ParameterEstimate:
         value: in the unit of `vehicle.parameters.Parameters`.
         std: 1-sigma.
         prior_share: 0 when all from data, 1 when all from the prior.
-        lower: hard bound from the data and eta, mu <= 1, or the limit of the parameter.
+        lower: bound from the combinations and eta, mu <= 1, or the limit of the parameter.
         upper: likewise.
         state: how far to believe it.
     """

@@ -12,12 +12,13 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+import math
 from typing import Any, TypeAlias
 
 from evpinn_ros.estimation.calibration import BandCalibration
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
 from evpinn_ros.estimation.hybrid import HybridLearner
-from evpinn_ros.estimation.learner import STATE_VERSION, Learner, PowerPrediction
+from evpinn_ros.estimation.learner import STATE_VERSION, Learner, PowerPrediction, gate
 from evpinn_ros.estimation.paper import PaperLearner
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -36,6 +37,8 @@ from evpinn_ros.vehicle.physics import RegenForm
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
 BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # silence after which power is only predicted
+SENSOR_STD = 30.0  # W, 1-sigma of measured power near zero: pack sensors of traction batteries
+SENSOR_SHARE = 0.01  # and of the reading; typical, no car says it on its bus
 STALE_AFTER_NS = 300 * NANOSECONDS  # silence after which parameters count as stale
 
 Output: TypeAlias = PowerEstimate | ParameterSet
@@ -147,8 +150,8 @@ class OnlineEstimator:
         before = self._stream.dropped.total()
         events = list(self._stream.push(reading))
         if isinstance(reading, BatteryReading) and self._stream.dropped.total() == before:
-            kind = PowerKind.MEASURED
-            yield PowerEstimate(kind, reading.stamp_ns, reading.power, float("nan"))
+            sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * reading.power)
+            yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, reading.power, sigma)
         for event in events:
             yield from self._handle(event)
         newest_ns = self._stream.newest_ns
@@ -164,7 +167,7 @@ class OnlineEstimator:
             name: replace(p, state=State.STALE) if p.state is State.VALID else p
             for name, p in found.parameters.items()
         }
-        return replace(found, parameters=stale)
+        return replace(found, parameters=stale, reliable=False)
 
     def status(self) -> EstimatorStatus:
         """Counters and activity."""
@@ -209,8 +212,8 @@ class OnlineEstimator:
                 band.restore([float(value) for value in state["bands"][kind.value]])
         except (KeyError, TypeError, IndexError, OverflowError, RuntimeError) as error:
             raise ValueError(f"incomplete: {error}") from error
-        self._learner, self._bands = learner, bands
         self.handle_time_jump()
+        self._learner, self._bands = learner, bands
 
     def _handle(self, event: StreamEvent) -> Iterator[Output]:
         match event:
@@ -220,11 +223,12 @@ class OnlineEstimator:
                 self._learner.advance(event.sample)
                 yield from self._predict(PowerKind.SMOOTHED, event.sample)
             case MeasuredSample():
-                self._learn_bands(event)
+                if gate(event.sample, event.power) is None:
+                    self._learn_bands(event)
                 if self.enabled:
                     self._learner.observe(event.sample, event.power)
             case Gap():
-                self._learner.forget_window()
+                pass  # no sample spans it; the learner sees in the next stamp that time passed
             case TimeJump():
                 self._worker.cancel()
                 self._learner.forget_window()
@@ -259,7 +263,13 @@ class OnlineEstimator:
         yield replace(self.parameters(), stamp_ns=stamp_ns)
 
     def _collect(self) -> None:
-        candidate = self._worker.collect()
+        try:
+            candidate = self._worker.collect()
+        except Exception:
+            # The next window may well be solvable; what was learned before stays in use.
+            self._waiting = False
+            self._rejected["failed"] += 1
+            return
         if candidate is None:
             self._rejected["overrun"] += 1
             return

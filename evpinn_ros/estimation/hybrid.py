@@ -28,7 +28,6 @@ from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.stream import SAMPLE_PERIOD
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 WINDOW = 60.0  # s
 WIDTHS = (3, 16, 16, 1)
@@ -62,11 +61,6 @@ class HybridLearner:
         self.gated: Counter[str] = Counter()
 
     @property
-    def coverage(self) -> float:
-        """Share of speed and acceleration seen, 0..1."""
-        return self._store.coverage()
-
-    @property
     def trust(self) -> float:
         """Weight of the network, 0..1: regression of what physics left on what it said."""
         return float(np.clip(self._merit[0] / self._merit[1], 0.0, 1.0))
@@ -85,7 +79,7 @@ class HybridLearner:
     def observe(self, sample: Sample, power: float) -> None:
         """Learn from a measured sample, after judging the networks by it."""
         step = self._step(sample)
-        reason = gate(sample, power, abs(sample.speed) < STANDSTILL_SPEED)
+        reason = gate(sample, power)
         if reason is not None:
             self.gated[reason] += 1
             return
@@ -112,13 +106,14 @@ class HybridLearner:
         return work
 
     def consider(self, candidate: PowerNetwork) -> str | None:
-        """Adopt the last candidate if the second since it was trained speaks for it."""
+        """Take a candidate to be judged; adopt the one before if the last second speaks for it."""
         judged, score = self._candidate, self._candidate_score
         finite = bool(torch.isfinite(candidate.vector()).all())
-        self._candidate = candidate if finite else None
-        self._candidate_score = 0.0
+        self._candidate, self._candidate_score = (candidate if finite else None), 0.0
+        if not finite:
+            return "not_finite"
         if judged is None:
-            return None if finite else "not_finite"
+            return "not_judged_yet"
         if score <= 0.0:
             return "not_better"
         self._network = judged

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
@@ -54,10 +55,10 @@ class Learner(Protocol):
         """Take a state given by `export`; ValueError or KeyError when it does not fit."""
 
 
-def gate(sample: Sample, power: float, standing: bool) -> str | None:
+def gate(sample: Sample, power: float) -> str | None:
     """Why a sample may not be learned from, or None."""
     if sample.speed < REVERSE_SPEED:
         return "reverse"
-    if standing and power < CHARGING_POWER:
+    if abs(sample.speed) < STANDSTILL_SPEED and power < CHARGING_POWER:
         return "charging"
     return None

@@ -38,7 +38,6 @@ from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable, identifiable
 from evpinn_ros.vehicle.parameters import LIMITS, Parameters
 from evpinn_ros.vehicle.physics import (
-    STANDSTILL_SPEED,
     RegenForm,
     auxiliary_power,
     battery_power,
@@ -126,7 +125,7 @@ class PaperLearner:
 
     def observe(self, sample: Sample, power: float) -> None:
         """Take a measured sample into the window."""
-        reason = gate(sample, power, abs(sample.speed) < STANDSTILL_SPEED)
+        reason = gate(sample, power)
         if reason is not None:
             self.gated[reason] += 1
             return

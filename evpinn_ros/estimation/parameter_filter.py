@@ -201,8 +201,11 @@ class ParameterFilter:
         return power, gradient[:, :SLOPE]
 
     def forget_time(self) -> None:
-        """Start time anew after a jump; the next `advance` lets none pass."""
+        """Start time anew after a jump: the car may be on another road."""
         self._last_ns = None
+        self.mean[SLOPE] = self._prior_mean[SLOPE]
+        self.covariance[SLOPE, :] = self.covariance[:, SLOPE] = 0.0
+        self.covariance[SLOPE, SLOPE] = self._prior_variance[SLOPE]
 
     def export(self) -> dict[str, Any]:
         """State to save."""

@@ -6,11 +6,10 @@ import numpy as np
 
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
 from evpinn_ros.estimation.parameter_filter import ParameterFilter
-from evpinn_ros.vehicle.identifiable import Identifiable
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
 
 ESTIMATING_BELOW = 0.95  # of the prior's variance left in the combination, then learning shows
-VALID_BELOW = 0.25  # then the data speak louder than the prior
+VALID_BELOW = 0.25  # then the data have told the combination
 UNOBSERVABLE_ABOVE = 0.9  # of the parameter's own prior variance: the data cannot tell it
 # The identifiable combination on which each parameter rests.
 RESTS_ON = {
@@ -21,6 +20,7 @@ RESTS_ON = {
     "c_d": "drag_area_over_eta",
     "p_aux": "p_aux",
 }
+BOUND_SIGMAS = 2.0
 RELIABLE_NEEDS = ("mass_over_eta", "regeneration")
 
 
@@ -28,7 +28,7 @@ def parameter_set(stamp_ns: int, source: ParameterFilter) -> ParameterSet:
     """Everything that is known of the parameters, from the filter."""
     value, std, share = source.parameters(), source.parameter_std(), source.prior_share()
     combined, combined_std, combined_share = source.identifiable()
-    bounds = _bounds(combined, source.frontal_area)
+    bounds = _bounds(source)
     parameters = {}
     for name in PARAMETER_NAMES:
         limits = bounds[name]
@@ -44,18 +44,29 @@ def parameter_set(stamp_ns: int, source: ParameterFilter) -> ParameterSet:
     return ParameterSet(stamp_ns, parameters, combined, combined_std, reliable)
 
 
-def _bounds(combined: Identifiable, area: float) -> dict[str, Limits]:
-    """Hard bounds without any prior: eta <= 1 and mu <= 1 bound all that is tied to them.
+def _bounds(source: ParameterFilter) -> dict[str, Limits]:
+    """Bounds that need no belief in an absolute value: eta <= 1 and mu <= 1 bound the rest.
 
-    With q = eta mu known, eta and mu lie in [q, 1], hence mass in [q, 1] m/eta and likewise C_d.
+    With q = eta mu known, eta and mu lie in [q, 1], hence mass in [q, 1] m/eta and likewise C_d;
+    each combination is widened by `BOUND_SIGMAS`. Until the data have told a combination, the
+    limits of the parameter stand.
     """
-    low = min(max(combined.regeneration, LIMITS["eta"].lower), 1.0)
-    mass = combined.mass_over_eta
+    mean, std, share = source.identifiable()
     bounds = dict(LIMITS)
+    if share.regeneration > ESTIMATING_BELOW:
+        return bounds
+    low = max(mean.regeneration - BOUND_SIGMAS * std.regeneration, LIMITS["eta"].lower)
+    low = min(low, 1.0)
     bounds["eta"] = bounds["mu"] = Limits(low, 1.0)
-    drag = combined.drag_area_over_eta / area
-    bounds["mass"] = Limits(low * mass, mass)
-    bounds["c_d"] = Limits(low * drag, drag)
+    for name, combination, divisor in (
+        ("mass", "mass_over_eta", 1.0),
+        ("c_d", "drag_area_over_eta", source.frontal_area),
+    ):
+        if getattr(share, combination) <= ESTIMATING_BELOW:
+            spread = BOUND_SIGMAS * getattr(std, combination)
+            middle = getattr(mean, combination)
+            lower = max(low * (middle - spread) / divisor, LIMITS[name].lower)
+            bounds[name] = Limits(lower, (middle + spread) / divisor)
     return bounds
 
 

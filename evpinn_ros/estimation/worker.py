@@ -42,20 +42,27 @@ class InlineWorker:
         """Measure durations by this clock."""
         self._clock = clock
         self._result: Any | None = None
+        self._error: Exception | None = None
         self.durations: deque[float] = deque(maxlen=100_000)
 
     def submit(self, work: Callable[[], Any]) -> None:
         """Compute the work."""
-        self._result = _timed(work, self._clock, self.durations)
+        try:
+            self._result = _timed(work, self._clock, self.durations)
+        except Exception as error:
+            self._error = error
 
     def collect(self) -> Any | None:
         """Give the result, once."""
-        result, self._result = self._result, None
+        result, error = self._result, self._error
+        self.cancel()
+        if error is not None:
+            raise error
         return result
 
     def cancel(self) -> None:
         """Forget the result."""
-        self._result = None
+        self._result, self._error = None, None
 
     def close(self) -> None:
         """Nothing to stop."""

@@ -138,12 +138,14 @@ class GuardedNode(Node):
                 self.bad[f"{name}: {error.reason}"] += 1
             except Exception as error:
                 # A car drives on: whatever this is, the next message deserves its chance.
-                self.count_fault(f"{name}: {error!r}")
+                self.count_fault(f"{name}: {type(error).__name__}", str(error))
 
         return safe
 
-    def count_fault(self, text: str) -> None:
-        """Count a fault of our own; it is logged the first time only."""
+    def count_fault(self, text: str, detail: str = "") -> None:
+        """Count a fault of our own; it is logged, with its detail, the first time only."""
+        if not self.context.ok():
+            return  # the shutdown came in the middle of a callback
         if text not in self._faults:
-            self.get_logger().error(text)
+            self.get_logger().error(f"{text} {detail}".strip())
         self._faults[text] += 1

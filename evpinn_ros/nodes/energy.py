@@ -111,10 +111,10 @@ class EnergyNode(GuardedNode):
 
     def _on_identifiable(self, message: Any) -> None:
         vector = read_named_vector(message)
-        if any(name not in vector.values for name in IDENTIFIABLE_NAMES):
+        if any(not {*IDENTIFIABLE_NAMES} <= {*x} for x in (vector.values, vector.sigmas)):
             raise BadMessage("incomplete")
         values, sigmas = (
-            Identifiable(*(numbers.get(name, 0.0) for name in IDENTIFIABLE_NAMES))
+            Identifiable(*(numbers[name] for name in IDENTIFIABLE_NAMES))
             for numbers in (vector.values, vector.sigmas)
         )
         self.forecaster.hear_identifiable(values, sigmas)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
-from evpinn_ros.estimation.estimator import Output
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import NewMessage, named_vector, scalar
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
+
+if TYPE_CHECKING:  # for its type alone: the energy node would load torch with it
+    from evpinn_ros.estimation.estimator import Output
 
 POWER_TOPICS = {
     PowerKind.MEASURED: topics.POWER_MEASURED,

@@ -8,6 +8,7 @@ import time
 from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
+import torch
 
 from evpinn_ros.estimation.estimator import OnlineEstimator
 from evpinn_ros.estimation.worker import ThreadWorker
@@ -48,6 +49,8 @@ class EstimatorNode(GuardedNode):
             InputError: a parameter is wrong.
         """
         super().__init__("estimator", **kwargs)
+        # One thread for arithmetic: other programs need the cores, and sums keep their order.
+        torch.set_num_threads(1)
         self._vehicle = load_vehicle(self.values["vehicle"])
         self._worker = ThreadWorker(time.perf_counter, wait=self.values["wait_for_update"])
         self.estimator = OnlineEstimator(
@@ -117,7 +120,7 @@ class EstimatorNode(GuardedNode):
             self.estimator.handle_time_jump()
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        self.estimator.reset()
+        self._keeper.forget()
         response.success = True
         response.message = f"started again from the vehicle file {self._vehicle.key}"
         return response

@@ -118,7 +118,7 @@ ESTIMATOR = (
         "How much later speed power/smoothed waits for.",
         "s",
         0.0,
-        5.0,
+        1.5,
     ),
     Parameter(
         "allowed_lateness",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+import os
 from pathlib import Path
 import signal
 import subprocess
@@ -25,6 +26,7 @@ START_TIMEOUT = 60.0  # s for the nodes to come up on a busy machine
 SILENCE_TIMEOUT = 15.0  # s without any prediction: something has died
 STOP_TIMEOUT = 10.0  # s for a node to save and end
 SPIN = 0.2  # s
+FIRST_DOMAIN, DOMAINS = 50, 50  # all below 102, which any platform allows
 
 
 def record_through_nodes(
@@ -44,6 +46,9 @@ def record_through_nodes(
     Raises:
         InputError: a node ended or fell silent before the end of the log.
     """
+    # A network of its own: a simulated car must never reach the nodes of a real one.
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_DOMAIN_ID"] = str(FIRST_DOMAIN + os.getpid() % DOMAINS)
     rclpy.init(args=[])
     recorder = RecorderNode(folder, namespace=NAMESPACE)
     watch = _Watch(end_ns, progress)

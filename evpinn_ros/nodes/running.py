@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import signal
 import sys
 
 import rclpy
@@ -24,6 +25,9 @@ def run(*makers: MakeNode, args: list[str] | None = None) -> int:
     Returns:
         The exit code: 0 when told to stop, 1 with one line on stderr when input is wrong.
     """
+    # rclpy shuts down at SIGINT by itself. A KeyboardInterrupt beside that would strike anywhere,
+    # also in the middle of its C++, which turns it into some other error.
+    signal.signal(signal.SIGINT, lambda *_: None)
     # In Jazzy `rclpy.init` is no context manager yet.
     try:
         rclpy.init(args=args)
@@ -36,8 +40,12 @@ def run(*makers: MakeNode, args: list[str] | None = None) -> int:
         _spin(nodes)
     except InputError as error:
         return _fail(error)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
+    except RuntimeError:
+        if rclpy.ok():
+            raise
+        # The shutdown came in the middle of a call into rclpy.
     finally:
         for node in nodes:
             node.close()

@@ -59,6 +59,11 @@ class StateKeeper:
             self._loaded = None
             self._refuse(f"{self._path}: not used: {error}")
 
+    def forget(self) -> None:
+        """Forget what was learned and what was loaded; the file stays until the next save."""
+        self._loaded = None
+        self._owner.reset()
+
     def save(self) -> str | None:
         """Write the state; gives the reason when that fails."""
         if self._path is None:

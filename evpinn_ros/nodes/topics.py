@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 NAMESPACE = "/ev"
+SUBSCRIBER_DEPTH = 100
 
 SPEED_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
@@ -60,11 +61,13 @@ class Topic:
     def subscriber_qos(self) -> Qos:
         """Best effort for the streams of the car: it matches every publisher, late is worthless.
 
-        All else is reliable: a plan is asked for once and must not be lost.
+        All else is reliable: a plan is asked for once and must not be lost. Queues are deep: a
+        bag at ten times its rate, or a second without the processor, must not cost messages.
         """
         if self in INPUTS:
-            return Qos(reliable=False, transient_local=False, depth=10)
-        return self.publisher_qos
+            return Qos(reliable=False, transient_local=False, depth=SUBSCRIBER_DEPTH)
+        depth = 1 if self.latched else SUBSCRIBER_DEPTH
+        return Qos(reliable=True, transient_local=self.latched, depth=depth)
 
     def under(self, namespace: str = NAMESPACE) -> str:
         """The full name, for example `/ev/vehicle/speed`."""

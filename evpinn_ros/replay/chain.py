@@ -10,8 +10,10 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
 from evpinn_ros.estimation.worker import Worker
-from evpinn_ros.signals.readings import Reading
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.vehicle.files import Vehicle
+
+JUMP_NS = 10 * NANOSECONDS  # stamps that go back further are no stragglers
 
 ChainOutput: TypeAlias = Output | EnergyState
 
@@ -31,10 +33,16 @@ class Chain:
             if not isinstance(output, PowerEstimate):
                 continue
             if output.kind is PowerKind.SMOOTHED:
+                self._follow_time(output.stamp_ns)
                 self.meter.push_predicted(output.stamp_ns, output.power, output.sigma)
                 yield self.meter.state
             elif output.kind is PowerKind.MEASURED:
-                self.meter.push_measured(output.stamp_ns, output.power)
+                self.meter.push_measured(output.stamp_ns, output.power, output.sigma)
+
+    def _follow_time(self, stamp_ns: int) -> None:
+        """When stamps go back, as in a recording that starts over, count on from there."""
+        if self.meter.state.stamp_ns - stamp_ns > JUMP_NS:
+            self.meter.restore(self.meter.exported())
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car; time and energy start anew."""

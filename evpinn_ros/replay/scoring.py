@@ -13,11 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorStatus
 from evpinn_ros.replay.history import Drive, PowerSeries
-from evpinn_ros.signals.readings import NANOSECONDS
 
 MAX_MEASURED_STEP = 2.5  # s; power is not held to be known between readings further apart
 NULL_HOLD_OUT = 0.2  # share held out in the random split
@@ -59,19 +57,16 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
     if inside.sum() < 2:
         return dict.fromkeys(keys)
     rows = drive.energy[inside]
-    # Only where the battery was measured too, when it was: what is compared must be the same.
-    heard = drive.measured[span.holds(drive.measured[:, 0]), 0]
-    time = rows[:, 0]
-    if len(heard) and heard[0] < time[-1] and heard[-1] > time[0]:
-        time = np.clip(time, heard[0], heard[-1])
-    ends = Span(time[0], time[-1])
-    predicted, rknn = (np.diff(np.interp(ends, rows[:, 0], column))[0] for column in rows.T[1:])
-    measured = _measured_energy(drive, ends)
+    told = _stretches(rows[:, 0])
+    heard = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
+    common = _common(told, heard) or told
+    predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:])
+    measured = _measured_energy(drive, common) if _common(told, heard) else None
     score: dict[str, float | None] = dict.fromkeys(keys)
-    score.update(measured_j=measured, predicted_j=float(predicted), rknn_j=float(rknn))
+    score.update(measured_j=measured, predicted_j=predicted, rknn_j=rknn)
     if measured:
-        score["error_percent"] = 100.0 * (float(predicted) - measured) / abs(measured)
-        score["rknn_error_percent"] = 100.0 * (float(rknn) - measured) / abs(measured)
+        score["error_percent"] = 100.0 * (predicted - measured) / abs(measured)
+        score["rknn_error_percent"] = 100.0 * (rknn - measured) / abs(measured)
     return score
 
 
@@ -159,18 +154,36 @@ def measured_at(drive: Drive, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.interp(time, rows[:, 0], rows[:, 1]), inside & near
 
 
-def _measured_energy(drive: Drive, span: Span) -> float | None:
-    """Integral of measured power from begin to end of a span, J; None when not measured."""
-    rows = drive.measured
-    ends = np.array([span.begin, span.end])
-    power, known = measured_at(drive, ends)
-    if not known.all():
-        return None
-    inner = rows[(rows[:, 0] > span.begin) & (rows[:, 0] < span.end)]
-    integral = EnergyIntegral(MAX_MEASURED_STEP)
-    for time, watts in np.vstack(([ends[0], power[0]], inner, [ends[1], power[1]])):
-        integral.push(round(time * NANOSECONDS) + 1, float(watts))
-    return integral.energy
+def _measured_energy(drive: Drive, stretches: list[Span]) -> float:
+    """Integral of measured power over stretches without gaps, J."""
+    time, power = drive.measured.T
+    total = 0.0
+    for begin, end in stretches:
+        inner = time[(time > begin) & (time < end)]
+        nodes = np.concatenate(([begin], inner, [end]))
+        total += float(np.trapezoid(np.interp(nodes, time, power), nodes))
+    return total
+
+
+def _stretches(time: np.ndarray) -> list[Span]:
+    """Parts of a series of times, shape (n,), that have no gap."""
+    if len(time) < 2:
+        return []
+    breaks = np.flatnonzero(np.diff(time) > MAX_MEASURED_STEP)
+    begins = np.concatenate(([0], breaks + 1))
+    ends = np.concatenate((breaks, [len(time) - 1]))
+    return [Span(float(time[i]), float(time[j])) for i, j in zip(begins, ends, strict=True)]
+
+
+def _common(some: list[Span], others: list[Span]) -> list[Span]:
+    """Where both have something to say."""
+    both = [Span(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
+    return [span for span in both if span.end > span.begin]
+
+
+def _increase(time: np.ndarray, total: np.ndarray, stretches: list[Span]) -> float:
+    """How much a running total grew over stretches of time."""
+    return float(sum(np.diff(np.interp(span, time, total))[0] for span in stretches))
 
 
 def _parameters(drive: Drive) -> dict[str, dict[str, Any]]:

@@ -70,13 +70,24 @@ class CsvSource:
         self.drive = CsvDrive(path, vehicle.nominal_voltage)
         self.dropped = self.drive.dropped
 
+        self._problem: str | None = None
+
     @property
-    def problem(self) -> None:
-        """Rows that cannot be read are dropped and counted, the file as a whole is well."""
+    def problem(self) -> str | None:
+        """Where the file breaks off; rows that are wrong in themselves are dropped and counted."""
+        return self._problem
 
     def readings(self) -> Iterator[Reading]:
-        """The readings row by row."""
-        yield from self.drive.readings()
+        """The readings row by row, up to where the file can be read."""
+        begun = False
+        try:
+            for reading in self.drive.readings():
+                begun = True
+                yield reading
+        except InputError as error:
+            if not begun:
+                raise
+            self._problem = str(error)
 
 
 class CanLogSource:

@@ -165,6 +165,17 @@ def test_results_before_a_bad_input_are_kept(folder):
     assert json.loads((folder / "kept_metrics.json").read_text())["input"]["path"] == "drive"
 
 
+def test_one_output_that_cannot_be_written_does_not_cost_the_others(folder):
+    (folder / "a_file").write_text("")
+    done = evpinn(
+        *("replay", "speed.csv", "--metrics", "a_file/m.json", "--state", "saved.json"), cwd=folder
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "a_file/m.json" in done.stderr.strip().splitlines()[-1]
+    assert (folder / "saved.json").is_file()
+
+
 def test_output_is_never_overwritten(folder):
     evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
     done = evpinn("replay", "speed.csv", "--out", "once", cwd=folder)

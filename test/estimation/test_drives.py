@@ -1,9 +1,8 @@
 """Whole drives: simulated ones, whose truth is known, and a real one where it is at hand.
 
-The simulated car is more than the five parameters (`simulation.car`): its efficiency is a map, it
-has friction brakes, there is wind. So the truth of `simulation.truth` (shares of energy) and the
-best fit of constant efficiencies (shares of power, squared) differ by more than the filter's
-sigma; what is pinned here is how far.
+The simulated car is more than the five parameters (`simulation.car`): its efficiency is a map, and
+the filter weighs low speeds more than the energy shares of `simulation.truth` do. Both m / eta and
+regeneration are off by more than sigma for that; what is pinned here is how far.
 """
 
 import math
@@ -62,7 +61,7 @@ class Replayed:
 
 @pytest.fixture(scope="module", params=[1, 2])
 def simulated(request, drive):
-    told = drive(request.param, 360.0)
+    told = drive(request.param, 240.0)
     return told.truth, Replayed(told.readings)
 
 
@@ -83,17 +82,13 @@ def test_power_and_energy_of_a_simulated_drive(simulated):
 
 
 def test_what_data_determine_of_a_simulated_car(simulated):
-    """Six minutes of town. Regeneration: friction brakes take the hardest braking, so the
-
-    recovered share of all braking energy is not the one factor that fits power best.
-    """
+    """Four minutes of town."""
     truth, found = simulated
     last = found.parameters[-1]
     assert last.reliable
     found, true = last.identifiable, truth.identifiable
     assert found.mass_over_eta == pytest.approx(true.mass_over_eta, rel=0.05)
     assert found.regeneration == pytest.approx(true.regeneration, rel=0.15)
-    assert found.p_aux == pytest.approx(true.p_aux, rel=0.15)
     for name in ("eta", "mu", "mass", "c_d"):
         estimate = last.parameters[name]
         assert abs(estimate.value - getattr(truth.parameters, name)) < 2.5 * estimate.std, name
@@ -102,10 +97,10 @@ def test_what_data_determine_of_a_simulated_car(simulated):
 
 @pytest.mark.skipif(not REAL.exists(), reason="needs ../shared/data")
 def test_a_real_drive():
-    """Five minutes of the public Model 3 log (SUNY-MEC-MEIC-Lab/EV-PINO), 10 Hz."""
+    """Four minutes of the public Model 3 log (SUNY-MEC-MEIC-Lab/EV-PINO), 10 Hz."""
     readings = CsvDrive(REAL, nominal_voltage=350.0).readings()
     first = next(readings)
-    within = [r for r in readings if r.stamp_ns < first.stamp_ns + 300 * NANOSECONDS]
+    within = [r for r in readings if r.stamp_ns < first.stamp_ns + 240 * NANOSECONDS]
     found = Replayed([first, *within])
     found.check_finite()
     error, _, truth = found.errors(PowerKind.SMOOTHED)

@@ -57,7 +57,8 @@ def test_measured_power_is_passed_on(new_estimator, play, powers, at_start):
         (at_start, 10_000.0),
         (at_start + 2, -2000.0),
     ]
-    assert all(math.isnan(p.sigma) for p in found)
+    # 30 W and 1 % of the reading
+    assert [p.sigma for p in found] == pytest.approx([math.hypot(30, 100), math.hypot(30, 20)])
 
 
 @pytest.fixture
@@ -203,7 +204,8 @@ def test_a_time_jump_keeps_what_was_learned(new_estimator, play, powers, drive):
     play(estimator, up_to(readings, 40.0))
     before = estimator.parameters().identifiable
     estimator.handle_time_jump()
-    assert estimator.parameters().identifiable == before
+    # All but p_aux: what is switched on may be something else now.
+    assert estimator.parameters().identifiable[:4] == before[:4]
     outputs = powers(play(estimator, up_to(readings, 10.0)))  # the same stamps again
     assert outputs[0].stamp_ns <= readings[0].stamp_ns + NANOSECONDS
     assert len(outputs) > 180 and not estimator.status().dropped

@@ -10,7 +10,7 @@ from evpinn_ros.estimation.hybrid import MIN_SAMPLES, TRUST_PRIOR, WIDTHS, Hybri
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
-from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.vehicle.parameters import LIMITS, Parameters
 
 TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
 
@@ -72,18 +72,24 @@ def test_after_two_minutes_of_town_it_is_reliable(vehicle, synthetic):
 
 
 def test_bounds_by_hand(vehicle, synthetic):
-    """eta and mu in [q, 1]; mass in [q, 1] m/eta; C_d likewise, with the drag area over A."""
+    """eta and mu in [q, 1]; mass in [q, 1] m/eta; C_d likewise, with the drag area over A.
+
+    Each combination is taken two sigmas to the safe side.
+    """
     found = teach(HybridLearner(vehicle), synthetic(TRUTH, noise=0.5)).parameters()
-    combined, bounds = found.identifiable, found.parameters
-    q = combined.regeneration
-    assert (bounds["eta"].lower, bounds["eta"].upper) == (q, 1.0)
-    assert (bounds["mu"].lower, bounds["mu"].upper) == (q, 1.0)
-    assert bounds["mass"].upper == pytest.approx(combined.mass_over_eta)
-    assert bounds["mass"].lower == pytest.approx(q * combined.mass_over_eta)
-    drag = combined.drag_area_over_eta / vehicle.frontal_area
-    assert bounds["c_d"].upper == pytest.approx(drag)
-    assert bounds["c_d"].lower == pytest.approx(q * drag)
+    combined, std, bounds = found.identifiable, found.identifiable_std, found.parameters
+    q = combined.regeneration - 2 * std.regeneration
+    assert (bounds["eta"].lower, bounds["eta"].upper) == (pytest.approx(q), 1.0)
+    assert (bounds["mu"].lower, bounds["mu"].upper) == (pytest.approx(q), 1.0)
+    low, high = (combined.mass_over_eta + sign * 2 * std.mass_over_eta for sign in (-1, 1))
+    assert bounds["mass"].lower == pytest.approx(q * low)
+    assert bounds["mass"].upper == pytest.approx(high)
     assert bounds["mass"].lower < TRUTH.mass < bounds["mass"].upper
+
+
+def test_before_the_data_tell_anything_bounds_are_the_limits(vehicle):
+    for name, estimate in HybridLearner(vehicle).parameters().parameters.items():
+        assert (estimate.lower, estimate.upper) == LIMITS[name]
 
 
 def test_reverse_and_charging_teach_nothing(vehicle):
@@ -128,7 +134,7 @@ def test_a_candidate_must_foretell_the_next_second_better(vehicle, synthetic, of
     learner, drive = HybridLearner(vehicle), synthetic(TRUTH, noise=0.0, hills=0.0)
     for k in range(40):
         second(learner, drive, k)
-    assert learner.consider(saying(learner, offset)) is None  # judged from here on
+    assert learner.consider(saying(learner, offset)) == "not_judged_yet"
     for sample, _ in zip(drive.samples[200:205], range(5), strict=True):
         learner.advance(sample)
         physics = learner.power_filter.predict(sample).power
@@ -155,11 +161,16 @@ def test_forgetting_the_window_forgets_the_candidate_and_nothing_learned(vehicle
     learner, drive = HybridLearner(vehicle), synthetic(TRUTH)
     for k in range(40):
         second(learner, drive, k)
-    learner.consider(saying(learner, 1.0))
+    candidate = saying(learner, 1.0)
+    learner.consider(candidate)
     before = learner.export()
     learner.forget_window()
-    assert learner.export() == before
+    after = learner.export()
+    assert (after["network"], after["merit"]) == (before["network"], before["merit"])
+    for kept in ("parameter_filter", "power_filter"):
+        assert after[kept]["mean"][:5] == before[kept]["mean"][:5]
     assert learner.prepare_update() is None
+    assert learner.consider(candidate) == "not_judged_yet"
 
 
 def test_trust_is_the_regression_on_what_the_network_says(vehicle, synthetic):

@@ -203,12 +203,23 @@ def test_it_relaxes_to_the_prior_with_its_time_constants():
 
 def test_time_that_goes_back_or_jumps_relaxes_nothing():
     found = new()
-    found.mean[P_AUX] += 300.0
+    found.mean[MASS] += 0.1
     found.advance(sample(1800.0))
     found.advance(sample(0.0))
     found.forget_time()
     found.advance(sample(86_400.0))
-    assert found.mean[P_AUX] == pytest.approx(1400.0)
+    assert found.mean[MASS] == pytest.approx(math.log(1823.0) + 0.1)
+
+
+def test_after_a_jump_of_time_the_road_may_be_another(synthetic):
+    found = learn(new(), synthetic(TRUTH), 0.2)
+    before, covariance = found.mean.copy(), found.covariance.copy()
+    found.forget_time()
+    assert found.mean[SLOPE] == 0.0
+    kept = [k for k in range(len(STATES)) if k != SLOPE]
+    assert found.mean[kept].tolist() == before[kept].tolist()
+    assert found.covariance[np.ix_(kept, kept)].tolist() == covariance[np.ix_(kept, kept)].tolist()
+    check_limits(found)
 
 
 @pytest.mark.parametrize("route", range(4))

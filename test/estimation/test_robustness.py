@@ -74,7 +74,7 @@ def rides(draw):
 
 @given(readings=rides())
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_hybrid_takes_anything(new_estimator, readings):
     estimator = new_estimator()

@@ -46,30 +46,25 @@ def test_a_round_trip_through_a_file_is_exact(learned, new_estimator, tmp_path, 
     assert one == pytest.approx(two, rel=1e-12)  # the order in memory shows in the last bit
 
 
-@pytest.mark.parametrize(("mode", "sigmas"), [(Mode.HYBRID, 0.1), (Mode.PAPER, 1.0)])
-def test_a_restart_goes_on_near_one_that_was_never_stopped(
-    learned, new_estimator, play, drive, mode, sigmas
-):
-    """Six seconds later. Not bit for bit: what is in the window is not saved.
+def test_a_restart_goes_on_within_a_tenth_of_sigma(learned, new_estimator, play, drive):
+    """Six seconds later, beside one that was never stopped.
 
-    So `paper` trains on other data at first, and in its first five seconds not at all.
+    Not bit for bit: what is in the window is not saved. In paper mode nothing but the window is
+    trained on, so there the two part; what was learned is the same at the restart.
     """
     readings = drive(1, 240.0).readings
     begin = readings[0].stamp_ns + LEARNED_FOR * NANOSECONDS
     later = [r for r in readings if begin <= r.stamp_ns < begin + 6 * NANOSECONDS]
-    on, stopped, again = (
-        deepcopy(learned[mode]),
-        new_estimator(mode=mode),
-        new_estimator(mode=mode),
-    )
+    on, stopped, again = (new_estimator() for _ in range(3))
+    play(on, [r for r in readings if r.stamp_ns < begin])
     for estimator in (stopped, again):
-        estimator.restore(on.export())
+        estimator.restore(learned[Mode.HYBRID].export())
     for estimator in (on, stopped, again):
         play(estimator, later)
     assert text_of(stopped) == text_of(again)
     found = stopped.parameters().parameters
     for name, estimate in on.parameters().parameters.items():
-        assert abs(found[name].value - estimate.value) < sigmas * estimate.std, name
+        assert abs(found[name].value - estimate.value) < 0.1 * estimate.std, name
 
 
 def text_of(estimator) -> str:

@@ -94,8 +94,25 @@ def test_errors_of_the_work_are_raised(thread_worker):
     worker.submit(fails)
     with pytest.raises(ArithmeticError):
         worker.collect()
+    inline = InlineWorker(ticking())
+    inline.submit(fails)
     with pytest.raises(ArithmeticError):
-        InlineWorker(ticking()).submit(fails)
+        inline.collect()
+    assert inline.collect() is None
+
+
+def test_an_update_that_fails_is_counted_and_the_next_begins(new_estimator, play, readings):
+    class Failing(InlineWorker):
+        def submit(self, work) -> None:
+            def fails() -> None:
+                raise ArithmeticError("singular")
+
+            super().submit(fails)
+
+    estimator = new_estimator(Failing(ticking()))
+    assert len(play(estimator, readings)) > 700
+    status = estimator.status()
+    assert status.updates > 10 and status.rejected == {"failed": status.updates - 1}
 
 
 def test_a_thread_that_is_waited_for_gives_the_numbers_of_a_replay(
@@ -123,4 +140,6 @@ def test_updates_that_take_too_long_are_counted(new_estimator, play, thread_work
     last = readings[-1].stamp_ns
     later = [type(r)(last + NANOSECONDS, r.speed) for r in readings if hasattr(r, "speed")][:1]
     play(estimator, later)
-    assert estimator._waiting is False and estimator.status().accepted == 1
+    # It is taken at last, to be judged, and the next begins.
+    assert estimator.status().updates == 2
+    assert estimator.status().rejected["not_judged_yet"] == 1

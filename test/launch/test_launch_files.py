@@ -111,6 +111,8 @@ def test_replay_plays_inputs_alone_and_by_the_clock_of_the_bag(launch):
     for name, options in nodes(actions).items():
         overrides = options["parameters"][1]
         assert overrides["use_sim_time"] is True
+        leader = "vehicle/speed" if name == "estimator" else "power/smoothed"
+        assert overrides[f"qos_overrides./ev/{leader}.subscription.depth"] == 1000
         assert overrides["vehicle"].arguments == ("bmw_i3",)
         assert overrides.get("wait_for_update", False) == (name == "estimator")
 

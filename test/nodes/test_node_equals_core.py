@@ -48,7 +48,7 @@ def test_nodes_over_topics_equal_the_cores(bench, urban):
     bench.listen(*HEARD)
     core = chain()
     expected = defaultdict(list)
-    for topic, bag_message, ros_message in urban(75.0):
+    for topic, bag_message, ros_message in urban(60.0):
         for name, messages in messages_of(core.push(to_reading(topic.type_name, bag_message))):
             expected[name] += messages
         bench.deliver(estimator, topic, ros_message)

@@ -47,9 +47,10 @@ def process(*command, stop=signal.SIGINT):
         running.communicate()
 
 
-def node(name, **parameters):
-    """The command of a node under /ev."""
-    values = {"vehicle": "tesla_model_3_lr", **parameters}
+def node(name, *deep, **parameters):
+    """The command of a node under /ev, with deep queues for some of its inputs."""
+    queues = {f"qos_overrides.{topic.under()}.subscription.depth": 1000 for topic in deep}
+    values = {"vehicle": "tesla_model_3_lr", **queues, **parameters}
     options = [word for k, v in values.items() for word in ("-p", f"{k}:={json.dumps(v)}")]
     return "-m", f"evpinn_ros.nodes.{name}", "--ros-args", "-r", "__ns:=/ev", *options
 
@@ -142,9 +143,14 @@ def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(benc
     for topic, bag_message, _ in drive:
         list(core.push(to_reading(topic.type_name, bag_message)))
     expected = core.meter.state
-    with process(*node("estimator", wait_for_update=True)), process(*node("energy")):
+    # At ten times real time, a tenth of a second without the processor would overflow ten deep.
+    estimator = node("estimator", topics.SPEED, topics.BATTERY, wait_for_update=True)
+    energy = node("energy", topics.POWER_SMOOTHED, topics.POWER_MEASURED)
+    with process(*estimator), process(*energy):
         bench.listen(topics.POWER_SMOOTHED, topics.ENERGY_STATE, topics.FORECAST)
         bench.listen(topics.FORECAST_BATTERY, topics.IDENTIFIABLE)
+        bench.pump(lambda: bench.node.count_subscribers(topics.POWER_SMOOTHED.under()) == 2)
+        rest(bench, 1.0)  # the nodes find each other at about the time the bench finds them
         play(bench, [(topic, message) for topic, _, message in drive], rate)
         bench.pump(
             lambda: stamp(bench.heard[topics.ENERGY_STATE][-1]) >= expected.stamp_ns - 10**9
@@ -159,6 +165,12 @@ def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(benc
     answer, battery = bench.heard[topics.FORECAST][-1], bench.heard[topics.FORECAST_BATTERY][-1]
     assert answer.header.frame_id == "route 66" and 1e5 < answer.points[-1].positions[0] < 1e7
     assert 0.4 < battery.percentage < 0.48
+
+
+def rest(bench, seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        bench.executor.spin_once(timeout_sec=0.02)
 
 
 def stamp(message):

@@ -162,3 +162,43 @@ def test_each_of_several_drives_has_a_folder(tmp_path, readings):
     ]
     assert output_folders(tmp_path / "out", sources[:1]) == [tmp_path / "out"]
     assert output_folders(None, sources) == [None, None]
+
+
+def test_energy_state_carries_sigma_that_grows_while_withheld(readings, vehicle, tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        run(readings, vehicle, tmp_path, writer=writer, withhold_battery_after=60.0)
+    with BagReader(tmp_path / "bag") as bag:
+        states = [r.message for r in bag.records(["/ev/energy/state"])]
+    assert all(len(state.effort) == len(state.name) for state in states[1:])
+    index = list(states[-1].name).index("predicted")
+    assert 0 < states[len(states) // 2].effort[index] < states[-1].effort[index]
+
+
+def test_a_recording_that_starts_over_counts_on(readings, vehicle, tmp_path):
+    used = chain(vehicle)
+    seen = []
+    for reading in [*readings[:900], *readings[:900]]:
+        list(used.push(reading))
+        seen.append(used.meter.state.predicted.energy)
+    once, twice = seen[len(seen) // 2 - 1], seen[-1]
+    assert once > 0
+    # The first seconds after the jump are needed to notice it, so less than twice.
+    assert 1.5 * once < twice < 2.5 * once
+
+
+def test_an_update_that_fails_is_counted_and_the_next_one_runs(readings, vehicle, monkeypatch):
+    used = chain(vehicle)
+    learner = used.estimator._learner
+    prepare, calls = learner.prepare_update, []
+
+    def fails_once():
+        work = prepare()
+        calls.append(work)
+        return (lambda: 1 / 0) if len(calls) == 5 else work
+
+    monkeypatch.setattr(learner, "prepare_update", fails_once)
+    for reading in readings:
+        list(used.push(reading))
+    status = used.estimator.status()
+    assert status.rejected["failed"] == 1
+    assert status.updates > 50

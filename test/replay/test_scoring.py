@@ -81,3 +81,21 @@ def test_nulls_by_hand():
     nulls = null_scores(found, WHOLE)
     assert nulls["last_value"] == pytest.approx(1.0)  # a ramp of 1 W per reading
     assert nulls["interpolation"] == pytest.approx(0.0, abs=1e-9)  # and linear in time
+
+
+def test_a_hole_in_the_battery_is_left_out_of_both_energies():
+    # 1000 W throughout; the battery is silent from 3 to 9 s, the prediction goes on.
+    energy = [[float(t), 1000.0 * t, 1000.0 * t] for t in range(13)]
+    whole = drive([1000] * 13, [0], energy=energy)
+    rows = np.array([[float(t), 1000.0] for t in (0, 1, 2, 3, 9, 10, 11, 12)])
+    gappy = Drive(**{**{f: getattr(whole, f) for f in whole.__slots__}, "measured": rows})
+    score = energy_score(gappy, WHOLE)
+    assert score["measured_j"] == pytest.approx(6000.0)
+    assert score["error_percent"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_energy_of_an_unmeasured_drive_is_still_predicted():
+    energy = [[0.0, 0.0, 0.0], [1.0, 1000.0, 1001.0]]
+    score = energy_score(drive([], [0], energy=energy), WHOLE)
+    assert (score["measured_j"], score["error_percent"]) == (None, None)
+    assert (score["predicted_j"], score["rknn_j"]) == (1000.0, 1001.0)
