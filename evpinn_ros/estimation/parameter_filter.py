@@ -56,6 +56,8 @@ TIME_CONSTANTS = {  # s of relaxation to the prior
     COPPER: 100 * HOUR,
 }
 
+LONGEST_STEP = HOUR  # s; longer gaps are parking or a clock being set, and the car is the same
+
 POWER_NOISE = 60.0  # W, 1-sigma of the residual at standstill
 FORCE_NOISE = 100.0  # N over eta: 1-sigma of the residual while moving is this times speed
 CORRELATION_TIME = 0.5  # s over which residuals are alike
@@ -305,7 +307,7 @@ class ParameterFilter:
     def _step(self, sample: Sample) -> float:
         if self._last_ns is None:
             return 0.0
-        return max(0.0, (sample.stamp_ns - self._last_ns) * 1e-9)
+        return min(max(0.0, (sample.stamp_ns - self._last_ns) * 1e-9), LONGEST_STEP)
 
 
 def _prior(vehicle: Vehicle, copper_std: float) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -96,7 +97,9 @@ class History:
         """Take what the chain said of the last reading."""
         time = self.seconds(output.stamp_ns)
         if isinstance(output, EnergyState):
-            self._energy.add(time, output.predicted.energy, output.rknn.energy)
+            predicted, rknn = output.predicted.energy, output.rknn.energy
+            if math.isfinite(predicted) and math.isfinite(rknn):  # not before the first step
+                self._energy.add(time, predicted, rknn)
         elif isinstance(output, PowerEstimate):
             if output.kind in self._power:
                 lag = (self._last_ns - output.stamp_ns) / NANOSECONDS

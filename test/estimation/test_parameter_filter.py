@@ -349,3 +349,14 @@ def test_a_round_trip_is_exact_and_what_does_not_fit_is_refused(synthetic):
         with pytest.raises(ValueError, match="saved"):
             other.restore({**saved, **wrong})
     assert other.export() == saved
+
+
+def test_a_clock_that_is_set_does_not_forget_the_car(synthetic):
+    """Fifty years pass at once when a computer without a clock first hears the time."""
+    found = learn(new(), synthetic(TRUTH), 0.2)
+    before = found.identifiable()[0]
+    later = Sample(found._last_ns + 50 * 365 * 86400 * 10**9, 10.0, 0.0, 0.0, 1.17, 0.0)
+    found.advance(later)
+    after = found.identifiable()[0]
+    assert after.mass_over_eta == pytest.approx(before.mass_over_eta, rel=0.01)
+    assert after.regeneration == pytest.approx(before.regeneration, rel=0.02)

@@ -1,0 +1,39 @@
+"""A recorded bag says what the run that made it knew."""
+
+import time
+
+import numpy as np
+import pytest
+
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.recorded import recorded_drive
+from evpinn_ros.replay.run import ReplayOptions, replay
+from evpinn_ros.replay.scoring import drive_scores
+from evpinn_ros.replay.sources import open_source
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.output import write
+from evpinn_ros.simulation.simulate import simulate
+
+
+def test_the_bag_of_a_replay_gives_its_series_back(vehicle, tmp_path):
+    write(simulate(DriveKind.URBAN, vehicle, 60.0, seed=11), tmp_path / "drive")
+    source = open_source(tmp_path / "drive", vehicle)
+    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    names = {"vehicle": vehicle.key, "mode": "hybrid"}
+    with BagWriter(tmp_path / "bag") as writer:
+        made = replay(source, chain, ReplayOptions(), writer=writer, **names).drive
+    found = recorded_drive(tmp_path / "bag")
+    assert found.duration == pytest.approx(made.duration)
+    for series in ("smoothed", "newest"):
+        for ours, theirs in zip(getattr(found, series), getattr(made, series), strict=True):
+            assert np.array_equal(ours, theirs)
+    assert found.final is not None and made.final is not None
+    assert found.final.parameters["mass"].value == made.final.parameters["mass"].value
+    scores = drive_scores(found, warm_up=30.0)
+    assert all(value is not None and np.isfinite(value) for value in scores["energy"].values())
+    assert scores["power"]["rmse_w"] == pytest.approx(
+        drive_scores(made, warm_up=30.0)["power"]["rmse_w"], rel=1e-4
+    )
