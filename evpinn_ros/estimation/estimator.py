@@ -265,10 +265,10 @@ class OnlineEstimator:
     def _collect(self) -> None:
         try:
             candidate = self._worker.collect()
-        except Exception:
+        except Exception as error:
             # The next window may well be solvable; what was learned before stays in use.
             self._waiting = False
-            self._rejected["failed"] += 1
+            self._rejected[f"failed_{type(error).__name__}"] += 1
             return
         if candidate is None:
             self._rejected["overrun"] += 1

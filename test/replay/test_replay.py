@@ -184,21 +184,3 @@ def test_a_recording_that_starts_over_counts_on(readings, vehicle, tmp_path):
     assert once > 0
     # The first seconds after the jump are needed to notice it, so less than twice.
     assert 1.5 * once < twice < 2.5 * once
-
-
-def test_an_update_that_fails_is_counted_and_the_next_one_runs(readings, vehicle, monkeypatch):
-    used = chain(vehicle)
-    learner = used.estimator._learner
-    prepare, calls = learner.prepare_update, []
-
-    def fails_once():
-        work = prepare()
-        calls.append(work)
-        return (lambda: 1 / 0) if len(calls) == 5 else work
-
-    monkeypatch.setattr(learner, "prepare_update", fails_once)
-    for reading in readings:
-        list(used.push(reading))
-    status = used.estimator.status()
-    assert status.rejected["failed"] == 1
-    assert status.updates > 50
