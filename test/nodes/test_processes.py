@@ -140,9 +140,11 @@ def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(benc
     core = Chain(
         load_vehicle("tesla_model_3_lr"), EstimatorSettings(), InlineWorker(time.perf_counter)
     )
+    states = []
     for topic, bag_message, _ in drive:
         list(core.push(to_reading(topic.type_name, bag_message)))
-    expected = core.meter.state
+        states.append(core.meter.state)
+    end_ns = states[-1].stamp_ns
     # At ten times real time, a tenth of a second without the processor would overflow ten deep.
     estimator = node("estimator", topics.SPEED, topics.BATTERY, wait_for_update=True)
     energy = node("energy", topics.POWER_SMOOTHED, topics.POWER_MEASURED)
@@ -152,12 +154,12 @@ def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(benc
         bench.pump(lambda: bench.node.count_subscribers(topics.POWER_SMOOTHED.under()) == 2)
         rest(bench, 1.0)  # the nodes find each other at about the time the bench finds them
         play(bench, [(topic, message) for topic, _, message in drive], rate)
-        bench.pump(
-            lambda: stamp(bench.heard[topics.ENERGY_STATE][-1]) >= expected.stamp_ns - 10**9
-        )
+        bench.pump(lambda: stamp(bench.heard[topics.ENERGY_STATE][-1]) >= end_ns - 10**9)
         state = bench.heard[topics.ENERGY_STATE][-1]
         bench.send(topics.SPEED_PROFILE, plan())
         bench.pump(lambda: bench.heard[topics.FORECAST] and bench.heard[topics.FORECAST_BATTERY])
+    # A second may be missing at the end, which is several percent: like is compared with like.
+    expected = min(states, key=lambda each: abs(each.stamp_ns - stamp(state)))
     energies = dict(zip(state.name, state.position, strict=True))
     for name in ("measured", "predicted", "rknn"):
         assert energies[name] == pytest.approx(getattr(expected, name).energy, rel=0.05)
@@ -181,6 +183,8 @@ def play(bench, messages, rate):
     """Publish messages at the pace of their stamps, once somebody listens to all of them."""
     for topic in {topic for topic, _ in messages}:
         bench.publisher(topic)
+    # We know of the listener before it knows of us, and best effort is not sent again.
+    rest(bench, 2.0)
     begin, first = time.monotonic(), stamp(messages[0][1])
     for topic, message in messages:
         due = begin + (stamp(message) - first) / 1e9 / rate
