@@ -17,11 +17,11 @@ DECIMALS = {"eta": 3, "mu": 3, "mass": 0, "c_rr": 5, "c_d": 4, "p_aux": 0}
 UNITS = {"mass": " kg", "p_aux": " W"}
 MEANINGS = {
     "eta": "motor efficiency",
-    "mu": "regeneration efficiency",
-    "mass": "mass",
-    "c_rr": "rolling resistance",
-    "c_d": "aerodynamic drag",
-    "p_aux": "auxiliary power",
+    "mu": "regeneration",
+    "mass": "all aboard",
+    "c_rr": "rolling",
+    "c_d": "drag",
+    "p_aux": "auxiliary",
 }
 
 
