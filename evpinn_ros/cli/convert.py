@@ -22,8 +22,8 @@ def convert(
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     vehicle: Annotated[
-        str | None, typer.Option(help="Vehicle by name or path; CAN logs need it.")
-    ] = None,
+        str, typer.Option(help="Vehicle by name or path; CAN logs need it.")
+    ] = "generic",
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
@@ -35,9 +35,7 @@ def convert(
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
     """
-    car = load_vehicle(vehicle or "generic")
-    if vehicle is None and can_profile is None and _is_can_log(source_path):
-        raise InputError(f"{source_path}: a CAN log needs --vehicle")
+    car = load_vehicle(vehicle)
     source = open_source(source_path, car, can_profile)
     with BagWriter(out) as writer:
         dropped: Counter[str] = write_readings(source.readings(), writer)
@@ -49,10 +47,6 @@ def convert(
     if source.problem:
         raise InputError(f"{source.problem}; what could be read is in {out}")
     results.print(f"{out}", markup=False, soft_wrap=True)
-
-
-def _is_can_log(path: Path) -> bool:
-    return any(suffix in (".log", ".asc", ".blf", ".trc") for suffix in path.suffixes)
 
 
 def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:

@@ -14,7 +14,7 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 COVERAGE = 0.9
 GAUSSIAN_QUANTILE = 1.6449  # of |z| at COVERAGE
-RATE = 0.02  # per 0.1 s; a change by half takes about a minute
+RATE = 0.02  # of the logarithm: up by 0.9 of it after a miss, down by 0.1 of it otherwise
 RATIO_RANGE = (0.05, 20.0)
 
 

@@ -142,7 +142,8 @@ def open_source(path: Path, vehicle: Vehicle, can_profile: str | None = None) ->
         profile = can_profile or vehicle.can_profile
         if profile is None:
             raise InputError(
-                f"{path}: vehicle '{vehicle.key}' names no CAN profile; give --can-profile"
+                f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
+                "give the --vehicle of a car that does, or --can-profile"
             )
         return CanLogSource(path, profile)
     raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a CSV")

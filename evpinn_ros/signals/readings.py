@@ -2,7 +2,7 @@
 
 Stamps are integer nanoseconds of the moment the car measured the value, never of arrival. Units
 are SI (REP-103). A reading holds no policy: range checks belong to whoever made it, ordering and
-pairing to `evpinn_ros.signals.alignment`.
+pairing to `evpinn_ros.signals.stream`.
 """
 
 from __future__ import annotations
