@@ -38,26 +38,36 @@ class PowerNetwork(nn.Module):
         return output[:, 0]
 
     @torch.no_grad()
-    def jacobian(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Output, shape (n,), and its derivative by every weight, shape (n, weights).
+    def sweep(
+        self, inputs: torch.Tensor
+    ) -> tuple[torch.Tensor, list[torch.Tensor], list[torch.Tensor]]:
+        """Forwards and backwards once for all samples; inputs of shape (n, widths[0]).
 
-        Back-propagation for all samples at once: with the activations A_l entering a layer and the
-        derivative D_l of the output by what leaves it, dy/dW_l = D_l A_l^T and dy/db_l = D_l. The
-        columns are in the order of `torch.nn.utils.parameters_to_vector`.
+        Returns:
+            The output, shape (n,); the activations A_l that enter each layer, shape
+            (n, widths[l]); and the derivative D_l of the output by what leaves it, shape
+            (n, widths[l + 1]).
         """
         activations = [inputs]
         for layer in self.layers[:-1]:
             activations.append(torch.tanh(layer(activations[-1])))
         output = self.layers[-1](activations[-1])[:, 0]
-        derivative = torch.ones(len(inputs), 1, dtype=inputs.dtype)
+        derivatives = [inputs.new_ones(len(inputs), 1)]
+        for layer, leaving in zip(self.layers[:0:-1], activations[:0:-1], strict=True):
+            derivatives.append((derivatives[-1] @ layer.weight) * (1.0 - leaving**2))
+        return output, activations, derivatives[::-1]
+
+    def jacobian(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Output, shape (n,), and its derivative by every weight, shape (n, weights).
+
+        Back-propagation for all samples at once: dy/dW_l = D_l A_l^T and dy/db_l = D_l. The
+        columns are in the order of `torch.nn.utils.parameters_to_vector`.
+        """
+        output, activations, derivatives = self.sweep(inputs)
         columns: list[torch.Tensor] = []
-        for index in range(len(self.layers) - 1, -1, -1):
-            by_weight = derivative[:, :, None] * activations[index][:, None, :]
-            columns = [by_weight.flatten(1), derivative, *columns]
-            if index > 0:
-                derivative = (derivative @ self.layers[index].weight) * (
-                    1.0 - activations[index] ** 2
-                )
+        for entering, derivative in zip(activations, derivatives, strict=True):
+            by_weight = derivative[:, :, None] * entering[:, None, :]
+            columns += [by_weight.flatten(1), derivative]
         return output, torch.cat(columns, dim=1)
 
     def vector(self) -> torch.Tensor:
