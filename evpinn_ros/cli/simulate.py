@@ -17,6 +17,7 @@ from evpinn_ros.simulation.simulate import simulate as simulate_drive
 from evpinn_ros.simulation.truth_file import TRUTH_FILE
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.vehicle.physics import RegenForm
 
 START = datetime.fromtimestamp(EPOCH_NS / NANOSECONDS, timezone.utc).replace(tzinfo=None)
 
@@ -45,6 +46,10 @@ def simulate(
     temperature: Annotated[
         bool, typer.Option("--temperature", help="Add an outside thermometer.")
     ] = False,
+    equation: Annotated[
+        RegenForm | None,
+        typer.Option(help="A car that obeys eq. 21 in this form to the letter, on a flat road."),
+    ] = None,
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
@@ -71,6 +76,7 @@ def simulate(
         altitude=altitude,
         temperature=temperature,
         start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
+        equation=equation,
     )
     write(drive, out, can_log)
     typer.echo(_summary(drive, out))

@@ -13,13 +13,16 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
-from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, Motion, drive_speed, motion_on
+from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
+from evpinn_ros.simulation.equation_car import drive_equation_car, equation_car
 from evpinn_ros.simulation.road import hilly_road
 from evpinn_ros.simulation.sensors import altitudes, tell, temperatures
-from evpinn_ros.simulation.surroundings import Surroundings, ambient_celsius, draw_surroundings
+from evpinn_ros.simulation.surroundings import ambient_celsius, draw_surroundings
 from evpinn_ros.simulation.truth import Truth, plausible_parameters, true_values, tuned
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.parameters import LIMITS
+from evpinn_ros.vehicle.identifiable import identifiable
+from evpinn_ros.vehicle.parameters import LIMITS, Parameters
+from evpinn_ros.vehicle.physics import RegenForm
 
 EPOCH_NS = 1_735_689_600 * NANOSECONDS
 """Every simulated drive starts on 2025-01-01 at 00:00:00 UTC unless told otherwise."""
@@ -70,6 +73,7 @@ def simulate(
     altitude: bool = False,
     temperature: bool = False,
     start_ns: int = EPOCH_NS,
+    equation: RegenForm | None = None,
 ) -> SimulatedDrive:
     """Drive a car; the same arguments give the same drive.
 
@@ -86,6 +90,8 @@ def simulate(
         altitude: whether there is a barometer.
         temperature: whether there is an outside thermometer.
         start_ns: stamp of the start.
+        equation: a car that obeys eq. 21 in this form to the letter, on a flat road; `car` then
+            names parameters.
 
     Raises:
         InputError: an argument is out of range, the vehicle file names no CAN profile and none
@@ -97,32 +103,34 @@ def simulate(
     profile = load_profile(profile_name)
     streams = np.random.SeedSequence(seed).spawn(5)
     route, hills, weather, factory, sensors = (np.random.default_rng(s) for s in streams)
-    motion = motion_on(hilly_road(rms_grade, hills), drive_speed(kind, duration_s, route))
+    steepness = rms_grade if equation is None else 0.0
+    motion = motion_on(hilly_road(steepness, hills), drive_speed(kind, duration_s, route))
     around = draw_surroundings(motion.time, weather)
-    if not isinstance(car, Car):
-        car = _new_car(vehicle, car or {}, motion, around, factory)
-    trace = drive_car(car, motion, around)
+    if equation is not None and not isinstance(car, Car):
+        parameters = _wish(vehicle, car or {}, factory)
+        car = equation_car(vehicle, parameters, factory)
+        trace = drive_equation_car(car, parameters, motion, equation, vehicle.beta)
+        truth = Truth(parameters, identifiable(parameters, car.frontal_area))
+    else:
+        if not isinstance(car, Car):
+            wish = _wish(vehicle, car or {}, factory)
+            car = tuned(draw_car(vehicle, wish, factory), motion, around, wish)
+        trace = drive_car(car, motion, around)
+        truth = true_values(car, trace)
     told = tell(trace, profile, start_ns, sensors)
     extra = altitudes(trace, start_ns, sensors) if altitude else []
     if temperature:
         extra += temperatures(trace, ambient_celsius(car.air_density), start_ns, sensors)
     readings = sorted((*told.readings, *extra), key=attrgetter("stamp_ns"))
-    truth = true_values(car, trace)
     return SimulatedDrive(vehicle, kind, seed, told.frames, tuple(readings), car, trace, truth)
 
 
-def _new_car(
-    vehicle: Vehicle,
-    named: Mapping[str, float],
-    motion: Motion,
-    around: Surroundings,
-    rng: np.random.Generator,
-) -> Car:
+def _wish(vehicle: Vehicle, named: Mapping[str, float], rng: np.random.Generator) -> Parameters:
+    """Plausible parameters, with those that are named as named."""
     for name, value in named.items():
         if name not in LIMITS:
             raise InputError(f"no parameter '{name}'; known are {', '.join(LIMITS)}")
         if not LIMITS[name].lower <= value <= LIMITS[name].upper:
             lower, upper = LIMITS[name]
             raise InputError(f"{name} = {value:g} is outside [{lower:g}, {upper:g}]")
-    wish = plausible_parameters(vehicle, rng)._replace(**named)
-    return tuned(draw_car(vehicle, wish, rng), motion, around, wish)
+    return plausible_parameters(vehicle, rng)._replace(**named)
