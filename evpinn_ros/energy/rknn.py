@@ -57,9 +57,14 @@ def restored(value: Any) -> Any:
 
 
 def slopes(
-    networks: Sequence[Slope], power: Any, power_mid: Any, power_next: Any, dt: Any
+    networks: Sequence[Slope],
+    power: Any,
+    power_mid: Any,
+    power_next: Any,
+    dt: Any,
+    energy: Any = 0.0,
 ) -> tuple[Any, Any, Any, Any]:
-    """The slopes k1 to k4 of eq. 26-29 with E(t) = 0, W, elementwise, arrays or tensors.
+    """The slopes k1 to k4 of eq. 26-29, W, elementwise, arrays or tensors.
 
     Args:
         networks: N1(P), N2(P, E), N3(P, E) and N4(P, E), from W and J to W.
@@ -67,12 +72,13 @@ def slopes(
         power_mid: P(t + dt/2), W.
         power_next: P(t + dt), W.
         dt: s.
+        energy: E(t), J; the trained network takes it as zero.
     """
     n1, n2, n3, n4 = networks
     k1 = n1(power)
-    k2 = n2(power_mid, dt / 2 * k1)
-    k3 = n3(power_mid, dt / 2 * k2)
-    k4 = n4(power_next, dt * k3)
+    k2 = n2(power_mid, energy + dt / 2 * k1)
+    k3 = n3(power_mid, energy + dt / 2 * k2)
+    k4 = n4(power_next, energy + dt * k3)
     return k1, k2, k3, k4
 
 

@@ -1,0 +1,40 @@
+"""A training kept on disk: named arrays in one `.npz`, no pickle, replaced whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import torch
+
+
+def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]) -> None:
+    """Write a state so that a crash leaves the old file or the new one whole.
+
+    Args:
+        path: of the file, ending in `.npz`.
+        settings: what the state belongs to; `load_checkpoint` asks for it again.
+        state: named tensors.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_name("new-" + path.name)
+    arrays = {f"state/{name}": tensor.detach().cpu().numpy() for name, tensor in state.items()}
+    np.savez(fresh, settings=np.array(settings), **arrays)  # type: ignore[arg-type]
+    fresh.replace(path)
+
+
+def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None:
+    """The state saved for these settings; None when there is none, or it cannot be read."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if str(file["settings"]) != settings:
+                return None
+            return {
+                name.removeprefix("state/"): torch.from_numpy(np.array(file[name]))
+                for name in file.files
+                if name.startswith("state/")
+            }
+    except (OSError, KeyError, ValueError, EOFError, BadZipFile):
+        return None

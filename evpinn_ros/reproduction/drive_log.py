@@ -1,0 +1,116 @@
+"""A recorded drive as the paper sees one: arrays of time, speed, acceleration and power."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.replay.sources import open_source
+from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
+from evpinn_ros.signals.road import GradeSource
+from evpinn_ros.signals.sample import MeasuredSample
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.vehicle.files import Vehicle
+
+MIN_SAMPLES = 100
+# Future in the local quadratic of `signals.kinematics`: dv/dt of a finished log need not be
+# causal. The paper differentiates an input and does not say how.
+SMOOTHING_AHEAD = 0.3  # s
+DELAYS = np.linspace(-0.4, 0.4, 41)  # s, candidates
+
+
+class DriveLog(NamedTuple):
+    """Aligned samples of a drive, float64, shape (n,) each.
+
+    Attributes:
+        time: s since the first sample.
+        speed: m/s.
+        acceleration: m/s^2, from a local quadratic.
+        power: battery power, V times I (eq. 11), W.
+    """
+
+    time: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    power: np.ndarray
+
+    def part(self, rows: np.ndarray) -> DriveLog:
+        """The samples at these indices or under this mask."""
+        return DriveLog(*(column[rows] for column in self))
+
+
+def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None) -> DriveLog:
+    """Read a CSV, bag or CAN log; what is not finite or impossible is left out as on the road.
+
+    Speed and power reach a log with different delays, and 50 ms more or less move C_rr by several
+    percent. So the log is read twice: once to find the delay of speed, once without it.
+
+    Raises:
+        InputError: no such log, or fewer than `MIN_SAMPLES` samples with speed and power.
+    """
+    delay = speed_delay(_read(path, vehicle, can_profile, 0.0), vehicle)
+    return _read(path, vehicle, can_profile, delay)
+
+
+def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
+    """How much later than power speed was stamped, s: where eq. 21 leaves the least residual.
+
+    Eq. 21 is linear in its combinations, so each candidate is one least squares.
+    """
+    left = [_residual(log, vehicle, delay) for delay in DELAYS]
+    best = int(np.argmin(left))
+    if best in (0, len(DELAYS) - 1) or left[best] <= 0.0:
+        return float(DELAYS[best]) if left[best] > 0.0 else 0.0
+    before, least, after = left[best - 1 : best + 2]
+    bend = before - 2.0 * least + after
+    offset = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float(DELAYS[best] + offset * (DELAYS[1] - DELAYS[0]))
+
+
+def _residual(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
+    """Mean square of what eq. 21 leaves, W^2, of power `delay` before each sample of speed."""
+    known = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
+    _, speed, acceleration, _ = log.part(known)
+    power = np.interp(log.time[known] - delay, log.time, log.power)
+    braking = acceleration < vehicle.beta
+    kinetic = speed * acceleration
+    terms = (np.ones_like(speed), speed, speed**3, kinetic * braking, kinetic * ~braking)
+    columns = np.stack(terms, axis=1)
+    found, *_ = np.linalg.lstsq(columns, power, rcond=None)
+    return float(np.mean((power - columns @ found) ** 2))
+
+
+def _read(path: Path, vehicle: Vehicle, can_profile: str | None, delay: float) -> DriveLog:
+    settings = StreamSettings(smoothing_lag=SMOOTHING_AHEAD, grade_source=GradeSource.NONE)
+    stream = SampleStream(settings, vehicle.air_density)
+    source = open_source(path, vehicle, can_profile)
+    earlier_ns = round(delay * NANOSECONDS)
+    rows = [
+        (event.sample.stamp_ns, event.sample.speed, event.sample.acceleration, event.power)
+        for reading in source.readings()
+        for event in stream.push(_earlier(reading, earlier_ns))
+        if isinstance(event, MeasuredSample)
+    ]
+    if len(rows) < MIN_SAMPLES:
+        dropped = {**source.dropped, **stream.dropped}
+        why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+        raise InputError(
+            f"{path}: {len(rows)} samples with speed and power, the experiment needs "
+            f"{MIN_SAMPLES}{f' (dropped: {why})' if why else ''}"
+        )
+    stamps, speed, acceleration, power = zip(*rows, strict=True)
+    time = (np.array(stamps) - stamps[0]) / NANOSECONDS
+    if not (np.diff(time) > 0).all():
+        raise InputError(f"{path}: time goes back within the log; cut it there")
+    return DriveLog(time, np.array(speed), np.array(acceleration), np.array(power))
+
+
+def _earlier(reading: Reading, shift_ns: int) -> Reading:
+    """Speed as if it had not been delayed; all else as it is."""
+    if isinstance(reading, SpeedReading):
+        return replace(reading, stamp_ns=reading.stamp_ns - shift_ns)
+    return reading

@@ -1,0 +1,282 @@
+"""The paper's experiment on one drive: every training, every table, every yardstick.
+
+Three trainings, each resumable: the power network under the paper's random split (its tables),
+the same under a chronological split (what it is worth on a road not yet driven), and the energy
+networks. Then the yardsticks of `scores`, on the same samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import hashlib
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
+from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
+from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.reproduction.energy_network import EnergyTraining, step_data
+from evpinn_ros.reproduction.energy_network import Losses as EnergyLosses
+from evpinn_ros.reproduction.optimizers import INPUTS, OptimizerName
+from evpinn_ros.reproduction.parameter_fit import laplace_covariance
+from evpinn_ros.reproduction.power_training import PowerTraining
+from evpinn_ros.reproduction.problem import (
+    PowerScale,
+    Problem,
+    Split,
+    chronological_split,
+    random_split,
+    standstill_power,
+)
+from evpinn_ros.reproduction.published import PREDICTED, LossRow
+from evpinn_ros.reproduction.scores import (
+    ParameterRow,
+    PowerScore,
+    combination_rows,
+    drift_included,
+    exact_energy,
+    interpolated_power,
+    least_squares_power,
+    parameter_rows,
+    physics_power,
+    power_score,
+)
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.vehicle.physics import RegenForm
+
+CHECKPOINT_EVERY = 500  # epochs
+PROGRESS_EVERY = 10  # epochs
+RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
+NETWORK = "network"
+NULL = "null: line in time"
+REGRESSION = "eq. 21, least squares"
+
+# Takes the title of a training, its epoch, its last epoch and the newest loss.
+OnProgress = Callable[[str, int, int, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What to run.
+
+    Attributes:
+        optimizer: of the power network.
+        epochs: of the power network.
+        energy_epochs: of the energy networks.
+        seed: of split, networks and batches.
+        device: `cpu` or `cuda`.
+        form: reading of eq. 21.
+    """
+
+    optimizer: OptimizerName
+    epochs: int
+    energy_epochs: int
+    seed: int = 0
+    device: str = "cpu"
+    form: RegenForm = RegenForm.RECOVERY
+
+
+class Scored(NamedTuple):
+    """A method's score on the validation data of a split, or on the whole drive."""
+
+    method: str
+    split: str
+    score: PowerScore
+
+
+class Energies(NamedTuple):
+    """Energy since the first sample, J, shape (n,) each.
+
+    Attributes:
+        measured: exact quadrature of the measured power.
+        predicted: exact quadrature of the network's power.
+        rknn: the Runge-Kutta network of the paper, rolled out over the measured power.
+        dnn: the plain network, likewise.
+    """
+
+    measured: np.ndarray
+    predicted: np.ndarray
+    rknn: np.ndarray
+    dnn: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """All that the tables, figures and files are made from."""
+
+    log: DriveLog
+    vehicle: Vehicle
+    settings: Settings
+    training: PowerTraining
+    chronological: PowerTraining
+    energy_rows: list[EnergyLosses]
+    scores: list[Scored]
+    parameters: list[ParameterRow]
+    combinations: list[ParameterRow]
+    regression: Parameters
+    covariance: np.ndarray
+    predicted_power: np.ndarray
+    unseen_power: np.ndarray
+    energies: Energies
+
+    @property
+    def values(self) -> Parameters:
+        """The parameters found."""
+        optimizer = self.training.optimizer
+        return self.training.problem.values(optimizer.log_scale)
+
+    @property
+    def power_rows(self) -> list[LossRow]:
+        """Losses under the paper's random split."""
+        return self.training.rows
+
+
+class Experiment:
+    """Runs the trainings of one drive, keeping each in a folder."""
+
+    def __init__(self, log: DriveLog, vehicle: Vehicle, settings: Settings, folder: Path) -> None:
+        """Nothing is run or read yet."""
+        self._log, self._vehicle, self._settings = log, vehicle, settings
+        self._folder = folder
+
+    def run(self, on_progress: OnProgress) -> Outcome:
+        """Train what is not yet trained and score it.
+
+        Raises:
+            InputError: a training diverged.
+        """
+        log, settings = self._log, self._settings
+        count = len(log.time)
+        split = random_split(count, settings.seed)
+        training = self._power("power network", split, on_progress)
+        later = self._power("chronological split", chronological_split(count), on_progress)
+        energy = self._energy(on_progress)
+        problem, optimizer = training.problem, training.optimizer
+        covariance = drift_included(
+            self._vehicle,
+            optimizer.log_scale,
+            laplace_covariance(
+                problem, problem.training, problem.training.power, optimizer.log_scale.detach()
+            ),
+        )
+        values = problem.values(optimizer.log_scale)
+        predicted = problem.predicted_power(optimizer.network, log)
+        rknn, dnn = energy.integrate(log.time, log.power)
+        rows = (self._vehicle, values, covariance, UNOBSERVABLE_ABOVE)
+        return Outcome(
+            log=log,
+            vehicle=self._vehicle,
+            settings=settings,
+            training=training,
+            chronological=later,
+            energy_rows=energy.losses,
+            scores=[
+                *_scores(training, RANDOM),
+                *_scores(later, CHRONOLOGICAL),
+                *self._whole_drive(),
+            ],
+            parameters=parameter_rows(*rows),
+            combinations=combination_rows(*rows),
+            regression=least_squares_power(problem)[1],
+            covariance=covariance,
+            predicted_power=predicted,
+            unseen_power=later.problem.predicted_power(later.optimizer.network, log),
+            energies=Energies(
+                measured=exact_energy(log.time, log.power),
+                predicted=exact_energy(log.time, predicted),
+                rknn=rknn,
+                dnn=dnn,
+            ),
+        )
+
+    def _power(self, title: str, split: Split, on_progress: OnProgress) -> PowerTraining:
+        settings = self._settings
+        problem = Problem(
+            self._log,
+            self._vehicle,
+            split,
+            form=settings.form,
+            inputs=INPUTS[settings.optimizer],
+            device=settings.device,
+        )
+        training = PowerTraining(settings.optimizer, problem, settings.epochs, settings.seed)
+        self._train(title, training, settings.epochs, on_progress)
+        return training
+
+    def _energy(self, on_progress: OnProgress) -> EnergyTraining:
+        settings = self._settings
+        steps = step_data(self._log.time, self._log.power)
+        training = EnergyTraining(steps, seed=settings.seed, device=settings.device)
+        self._train("energy networks", training, settings.energy_epochs, on_progress)
+        return training
+
+    def _train(
+        self,
+        title: str,
+        training: PowerTraining | EnergyTraining,
+        epochs: int,
+        on_progress: OnProgress,
+    ) -> None:
+        """Run a training to its end from where its file left it."""
+        path = self._folder / f"{title.replace(' ', '_')}.npz"
+        key = self._key(title)
+        saved = load_checkpoint(path, key)
+        if saved is not None:
+            training.load_state(saved)
+
+        def show(epoch: int, loss: float) -> None:
+            if epoch % PROGRESS_EVERY == 0 or epoch == epochs:
+                on_progress(title, epoch, epochs, loss)
+
+        while training.epoch < epochs:
+            training.run_to(min(training.epoch + CHECKPOINT_EVERY, epochs), show)
+            save_checkpoint(path, key, training.state())
+
+    def _key(self, title: str) -> str:
+        """What a file of this training must have been made from to be gone on with."""
+        data = hashlib.sha256(b"".join(column.tobytes() for column in self._log)).hexdigest()
+        settings = {name: str(getattr(self._settings, name)) for name in self._settings.__slots__}
+        vehicle = hashlib.sha256(repr(self._vehicle).encode()).hexdigest()
+        return json.dumps([title, data, vehicle, settings])
+
+    def _whole_drive(self) -> list[Scored]:
+        """Parameters that were not fitted to this log, on all of it."""
+        vehicle, log = self._vehicle, self._log
+        p_aux = standstill_power(log, vehicle)
+        candidates: Mapping[str, Parameters] = {
+            "initial guess": vehicle.initial._replace(p_aux=p_aux)
+        }
+        if vehicle.key in PREDICTED:
+            published = PREDICTED[vehicle.key]._replace(p_aux=p_aux)
+            candidates = {**candidates, "Table V": published}
+        scale = PowerScale.of(log.power)
+        return [
+            Scored(
+                f"{title}, {form.value}",
+                WHOLE,
+                power_score(physics_power(log, vehicle, parameters, form), log.power, scale),
+            )
+            for title, parameters in candidates.items()
+            for form in (RegenForm.PRINTED, RegenForm.RECOVERY)
+        ]
+
+
+def _scores(training: PowerTraining, split: str) -> list[Scored]:
+    """Network and regression on the validation data of a training, and the null of the split."""
+    problem = training.problem
+    log, rows = problem.log, problem.split
+    held = log.part(rows.validation)
+    powers = {
+        NETWORK: problem.predicted_power(training.optimizer.network, held),
+        REGRESSION: least_squares_power(problem)[0],
+        NULL: interpolated_power(log.part(rows.training), held),
+    }
+    return [
+        Scored(method, split, power_score(power, held.power, problem.scale))
+        for method, power in powers.items()
+    ]

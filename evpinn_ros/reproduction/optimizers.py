@@ -1,0 +1,238 @@
+"""Three ways to train network and parameters on a `Problem`.
+
+- `Adam`: as published, full batch, a learning rate for the layers and one for the parameters.
+- `AdamThenLbfgs`: the usual improvement on it in the literature of PINNs.
+- `GaussNewton`: ours. The parameters are solved for (`parameter_fit`), so what is left is a plain
+  regression of the network on (P_data + lambda P_physics) / (1 + lambda), whose minimiser is that
+  of eq. 22. Steps are dual Gauss-Newton (`gauss_newton`) on random batches.
+  The first layer starts with its units spread over the drive, each bending at a moment of its
+  own: under Glorot's rule all bend near t = 0 and hours of descent go into moving them.
+
+Each takes one epoch with `step()`; `state()` is all that a resumed training needs to go on with
+the same numbers (L-BFGS alone begins its memory of curvature anew).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any, Protocol
+
+import torch
+
+from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
+from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PARAMETER_RATE
+from evpinn_ros.reproduction.gauss_newton import gauss_newton_step
+from evpinn_ros.reproduction.parameter_fit import fit_parameters
+from evpinn_ros.reproduction.problem import PHYSICS_LOSS, InputForm, Problem
+
+ADAM_EPOCHS_BEFORE_LBFGS = 1000
+LBFGS_MEMORY = 50
+
+BATCH = 1000  # samples of a Gauss-Newton step: the unknowns of its system
+STEP = 0.5  # share of the Gauss-Newton step taken: a batch is not the drive
+FULL_STEPS = 100  # after these the share falls as 1 / n (Robbins, Monro), and with it the noise
+DAMPING = 1e-4  # of the mean diagonal
+PARAMETERS_EVERY = 10  # steps between solutions for the parameters
+KINK_SHARPNESS = 3.0  # distance of two kinks over the width of one
+
+
+class OptimizerName(str, Enum):
+    """What `evpinn reproduce --optimizer` takes."""
+
+    ADAM = "adam"
+    ADAM_LBFGS = "adam_lbfgs"
+    GAUSS_NEWTON = "gauss_newton"
+
+
+DEFAULT_EPOCHS = {
+    OptimizerName.ADAM: 10_000,
+    OptimizerName.ADAM_LBFGS: 3000,
+    OptimizerName.GAUSS_NEWTON: 400,
+}
+
+# Raw inputs suit Adam best of those tried. Gauss-Newton wants its inputs of one size.
+INPUTS = {
+    OptimizerName.ADAM: InputForm.RAW,
+    OptimizerName.ADAM_LBFGS: InputForm.RAW,
+    OptimizerName.GAUSS_NEWTON: InputForm.UNIT,
+}
+
+
+class Optimizer(Protocol):
+    """Trains `network` and `log_scale`, z of the five parameters, shape (5,)."""
+
+    network: PowerNetwork
+    log_scale: torch.Tensor
+
+    def step(self) -> None:
+        """One epoch."""
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """What a resumed training needs, besides the problem and the seed."""
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+
+
+def make_optimizer(name: OptimizerName, problem: Problem, seed: int) -> Optimizer:
+    """A fresh optimiser and network of this seed."""
+    kinds: dict[OptimizerName, Any] = {
+        OptimizerName.ADAM: Adam,
+        OptimizerName.ADAM_LBFGS: AdamThenLbfgs,
+        OptimizerName.GAUSS_NEWTON: GaussNewton,
+    }
+    optimizer: Optimizer = kinds[name](problem, seed)
+    return optimizer
+
+
+def paper_network(problem: Problem, seed: int) -> PowerNetwork:
+    """The 4 x 128 network of Fig. 4 by Glorot's rule, on the problem's device."""
+    return PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype).to(problem.device)
+
+
+@torch.no_grad()
+def spread_over_time(network: PowerNetwork, generator: torch.Generator) -> None:
+    """Let unit k of the first layer bend at the k-th of as many moments as there are units.
+
+    Times are in [-1, 1] (`InputForm.UNIT`); the generator draws the way each unit bends.
+    """
+    layer = network.layers[0]
+    units = len(layer.bias)
+    sharpness = KINK_SHARPNESS * units / 2.0
+    signs = torch.randint(0, 2, (units,), generator=generator) * 2.0 - 1.0
+    layer.weight[:, 1] = (signs * sharpness).to(layer.weight)
+    layer.bias.copy_(-signs * sharpness * torch.linspace(-1.0, 1.0, units))
+
+
+class Adam:
+    """Adam as published (section III.D)."""
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        """Start at the initial values of eq. 24, 25 and a fresh network."""
+        self.problem = problem
+        self.network = paper_network(problem, seed)
+        self.log_scale = torch.zeros(
+            len(LEARNED), dtype=problem.dtype, device=problem.device, requires_grad=True
+        )
+        self._adam = torch.optim.Adam(
+            [
+                {"params": list(self.network.parameters()), "lr": NETWORK_RATE},
+                {"params": [self.log_scale], "lr": PARAMETER_RATE},
+            ]
+        )
+
+    def loss(self) -> torch.Tensor:
+        """Eq. 22 on the training data with gradients at hand."""
+        self._adam.zero_grad()
+        data, physics = self.problem.terms(self.problem.training, self.network, self.log_scale)
+        total = data + physics
+        total.backward()  # type: ignore[no-untyped-call]
+        return total
+
+    def step(self) -> None:
+        """One full-batch step."""
+        self.loss()
+        self._adam.step()
+
+    def trained(self) -> list[torch.Tensor]:
+        """All that is trained."""
+        return [*self.network.parameters(), self.log_scale]
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Weights, z and Adam's moments."""
+        state = {"weights": self.network.vector(), "log_scale": self.log_scale.detach().clone()}
+        for index, tensor in enumerate(self.trained()):
+            for name, value in self._adam.state[tensor].items():
+                state[f"adam_{index}_{name}"] = value.detach().clone()
+        return state
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+        self.network.load_vector(state["weights"].to(self.problem.device))
+        with torch.no_grad():
+            self.log_scale.copy_(state["log_scale"])
+        for index, tensor in enumerate(self.trained()):
+            prefix = f"adam_{index}_"
+            self._adam.state[tensor] = {
+                name.removeprefix(prefix): value.clone()
+                for name, value in state.items()
+                if name.startswith(prefix)
+            }
+
+
+class AdamThenLbfgs(Adam):
+    """`ADAM_EPOCHS_BEFORE_LBFGS` epochs of Adam, then L-BFGS with a line search."""
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        """As `Adam`."""
+        super().__init__(problem, seed)
+        self._epoch = 0
+        self._lbfgs = torch.optim.LBFGS(
+            self.trained(), max_iter=1, history_size=LBFGS_MEMORY, line_search_fn="strong_wolfe"
+        )
+
+    def step(self) -> None:
+        """One step of Adam, or one iteration of L-BFGS."""
+        self._epoch += 1
+        if self._epoch <= ADAM_EPOCHS_BEFORE_LBFGS:
+            super().step()
+        else:
+            self._lbfgs.step(self.loss)  # type: ignore[no-untyped-call]
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """As `Adam`, and how far it is."""
+        return {**super().state(), "epoch": torch.tensor(self._epoch)}
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+        super().load_state(state)
+        self._epoch = int(state["epoch"])
+
+
+class GaussNewton:
+    """Parameters solved for, network by dual Gauss-Newton on random batches."""
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        """Start with the parameters that fit the data and units spread over the drive."""
+        self.problem = problem
+        self.network = paper_network(problem, seed)
+        self._generator = torch.Generator().manual_seed(seed)
+        spread_over_time(self.network, self._generator)
+        self.log_scale = fit_parameters(
+            problem, problem.training, problem.training.power
+        ).log_scale
+        self._steps = 0
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """One batch; now and then the parameters too."""
+        samples, network = self.problem.training, self.network
+        if self._steps % PARAMETERS_EVERY == 0 and self._steps > 0:
+            self.log_scale = fit_parameters(
+                self.problem, samples, network(samples.inputs), self.log_scale
+            ).log_scale
+        self._steps += 1
+        rows = torch.randperm(len(samples), generator=self._generator)[:BATCH]
+        rows = rows.to(self.problem.device)
+        physics = self.problem.physics(samples.motion, self.log_scale)[rows]
+        target = (samples.power[rows] + PHYSICS_LOSS * physics) / (1.0 + PHYSICS_LOSS)
+        step = gauss_newton_step(network, samples.inputs[rows], target, DAMPING)
+        share = STEP * min(1.0, FULL_STEPS / self._steps)
+        network.load_vector(network.vector() + share * step)
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Weights, z, and where in the draw of batches it is."""
+        return {
+            "weights": self.network.vector(),
+            "log_scale": self.log_scale.clone(),
+            "steps": torch.tensor(self._steps),
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+        self.network.load_vector(state["weights"].to(self.problem.device))
+        self.log_scale = state["log_scale"].to(self.problem.device)
+        self._steps = int(state["steps"])
+        self._generator.set_state(state["generator"])

@@ -1,0 +1,117 @@
+"""What was found, for the car: a start for the estimator node, and a vehicle file."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+
+from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
+from evpinn_ros.estimation.network import PowerNetwork
+from evpinn_ros.estimation.paper import LEARNED, POWER_SCALE, SPEED_SCALE, WINDOW
+from evpinn_ros.estimation.state_file import write_state
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.reproduction.experiment import Outcome
+from evpinn_ros.reproduction.problem import Problem
+from evpinn_ros.vehicle.files import CONSTANTS, OPTIONAL_CONSTANTS, load_vehicle
+from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+
+LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one day to the next
+
+
+@torch.no_grad()
+def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
+    """The same function in the units of `estimation.paper`, float32.
+
+    There speed comes over `SPEED_SCALE`, time as -age / `WINDOW` before the newest sample (here
+    the end of the log), and power leaves over `POWER_SCALE`. All three are affine, so the first
+    and the last layer take them up.
+    """
+    found = deepcopy(network).cpu().double()
+    first, last = found.layers[0], found.layers[-1]
+    end = float(problem.log.time[-1])
+    half_range = torch.tensor(problem.inputs.half_range, dtype=torch.float64)
+    at_now = torch.tensor([0.0, end], dtype=torch.float64)
+    middle = torch.tensor(problem.inputs.middle, dtype=torch.float64)
+    first.bias.add_(first.weight @ ((at_now - middle) / half_range))
+    first.weight.mul_(torch.tensor([SPEED_SCALE, WINDOW], dtype=torch.float64) / half_range)
+    last.weight.mul_(problem.scale.half_range / POWER_SCALE)
+    last.bias.copy_((problem.scale.middle + problem.scale.half_range * last.bias) / POWER_SCALE)
+    return found.float()
+
+
+def write_estimator_state(path: Path, outcome: Outcome) -> None:
+    """Write a state of `mode: paper` that `evpinn replay --state` and the node take.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the estimator would not take it.
+    """
+    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
+    estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
+    problem, optimizer = outcome.training.problem, outcome.training.optimizer
+    residual = outcome.predicted_power - outcome.log.power
+    learner: dict[str, Any] = {
+        "network": window_network(problem, optimizer.network).vector().tolist(),
+        "log_scale": optimizer.log_scale.detach().cpu().tolist(),
+        "p_aux": problem.p_aux,
+        "covariance": outcome.covariance.tolist(),
+        "variance": float(np.mean(residual**2)),
+        "fresh": False,
+    }
+    state = {**estimator.export(), "learner": learner}
+    estimator.restore(state)
+    write_state(path, state)
+
+
+def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
+    """Write the vehicle with what was found as its priors, and read it back.
+
+    Raises:
+        OSError: the file cannot be written.
+        InputError: it would not be a valid vehicle file.
+    """
+    vehicle = outcome.vehicle
+    source = f"evpinn reproduce {log_name}, from vehicle file {vehicle.key}"
+    values = possible(outcome.values)
+    relative_std = np.sqrt(np.diag(outcome.covariance))
+    relative = dict(zip(LEARNED, relative_std.tolist(), strict=True))
+    document: dict[str, Any] = {"name": vehicle.name}
+    if vehicle.can_profile is not None:
+        document["can_profile"] = vehicle.can_profile
+    for name in CONSTANTS:
+        value = getattr(vehicle, name)
+        if name not in OPTIONAL_CONSTANTS or np.isfinite(value):
+            document[name] = {"value": value, "source": f"vehicle file {vehicle.key}"}
+    document["parameters"] = {
+        name: {
+            "value": float(getattr(values, name)),
+            "std": float(getattr(values, name)) * max(relative[name], LEAST_RELATIVE_STD)
+            if name in relative
+            else vehicle.priors[name].std,
+            "source": source,
+        }
+        for name in PARAMETER_NAMES
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    load_vehicle(path)
+
+
+def possible(values: Parameters) -> Parameters:
+    """The nearest possible car: eta <= 1 and everything within its limits.
+
+    Descent may carry (eta, mass, C_d) along the direction no data determine, past eta = 1. Sliding
+    all three back together changes no power.
+    """
+    excess = max(1.0, values.eta / LIMITS["eta"].upper)
+    slid = values._replace(
+        eta=values.eta / excess, mass=values.mass / excess, c_d=values.c_d / excess
+    )
+    return Parameters(
+        *(float(np.clip(getattr(slid, name), *LIMITS[name])) for name in PARAMETER_NAMES)
+    )

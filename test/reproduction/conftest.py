@@ -1,0 +1,50 @@
+"""A drive that obeys eq. 21, small enough to train on in a test."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.vehicle.physics import RegenForm, battery_power
+
+TRUE = Parameters(eta=0.82, mu=0.74, mass=1950.0, c_rr=0.0088, c_d=0.24, p_aux=900.0)
+PERIOD = 0.1  # s
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return load_vehicle("tesla_model_3_lr")
+
+
+@pytest.fixture(scope="session")
+def make_log(vehicle: Vehicle) -> Callable[..., DriveLog]:
+    """A log of given speed, m/s, at 10 Hz; 40 s of stop and go if none."""
+
+    def make(
+        speed: np.ndarray | None = None,
+        form: RegenForm = RegenForm.RECOVERY,
+        noise: float = 50.0,
+        seed: int = 0,
+    ) -> DriveLog:
+        if speed is None:
+            time = PERIOD * np.arange(400)
+            wave = 12.0 + 9.0 * np.sin(0.45 * time) + 6.0 * np.sin(1.1 * time + seed)
+            speed = np.maximum(wave, 0.0)
+        time = PERIOD * np.arange(len(speed))
+        acceleration = np.gradient(speed, PERIOD)
+        power = battery_power(
+            speed,
+            acceleration,
+            TRUE,
+            area=vehicle.frontal_area,
+            air_density=vehicle.air_density,
+            form=form,
+            beta=vehicle.beta,
+        )
+        power = power + noise * np.random.default_rng(seed).standard_normal(len(speed))
+        return DriveLog(time, speed, acceleration, power)
+
+    return make

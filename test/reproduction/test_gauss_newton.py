@@ -1,0 +1,71 @@
+"""The step in the space of residuals is the dense least-squares step."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+import torch
+
+from evpinn_ros.estimation.network import PowerNetwork
+from evpinn_ros.reproduction.gauss_newton import gauss_newton_step, gram
+
+WIDTHS = (2, 6, 5, 1)
+
+
+def drawn(seed: int, samples: int) -> tuple[PowerNetwork, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    network = PowerNetwork(WIDTHS, seed=seed, dtype=torch.float64)
+    inputs = torch.randn(samples, 2, generator=generator, dtype=torch.float64)
+    target = torch.randn(samples, generator=generator, dtype=torch.float64)
+    return network, inputs, target
+
+
+@given(seed=st.integers(0, 1000), samples=st.integers(2, 120))
+def test_gram_is_jacobian_times_its_transpose(seed: int, samples: int) -> None:
+    network, inputs, _ = drawn(seed, samples)
+    _, jacobian = network.jacobian(inputs)
+    _, activations, derivatives = network.sweep(inputs)
+    assert torch.allclose(gram(activations, derivatives), jacobian @ jacobian.T, rtol=1e-10)
+
+
+@pytest.mark.parametrize("samples", [20, 200])  # fewer and more than the 59 weights
+def test_step_is_the_dense_least_squares_solution(samples: int) -> None:
+    """min |J dw - r|^2 + d |dw|^2 solved as an ordinary least-squares problem of stacked rows."""
+    network, inputs, target = drawn(4, samples)
+    output, jacobian = network.jacobian(inputs)
+    damping = 1e-3 * float((jacobian**2).sum(1).mean())
+    weights = jacobian.shape[1]
+    rows = torch.cat((jacobian, damping**0.5 * torch.eye(weights, dtype=torch.float64)))
+    right = torch.cat((target - output.detach(), torch.zeros(weights, dtype=torch.float64)))
+    dense = torch.linalg.lstsq(rows, right[:, None]).solution[:, 0]
+    step = gauss_newton_step(network, inputs, target, 1e-3)
+    assert torch.allclose(step, dense, rtol=1e-7, atol=1e-10)
+
+
+def test_network_is_not_changed() -> None:
+    network, inputs, target = drawn(1, 30)
+    before = network.vector()
+    gauss_newton_step(network, inputs, target, 1e-3)
+    assert torch.equal(network.vector(), before)
+
+
+def off(network: PowerNetwork, inputs: torch.Tensor) -> float:
+    return abs(float(network(inputs)[0].detach()) - 3.0)
+
+
+def test_singular_system_raises_the_damping() -> None:
+    """The same sample 100 times in single precision: J J^T has rank one."""
+    network = PowerNetwork(WIDTHS, seed=0, dtype=torch.float32)
+    inputs = torch.ones(100, 2)
+    step = gauss_newton_step(network, inputs, torch.full((100,), 3.0), 1e-12)
+    assert torch.isfinite(step).all()
+    before = off(network, inputs)
+    network.load_vector(network.vector() + step)
+    assert off(network, inputs) < before
+
+
+def test_hopeless_system_gives_no_step() -> None:
+    network, inputs, target = drawn(1, 30)
+    step = gauss_newton_step(network, inputs, target * torch.nan, 1e-3)
+    assert torch.isnan(step).all() or not step.any()
+    none = gauss_newton_step(network, inputs * torch.nan, target, 1e-3)
+    assert not none.any()

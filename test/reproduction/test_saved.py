@@ -1,0 +1,139 @@
+"""What was found goes into the car: the same function for the node, a valid vehicle file."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
+from evpinn_ros.estimation.paper import POWER_SCALE, SPEED_SCALE, WINDOW
+from evpinn_ros.estimation.state_file import read_state
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.reproduction.experiment import Experiment, Outcome, Settings
+from evpinn_ros.reproduction.optimizers import OptimizerName
+from evpinn_ros.reproduction.results import results_of
+from evpinn_ros.reproduction.saved import (
+    possible,
+    window_network,
+    write_estimator_state,
+    write_vehicle_file,
+)
+from evpinn_ros.reproduction.tables import all_tables
+from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.parameters import LIMITS, Parameters
+from evpinn_ros.vehicle.physics import RegenForm, battery_power
+
+
+@pytest.fixture(scope="module", params=list(OptimizerName))
+def outcome(
+    request: pytest.FixtureRequest,
+    make_log: Callable[..., DriveLog],
+    vehicle: Vehicle,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Outcome:
+    settings = Settings(request.param, epochs=30, energy_epochs=20)
+    folder = tmp_path_factory.mktemp("experiment")
+    return Experiment(make_log(), vehicle, settings, folder).run(lambda *_: None)
+
+
+def test_window_network_is_the_same_function(outcome: Outcome) -> None:
+    """Time now counts back from the end of the log, in windows."""
+    problem, network = outcome.training.problem, outcome.training.optimizer.network
+    log = outcome.log
+    age = log.time[-1] - log.time
+    inputs = np.stack((log.speed / SPEED_SCALE, -age / WINDOW), axis=1)
+    with torch.no_grad():
+        output = window_network(problem, network)(torch.tensor(inputs, dtype=torch.float32))
+    expected = problem.predicted_power(network, log)
+    assert output.numpy() * POWER_SCALE == pytest.approx(expected, rel=1e-3, abs=20.0)
+
+
+def test_estimator_starts_from_the_state(outcome: Outcome, tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    write_estimator_state(path, outcome)
+    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
+    estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
+    estimator.restore(read_state(path))
+    outputs = [
+        output
+        for index in range(20)
+        for output in estimator.push(
+            SpeedReading((1000 + index) * 100_000_000, 10.0, float("nan"))
+        )
+    ]
+    assert outputs
+    assert all(np.isfinite(getattr(o, "power", 0.0)) for o in outputs)
+    assert estimator.export()["learner"]["fresh"] is False
+
+
+def test_vehicle_file_is_valid_and_holds_what_was_found(outcome: Outcome, tmp_path: Path) -> None:
+    path = tmp_path / "found.yaml"
+    write_vehicle_file(path, outcome, "drive.csv")
+    read = load_vehicle(path)
+    values = possible(outcome.values)
+    assert read.initial == pytest.approx(values, rel=1e-6)
+    assert read.frontal_area == outcome.vehicle.frontal_area
+    assert read.can_profile == outcome.vehicle.can_profile
+    assert "drive.csv" in read.priors["eta"].source
+
+
+def test_an_impossible_eta_slides_back_without_changing_power(vehicle: Vehicle) -> None:
+    found = Parameters(eta=1.25, mu=0.6, mass=1500.0, c_rr=0.01, c_d=0.3, p_aux=800.0)
+    slid = possible(found)
+    assert slid.eta == 1.0
+    speed, acceleration = np.array([5.0, 20.0, 30.0]), np.array([1.0, -1.0, 0.0])
+    powers = [
+        battery_power(
+            speed,
+            acceleration,
+            parameters,
+            area=2.2,
+            air_density=1.2,
+            form=RegenForm.RECOVERY,
+            beta=-0.045,
+        )
+        for parameters in (found, slid)
+    ]
+    assert powers[0] == pytest.approx(powers[1])
+
+
+def test_what_lies_outside_the_limits_is_brought_in() -> None:
+    wild = Parameters(eta=0.5, mu=1.7, mass=1e6, c_rr=1e-9, c_d=0.2, p_aux=500.0)
+    for name, value in possible(wild)._asdict().items():
+        assert LIMITS[name].lower <= value <= LIMITS[name].upper
+
+
+def test_tables_say_what_the_results_say(outcome: Outcome) -> None:
+    tables = {table.title.split(":")[0]: table for table in all_tables(outcome)}
+    assert {"Table II", "Table IV", "Table V", "Table VI"} <= set(tables)
+    for table in tables.values():
+        assert all(len(row) == len(table.columns) for row in table.rows)
+    last = next(row for row in tables["Table II"].rows if row[0] == "30 V")
+    assert last[1] == f"{outcome.power_rows[-1].validation.total:.4g}"
+    found = results_of(outcome)
+    assert found["power_losses"]["random"][-1]["validation"]["total"] == pytest.approx(
+        float(last[1]), rel=1e-3
+    )
+    null = next(s for s in found["scores"] if s["method"].startswith("null"))
+    assert null["split"] == "random 20 %" and null["r2"] > 0.9
+
+
+def test_finished_trainings_are_not_run_again(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle, tmp_path: Path
+) -> None:
+    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=12, energy_epochs=12)
+    first = Experiment(make_log(), vehicle, settings, tmp_path).run(lambda *_: None)
+    told: list[str] = []
+    again = Experiment(make_log(), vehicle, settings, tmp_path).run(
+        lambda title, *_: told.append(title)
+    )
+    assert not told
+    assert results_of(again) == results_of(first)
+    other = replace(settings, seed=1)
+    Experiment(make_log(), vehicle, other, tmp_path).run(lambda title, *_: told.append(title))
+    assert set(told) == {"power network", "chronological split", "energy networks"}
