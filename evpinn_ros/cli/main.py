@@ -15,7 +15,7 @@ from evpinn_ros.errors import InputError
 
 FAILED = 1
 # Each is a function of the same name in a module of this package.
-COMMANDS = ("replay", "run", "convert", "simulate", "demo", "check_params")
+COMMANDS = ("replay", "run", "convert", "simulate", "reproduce", "demo", "check_params")
 
 
 class LazyCommands(TyperGroup):

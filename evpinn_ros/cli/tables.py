@@ -27,7 +27,7 @@ MEANINGS = {
 
 def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -> Table:
     """Live value, 1-sigma, prior share and state of each parameter, and the truth if known."""
-    table = _table("Parameters of the car")
+    table = titled_table("Parameters of the car")
     table.add_column("parameter")
     for name in ("live value", "1-sigma", *(["true value"] if truth else []), "prior"):
         table.add_column(name, justify="right")
@@ -46,7 +46,7 @@ def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -
 
 def live_table(drive: Drive, truth: Parameters | None) -> Table:
     """Live value, 1-sigma, prior share and truth of a drive recorded from the nodes."""
-    table = _table("Parameters of the car")
+    table = titled_table("Parameters of the car")
     table.add_column("parameter")
     for name in ("live value", "1-sigma", "true value", "off by", "prior"):
         table.add_column(name, justify="right")
@@ -66,7 +66,7 @@ def live_table(drive: Drive, truth: Parameters | None) -> Table:
 
 def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> Table:
     """Scores of power and energy, with the nulls that say what they are worth."""
-    table = _table(f"Predict, then update; after {warm_up:.0f} s")
+    table = titled_table(f"Predict, then update; after {warm_up:.0f} s")
     table.add_column("what")
     for name in ("RMSE", "MAE", "R2", "in 90 % band"):
         table.add_column(name, justify="right")
@@ -93,7 +93,8 @@ def energy_lines(found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _table(title: str) -> Table:
+def titled_table(title: str) -> Table:
+    """An empty table in the style of all."""
     return Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
 
 

@@ -1,4 +1,4 @@
-"""A drive in one self-contained HTML file: its picture, its scores, the command that made it."""
+"""One self-contained HTML file: pictures, tables and the command that made them."""
 
 from __future__ import annotations
 
@@ -21,30 +21,39 @@ def write_html(
     path: Path, drives: Sequence[tuple[Figure, Mapping[str, Any]]], command: str
 ) -> None:
     """Write the report of one or several drives, each a figure and its metrics."""
-    sections = "\n".join(_section(figure, found) for figure, found in drives)
+    write_page(path, "evpinn report", command, [_section(*drive) for drive in drives])
+
+
+def write_page(path: Path, title: str, command: str, sections: Sequence[str]) -> None:
+    """Write a page of sections that are HTML already."""
+    body = "\n".join(sections)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(
         "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>"
         "<meta name='viewport' content='width=device-width'>"
-        f"<title>evpinn report</title><style>{STYLE}</style></head><body>\n"
-        f"<h1>evpinn report</h1>\n<p>Made by <code>{escape(command)}</code></p>\n"
-        f"{sections}\n</body></html>\n",
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>\n"
+        f"<h1>{escape(title)}</h1>\n<p>Made by <code>{escape(command)}</code></p>\n"
+        f"{body}\n</body></html>\n",
         encoding="utf-8",
     )
 
 
-def _section(figure: Figure, found: Mapping[str, Any]) -> str:
+def embedded(figure: Figure, description: str) -> str:
+    """A picture inside the page."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     image = base64.b64encode(buffer.getvalue()).decode()
+    return f"<img alt='{escape(description)}' src='data:image/png;base64,{image}'>"
+
+
+def _section(figure: Figure, found: Mapping[str, Any]) -> str:
     rows = "".join(
         f"<tr><th>{escape(key)}</th><td>{escape(_text(value))}</td></tr>"
         for key, value in _flat(found)
     )
     return (
         f"<h2>{escape(str(found['input']['path']))}</h2>\n"
-        f"<img alt='power, energy and parameters over time' "
-        f"src='data:image/png;base64,{image}'>\n<table>{rows}</table>"
+        f"{embedded(figure, 'power, energy and parameters over time')}\n<table>{rows}</table>"
     )
 
 

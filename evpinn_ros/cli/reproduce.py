@@ -1,0 +1,166 @@
+"""`evpinn reproduce`: the paper's experiment on a recorded drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+import json
+from pathlib import Path
+import shlex
+import sys
+import time
+from typing import Annotated
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table as RichTable
+import torch
+import typer
+
+from evpinn_ros.cli.console import note, notes, results
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.report.reproduction_page import write_reproduction
+from evpinn_ros.reproduction.drive_log import read_drive_log
+from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, Settings
+from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
+from evpinn_ros.reproduction.results import results_of
+from evpinn_ros.reproduction.saved import write_estimator_state, write_vehicle_file
+from evpinn_ros.reproduction.tables import Table, all_tables
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.physics import RegenForm
+
+ENERGY_EPOCHS = 10_000
+QUICK_EPOCHS = {
+    OptimizerName.ADAM: 300,
+    OptimizerName.ADAM_LBFGS: 1200,
+    OptimizerName.GAUSS_NEWTON: 100,
+}
+QUICK_ENERGY_EPOCHS = 1000
+
+
+class Device(str, Enum):
+    """Where to train."""
+
+    CPU = "cpu"
+    CUDA = "cuda"
+
+
+def reproduce(
+    log: Annotated[Path, typer.Argument(help="CSV, bag or CAN log of one drive.")],
+    vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
+    optimizer: Annotated[
+        OptimizerName, typer.Option(help="As published, or another to the same loss.")
+    ] = OptimizerName.ADAM,
+    epochs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Of the power network; 10000 for adam, fewer for the others."),
+    ] = None,
+    regen_form: Annotated[RegenForm, typer.Option(help="Reading of eq. 21.")] = RegenForm.RECOVERY,
+    seed: Annotated[int, typer.Option(min=0, help="Of split, networks and batches.")] = 0,
+    device: Annotated[Device, typer.Option(help="Where to train.")] = Device.CPU,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A first look in two minutes: far fewer epochs.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for report, results and trainings; out/reproduce/LOG if none."),
+    ] = None,
+    can_profile: Annotated[
+        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
+    ] = None,
+) -> None:
+    """Run the experiment of the EV-PINN paper on a drive, every claim checked beside it.
+
+    Tables II to VI and figures 5 to 10 beside the paper's own numbers, and beside them what the
+    paper leaves out: a null, a chronological split, its published parameters on this drive, and
+    least squares. Stopped and started again it goes on where it was.
+
+    Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
+    """
+    if device is Device.CUDA and not torch.cuda.is_available():
+        raise InputError("--device cuda: torch finds no CUDA device here")
+    # One thread: small matrices gain nothing from two, and the same run gives the same bits.
+    torch.set_num_threads(1)
+    car = load_vehicle(vehicle)
+    drive = read_drive_log(log, car, can_profile)
+    settings = Settings(
+        optimizer=optimizer,
+        epochs=epochs or (QUICK_EPOCHS if quick else DEFAULT_EPOCHS)[optimizer],
+        energy_epochs=QUICK_ENERGY_EPOCHS if quick else ENERGY_EPOCHS,
+        seed=seed,
+        device=device.value,
+        form=regen_form,
+    )
+    folder = out or Path("out") / "reproduce" / log.stem
+    label = _label(settings, quick)
+    begin = time.perf_counter()
+    with training_progress() as on_progress:
+        outcome = Experiment(drive, car, settings, folder).run(on_progress)
+    note(f"trained and scored in {time.perf_counter() - begin:.0f} s")
+    results.print(label, markup=False)
+    for table in all_tables(outcome):
+        _print(table)
+    _write(outcome, folder, log, label)
+
+
+def _label(settings: Settings, quick: bool) -> str:
+    text = (
+        f"{settings.optimizer.value}, {settings.epochs} epochs (energy networks "
+        f"{settings.energy_epochs}), seed {settings.seed}, eq. 21 as {settings.form.value}"
+    )
+    return f"QUICK LOOK, not the paper's number of epochs: {text}" if quick else text
+
+
+@contextmanager
+def training_progress() -> Iterator[OnProgress]:
+    """A bar for each training with its loss, on a terminal; nothing in a pipe."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("epoch {task.completed:.0f} of {task.total:.0f}, loss {task.fields[loss]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
+        tasks = {}
+
+        def show(title: str, epoch: int, epochs: int, loss: float) -> None:
+            if title not in tasks:
+                tasks[title] = bar.add_task(title, total=epochs, loss="")
+            bar.update(tasks[title], completed=epoch, loss=f"{loss:.2e}")
+
+        yield show
+
+
+def _print(table: Table) -> None:
+    shown: RichTable = titled_table(table.title)
+    for index, column in enumerate(table.columns):
+        shown.add_column(column, justify="right" if index else "left", no_wrap=index == 0)
+    for row in table.rows:
+        shown.add_row(*row)
+    results.print(shown)
+    results.print(table.note, markup=False, style="dim")
+    results.print()
+
+
+def _write(outcome: Outcome, folder: Path, log: Path, label: str) -> None:
+    """Report, results and what was found, each in the folder."""
+    command = shlex.join(["evpinn", *sys.argv[1:]])
+    report, numbers = folder / "report.html", folder / "results.json"
+    state, vehicle = folder / "state.json", folder / "vehicle.yaml"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_reproduction(report, outcome, command, label)
+        text = json.dumps({"command": command, **results_of(outcome)}, indent=1, allow_nan=False)
+        numbers.write_text(text + "\n", encoding="utf-8")
+        write_estimator_state(state, outcome)
+        write_vehicle_file(vehicle, outcome, log.name)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    for path, use in (
+        (report, "every table and figure"),
+        (numbers, "the same as numbers"),
+        (state, f"start of an estimator: evpinn replay --mode paper --state {state}"),
+        (vehicle, f"vehicle file with what was found: --vehicle {vehicle}"),
+    ):
+        note(f"{path}: {use}")

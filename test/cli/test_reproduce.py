@@ -1,0 +1,94 @@
+"""`evpinn reproduce` on a short drive, as a person runs it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evpinn_ros.cli import reproduce as command
+from evpinn_ros.cli.main import app
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.state_file import read_state
+from evpinn_ros.reproduction.optimizers import OptimizerName
+from evpinn_ros.vehicle.files import load_vehicle
+
+VEHICLE = "tesla_model_3_lr"
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    time = 0.1 * np.arange(300)
+    speed = np.maximum(0.0, 10 + 8 * np.sin(0.4 * time) + 5 * np.sin(1.3 * time))
+    power = 900 + speed * (180 + 2400 * np.gradient(speed, 0.1) + 0.4 * speed**2)
+    lines = [f"{t:.1f},{v:.5f},{p:.1f}" for t, v, p in zip(time, speed, power, strict=True)]
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join(["t_s,speed_mps,power_w", *lines]) + "\n")
+    return path
+
+
+def run(*arguments: object) -> str:
+    done = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_everything_the_issue_names_is_written(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "QUICK_ENERGY_EPOCHS", 30)
+    monkeypatch.setitem(command.QUICK_EPOCHS, OptimizerName.GAUSS_NEWTON, 15)
+    out = tmp_path / "out"
+    options = ("--vehicle", VEHICLE, "--optimizer", "gauss_newton", "--quick", "--out", out)
+    text = run("reproduce", drive, *options)
+    assert "QUICK LOOK" in text
+    for title in ("Table II", "Table IV", "Table V", "Table VI", "null: line in time"):
+        assert title in text
+    found = json.loads((out / "results.json").read_text())
+    assert found["settings"]["epochs"] == 15
+    assert [row["epoch"] for row in found["power_losses"]["random"]][-1] == 15
+    assert set(found["parameters"]) == {"eta", "mu", "mass", "c_rr", "c_d"}
+    page = (out / "report.html").read_text()
+    assert "QUICK LOOK" in page and page.count("data:image/png;base64") == 4
+    assert "http://" not in page and "https://" not in page
+    assert load_vehicle(out / "vehicle.yaml").initial.mass > 0
+    assert read_state(out / "state.json")["vehicle"] == VEHICLE
+    again = run("reproduce", drive, *options)
+    assert again == text
+
+
+def test_state_is_a_start_for_replay(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "QUICK_ENERGY_EPOCHS", 5)
+    monkeypatch.setitem(command.QUICK_EPOCHS, OptimizerName.GAUSS_NEWTON, 15)
+    out = tmp_path / "out"
+    run(
+        *("reproduce", drive, "--vehicle", VEHICLE, "--optimizer", "gauss_newton"),
+        *("--quick", "--out", out),
+    )
+    state, scores = out / "state.json", tmp_path / "scores.json"
+    run(
+        *("replay", drive, "--vehicle", VEHICLE, "--mode", "paper", "--warm-up", 5),
+        *("--state", state, "--metrics", scores),
+    )
+    assert json.loads(scores.read_text())["power"]["rmse_w"] > 0
+    run("check-params", out / "vehicle.yaml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("missing.csv",), "no such file"),
+        (("--device", "cuda"), "no CUDA device"),
+        (("--vehicle", "unicycle"), "no vehicle named"),
+    ],
+)
+def test_wrong_input_is_one_line(arguments: tuple[str, ...], reason: str, drive: Path) -> None:
+    path = () if arguments[0] == "missing.csv" else (drive,)
+    vehicle = () if "--vehicle" in arguments else ("--vehicle", VEHICLE)
+    done = CliRunner().invoke(app, ["reproduce", *map(str, path), *vehicle, *arguments])
+    assert isinstance(done.exception, InputError)
+    assert reason in str(done.exception)
+    assert "\n" not in str(done.exception)
