@@ -1,0 +1,114 @@
+"""What each choice that the paper leaves open changes: the table in `docs/paper.md`.
+
+python docs/paper_choices.py LOG VEHICLE [EPOCHS]
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+import sys
+
+import torch
+
+from evpinn_ros.reproduction import optimizers, problem
+from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
+from evpinn_ros.reproduction.optimizers import Adam
+from evpinn_ros.reproduction.parameter_fit import fit_parameters
+from evpinn_ros.reproduction.problem import InputForm, Problem, chronological_split, random_split
+from evpinn_ros.reproduction.scores import combinations, least_squares_power, power_score
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.physics import RegenForm
+
+Choice = Callable[[DriveLog, Vehicle], Adam]
+
+
+def published(log: DriveLog, vehicle: Vehicle, **options: object) -> Adam:
+    """Adam on the problem as `evpinn reproduce` sets it."""
+    split = random_split(len(log.time), 0)
+    return Adam(Problem(log, vehicle, split, **options), seed=0)
+
+
+def without_time(log: DriveLog, vehicle: Vehicle) -> Adam:
+    """Speed alone: time is held at zero."""
+    still = log._replace(time=log.time * 0.0)
+    return published(still, vehicle)
+
+
+def pytorch_start(log: DriveLog, vehicle: Vehicle) -> Adam:
+    """PyTorch's own initial weights in place of Glorot's."""
+    adam = published(log, vehicle)
+    torch.manual_seed(0)
+    for layer in adam.network.layers:
+        layer.reset_parameters()
+    return adam
+
+
+def chronological(log: DriveLog, vehicle: Vehicle) -> Adam:
+    """Trained on the first four fifths."""
+    return Adam(Problem(log, vehicle, chronological_split(len(log.time))), seed=0)
+
+
+CHOICES: dict[str, Choice] = {
+    "as `evpinn reproduce`": published,
+    "inputs mapped to [-1, 1]": lambda *a: published(*a, inputs=InputForm.UNIT),
+    "PyTorch's own start": pytorch_start,
+    "eq. 21 as printed": lambda *a: published(*a, form=RegenForm.PRINTED),
+    "`wheel_power`": lambda *a: published(*a, form=RegenForm.WHEEL_POWER),
+    "speed alone, no time": without_time,
+    "chronological split": chronological,
+}
+
+
+def row(title: str, adam: Adam, epochs: int) -> str:
+    """One line of the table, after training."""
+    for _ in range(epochs):
+        adam.step()
+    own = adam.problem
+    held = own.log.part(own.split.validation)
+    score = power_score(own.predicted_power(adam.network, held), held.power, own.scale)
+    losses = own.losses(own.validation, adam.network, adam.log_scale.detach())
+    values = own.values(adam.log_scale)
+    found = combinations(values, own.vehicle.frontal_area)
+    return (
+        f"| {title} | {losses.total:.4f} | {losses.data:.4f} | {score.r2:.3f} | "
+        f"{found['mass_over_eta']:.0f} | {values.mu:.3f} | {values.c_rr:.4f} |"
+    )
+
+
+def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
+    """What the readings of eq. 21 fit to, by least squares, without any network."""
+    rows = []
+    for form in RegenForm:
+        one = Problem(log, vehicle, random_split(len(log.time), 0), form=form, dtype=torch.float64)
+        fit = fit_parameters(one, one.training, one.training.power)
+        values = one.values(fit.log_scale)
+        found = combinations(values, vehicle.frontal_area)
+        held = log.part(one.split.validation)
+        score = power_score(least_squares_power(one)[0], held.power, one.scale)
+        rows.append(
+            f"| {form.value} | {score.rmse_w:.0f} | {score.r2:.4f} | "
+            f"{found['mass_over_eta']:.0f} | {values.mu:.3f} | {values.c_rr:.4f} |"
+        )
+    return rows
+
+
+def main(path: str, vehicle_name: str, epochs: str = "1000") -> None:
+    """Print both tables."""
+    torch.set_num_threads(1)
+    vehicle = load_vehicle(vehicle_name)
+    log = read_drive_log(Path(path), vehicle)
+    print("| least squares | RMSE, W | R\u00b2 | m/eta | mu | C_rr |\n|---|---|---|---|---|---|")
+    print("\n".join(fit_rows(log, vehicle)))
+    print(f"\n| choice, {epochs} epochs of Adam | total | data | R\u00b2 | m/eta | mu | C_rr |")
+    print("|---|---|---|---|---|---|---|")
+    for title, choice in CHOICES.items():
+        print(row(title, choice(log, vehicle), int(epochs)), flush=True)
+    for rate in (3e-4, 3e-3):
+        optimizers.NETWORK_RATE = rate
+        print(row(f"learning rate {rate:g}", published(log, vehicle), int(epochs)), flush=True)
+    optimizers.NETWORK_RATE = 1e-3
+    problem.PHYSICS_LOSS = 1.0
+    print(row("lambda = 1", published(log, vehicle), int(epochs)), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

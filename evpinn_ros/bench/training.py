@@ -1,0 +1,171 @@
+"""How long each way of training takes to the loss that Adam as published ends with.
+
+All on the same drive, network, split and loss, in one run and one process, each after a step of
+warm-up. Only training counts: the clock stands still while the validation loss is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+import math
+import time
+from typing import NamedTuple, Protocol
+
+import torch
+
+from evpinn_ros.bench.deepxde_peer import DeepXdeTraining, deepxde_version
+from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.reproduction.optimizers import (
+    INPUTS,
+    Adam,
+    Optimizer,
+    OptimizerName,
+    make_optimizer,
+    spread_over_time,
+)
+from evpinn_ros.reproduction.problem import InputForm, Problem, random_split
+from evpinn_ros.vehicle.files import Vehicle
+
+CHECK_EVERY = {OptimizerName.GAUSS_NEWTON: 1}  # epochs between looks at the validation loss
+CHECK_OTHERS_EVERY = 10
+TITLES = {
+    OptimizerName.ADAM: "Adam as published",
+    OptimizerName.ADAM_LBFGS: "Adam, then L-BFGS",
+    OptimizerName.GAUSS_NEWTON: "Gauss-Newton (ours)",
+}
+OnEpoch = Callable[[str, int, int, float], None]  # title, epoch, last epoch, validation loss
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """One way of training.
+
+    Attributes:
+        title: of it.
+        epochs: run.
+        seconds: spent on training.
+        loss: total validation loss at the end.
+        best: least total validation loss seen.
+        reached: whether `loss` came down to the one asked for.
+    """
+
+    title: str
+    epochs: int
+    seconds: float
+    loss: float
+    best: float
+    reached: bool
+
+
+class Training(Protocol):
+    """One way of training, begun afresh."""
+
+    def train(self, epochs: int, after_epoch: Callable[[], bool]) -> None:
+        """Train until this many epochs are done or `after_epoch` says stop."""
+
+    def validation_loss(self) -> float:
+        """Total validation loss now."""
+
+
+class Contender(NamedTuple):
+    """A way of training: its title, how to begin it, epochs between looks at its loss."""
+
+    title: str
+    begin: Callable[[], Training]
+    every: int
+
+
+def bench_training(
+    log: DriveLog, vehicle: Vehicle, epochs: int, seed: int, on_epoch: OnEpoch
+) -> Iterator[Timed]:
+    """Run every way of training, Adam as published first; it sets the loss the others stop at.
+
+    Args:
+        log: the drive.
+        vehicle: its vehicle file.
+        epochs: of Adam; the others stop there too if they have not reached its loss.
+        seed: of split, networks and batches.
+        on_epoch: told how it goes.
+    """
+    stop = -math.inf
+    for contender in _contenders(log, vehicle, seed):
+        timed = _Clock(contender, epochs, stop, on_epoch).time()
+        if contender.title == TITLES[OptimizerName.ADAM]:
+            stop = timed.loss
+        yield timed
+
+
+def _contenders(log: DriveLog, vehicle: Vehicle, seed: int) -> Iterator[Contender]:
+    split = random_split(len(log.time), seed)
+    raw, unit = (Problem(log, vehicle, split, inputs=form) for form in InputForm)
+
+    def ours(name: OptimizerName) -> Contender:
+        problem = raw if INPUTS[name] is InputForm.RAW else unit
+        return Contender(
+            TITLES[name],
+            lambda: _Ours(problem, make_optimizer(name, problem, seed)),
+            CHECK_EVERY.get(name, CHECK_OTHERS_EVERY),
+        )
+
+    def spread_adam() -> Training:
+        adam = Adam(unit, seed)
+        spread_over_time(adam.network, torch.Generator().manual_seed(seed))
+        return _Ours(unit, adam)
+
+    yield from (ours(name) for name in OptimizerName)
+    yield Contender("Adam from our start", spread_adam, CHECK_OTHERS_EVERY)
+    version = deepxde_version()
+    if version is not None:
+        title = f"DeepXDE {version}, its defaults"
+        yield Contender(title, lambda: DeepXdeTraining(raw, seed), CHECK_OTHERS_EVERY)
+
+
+class _Ours:
+    """An optimiser of this package as a `Training`."""
+
+    def __init__(self, problem: Problem, optimizer: Optimizer) -> None:
+        self._problem, self._optimizer = problem, optimizer
+
+    def train(self, epochs: int, after_epoch: Callable[[], bool]) -> None:
+        for _ in range(epochs):
+            self._optimizer.step()
+            if after_epoch():
+                return
+
+    def validation_loss(self) -> float:
+        problem, optimizer = self._problem, self._optimizer
+        log_scale = optimizer.log_scale.detach()
+        return problem.losses(problem.validation, optimizer.network, log_scale).total
+
+
+class _Clock:
+    """Counts epochs and seconds of training, and stops it at a loss."""
+
+    def __init__(self, contender: Contender, epochs: int, stop: float, on_epoch: OnEpoch) -> None:
+        self._contender, self._epochs = contender, epochs
+        self._stop, self._on_epoch = stop, on_epoch
+        self._epoch, self._seconds, self._best, self._loss = 0, 0.0, math.inf, math.inf
+
+    def time(self) -> Timed:
+        warm_up = self._contender.begin()
+        warm_up.train(1, lambda: True)
+        warm_up.validation_loss()
+        self._since = time.perf_counter()
+        self._training = self._contender.begin()
+        self._training.train(self._epochs, self._after_epoch)
+        reached = self._loss <= self._stop
+        return Timed(
+            self._contender.title, self._epoch, self._seconds, self._loss, self._best, reached
+        )
+
+    def _after_epoch(self) -> bool:
+        self._epoch += 1
+        if self._epoch % self._contender.every and self._epoch < self._epochs:
+            return False
+        self._seconds += time.perf_counter() - self._since
+        self._loss = self._training.validation_loss()
+        self._best = min(self._best, self._loss)
+        self._on_epoch(self._contender.title, self._epoch, self._epochs, self._loss)
+        self._since = time.perf_counter()
+        return self._loss <= self._stop

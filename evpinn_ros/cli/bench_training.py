@@ -1,0 +1,74 @@
+"""`evpinn bench training`: how fast each optimiser reaches the loss of Adam as published."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+import json
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import typer
+
+from evpinn_ros.bench.deepxde_peer import deepxde_version
+from evpinn_ros.bench.training import Timed, bench_training
+from evpinn_ros.cli.console import note, results
+from evpinn_ros.cli.reproduce import training_progress
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.reproduction.drive_log import read_drive_log
+from evpinn_ros.vehicle.files import load_vehicle
+
+
+def training(
+    log: Annotated[Path, typer.Argument(help="CSV, bag or CAN log of one drive.")],
+    vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
+    epochs: Annotated[int, typer.Option(min=1, help="Of Adam as published.")] = 10_000,
+    seed: Annotated[int, typer.Option(min=0, help="Of split, networks and batches.")] = 0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the times as JSON.")
+    ] = None,
+) -> None:
+    """Time every optimiser to the validation loss that Adam as published ends with.
+
+    The same drive, network, split and loss for all, one after the other in this process. DeepXDE
+    takes part when it is installed (extra `bench`).
+
+    Example: evpinn bench training drive.csv --vehicle tesla_model_3_lr --epochs 10000
+    """
+    torch.set_num_threads(1)
+    car = load_vehicle(vehicle)
+    drive = read_drive_log(log, car)
+    if deepxde_version() is None:
+        note("DeepXDE is not installed and takes no part: pip install 'evpinn_ros[bench]'")
+    with training_progress() as on_epoch:
+        timed = list(bench_training(drive, car, epochs, seed, on_epoch))
+    _show(timed)
+    if json_file is not None:
+        _write(json_file, timed)
+
+
+def _show(timed: list[Timed]) -> None:
+    published = timed[0]
+    table = titled_table(f"Time to a validation loss of {published.loss:.7f}")
+    for column in ("training", "epochs", "seconds", "ms/epoch", "best loss", "times as fast"):
+        table.add_column(column, justify="left" if column == "training" else "right")
+    for one in timed:
+        ratio = f"{published.seconds / one.seconds:.1f}" if one.reached else "not reached"
+        table.add_row(
+            one.title,
+            str(one.epochs),
+            f"{one.seconds:.1f}",
+            f"{1000 * one.seconds / one.epochs:.0f}",
+            f"{one.best:.7f}",
+            "1" if one is published else ratio,
+        )
+    results.print(table)
+
+
+def _write(path: Path, timed: list[Timed]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps([asdict(one) for one in timed], indent=1) + "\n")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
