@@ -25,7 +25,7 @@ LAYERS = [
     {"bags"},
     {"simulation"},
     {"replay"},
-    {"report"},
+    {"report", "bench"},
     {"nodes"},
     {"cli"},
     {"__main__"},
