@@ -30,13 +30,9 @@ class LazyCommands(TyperGroup):
         name = cmd_name.replace("-", "_")
         if name not in self.names:
             return None
-        command = getattr(import_module(f"evpinn_ros.cli.{self.prefix}{name}"), name)
-        if not isinstance(command, typer.Typer):
-            function, command = (
-                command,
-                typer.Typer(add_completion=False, pretty_exceptions_enable=False),
-            )
-            command.command(cmd_name)(function)
-        found = typer.main.get_command(command)
-        found.name = cmd_name
-        return found
+        found = getattr(import_module(f"evpinn_ros.cli.{self.prefix}{name}"), name)
+        if isinstance(found, typer.Typer):
+            return typer.main.get_group(found)
+        alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        alone.command(cmd_name)(found)
+        return typer.main.get_command(alone)
