@@ -9,9 +9,9 @@ INSTALLED := $(VENV)/installed
 # A sourced ROS 2 brings its own rclpy; without one it comes as wheels, with the extra `ros`.
 ifdef ROS_DISTRO
 VENV_OPTIONS := --system-site-packages
-EXTRAS := dev
+EXTRAS := dev,bench
 else
-EXTRAS := dev,ros
+EXTRAS := dev,ros,bench
 endif
 
 # Nodes started here meet no other robot, and workers side by side take one core each.

@@ -61,6 +61,8 @@ setup(
             "ros-std-srvs",
             "ros-trajectory-msgs",
         ],
+        # Peers of `evpinn bench`.
+        "bench": ["deepxde"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",

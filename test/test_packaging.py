@@ -27,6 +27,7 @@ EXECUTABLES = {"can_bridge", "energy", "estimator", "evpinn"}
 NAMES = {
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
+    "deepxde": ("deepxde", None),
     "lz4": ("lz4", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", None),

@@ -2,42 +2,29 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 import os
 import sys
-from typing import Any
 
 import typer
-from typer.core import TyperGroup
 
 from evpinn_ros import __version__
+from evpinn_ros.cli.lazy import LazyCommands
 from evpinn_ros.errors import InputError
 
 FAILED = 1
-# Each is a function of the same name in a module of this package.
-COMMANDS = ("replay", "run", "convert", "simulate", "reproduce", "demo", "check_params")
 
 
-class LazyCommands(TyperGroup):
-    """Imports a command when it is asked for: torch alone takes more than a second."""
+class Commands(LazyCommands):
+    """The subcommands of `evpinn`."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Names in the order of the help."""
-        return [name.replace("_", "-") for name in COMMANDS]
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a name, None when there is none."""
-        name = cmd_name.replace("-", "_")
-        if name not in COMMANDS:
-            return None
-        function = getattr(import_module(f"evpinn_ros.cli.{name}"), name)
-        alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        alone.command(cmd_name)(function)
-        return typer.main.get_command(alone)
+    names = (
+        *("replay", "run", "convert", "simulate", "reproduce", "bench", "demo"),
+        "check_params",
+    )
 
 
 app = typer.Typer(
-    cls=LazyCommands, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+    cls=Commands, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
 )
 
 

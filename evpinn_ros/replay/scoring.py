@@ -35,19 +35,29 @@ class Span(NamedTuple):
 
 def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, float | None]:
     """RMSE, MAE, R2 and coverage of the 90 % bands against measured power, null if unknown."""
-    measured, known = measured_at(drive, series.time)
-    chosen = known & span.holds(series.time)
+    chosen = scored(drive, series, span)
     if not chosen.any():
         return dict.fromkeys(("rmse_w", "mae_w", "r2", "coverage_90"))
-    truth, sigma = measured[chosen], series.sigma[chosen]
+    truth, sigma = measured_at(drive, series.time)[0][chosen], series.sigma[chosen]
     error = series.power[chosen] - truth
     variance = float(np.var(truth))
     return {
         "rmse_w": float(np.sqrt(np.mean(error**2))),
         "mae_w": float(np.mean(np.abs(error))),
         "r2": 1.0 - float(np.mean(error**2)) / variance if variance > 0 else None,
-        "coverage_90": float(np.mean(np.abs(error) <= GAUSSIAN_QUANTILE * sigma)),
+        "coverage_90": (
+            float(np.mean(np.abs(error) <= GAUSSIAN_QUANTILE * sigma))
+            if np.isfinite(sigma).any()
+            else None
+        ),
     }
+
+
+def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
+    """Which predictions count: in the span, and measured at their moment; shape (n,)."""
+    _, known = measured_at(drive, series.time)
+    chosen: np.ndarray = known & span.holds(series.time)
+    return chosen
 
 
 def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:

@@ -42,6 +42,12 @@ def test_power_score_by_hand():
     assert score["coverage_90"] == 0.5
 
 
+def test_without_a_sigma_there_is_no_coverage():
+    found = drive([0, 1000, 2000], [100, 900, 2300], sigma=np.nan)
+    score = power_score(found, found.smoothed, WHOLE)
+    assert score["coverage_90"] is None and score["mae_w"] > 0
+
+
 def test_warm_up_and_withheld_part_are_not_scored():
     found = drive([0, 0, 0, 0], [9, 9, 1, 9])
     assert power_score(found, found.smoothed, Span(1.0, 2.0))["rmse_w"] == 1.0

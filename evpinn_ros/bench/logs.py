@@ -1,0 +1,63 @@
+"""Which logs a benchmark runs over, and whose car each is.
+
+`PATH`, `PATH=VEHICLE` or `PATH=VEHICLE,PROFILE`: so one run covers several cars. A folder that is
+no bag is searched for bags, CAN logs and CSV drives, however deep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.errors import InputError
+
+BAG_SUFFIXES = (".mcap", ".db3")
+
+
+class Log(NamedTuple):
+    """A log, the vehicle it is of, and the CAN profile if it is not the vehicle's own."""
+
+    path: Path
+    vehicle: str
+    can_profile: str | None
+
+
+def find_logs(argument: str, vehicle: str) -> list[Log]:
+    """The logs that an argument names, in order of their paths.
+
+    Args:
+        argument: `PATH`, `PATH=VEHICLE` or `PATH=VEHICLE,PROFILE`.
+        vehicle: whose logs they are when the argument does not say.
+
+    Raises:
+        InputError: nothing is there.
+    """
+    path, profile = Path(argument), None
+    if not path.exists() and "=" in argument:
+        before, _, car = argument.rpartition("=")
+        path = Path(before)
+        vehicle, _, profile = car.partition(",")
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    found = [Log(each, vehicle, profile or None) for each in sorted(_logs(path))]
+    if not found:
+        raise InputError(f"{path}: holds no bag, CAN log or CSV")
+    return found
+
+
+def _logs(path: Path) -> Iterator[Path]:
+    if path.is_file() or any(each.suffix in BAG_SUFFIXES for each in path.iterdir()):
+        yield path
+        return
+    for inner in path.iterdir():
+        if inner.is_dir():
+            yield from _logs(inner)
+        elif _suffix(inner) in LOG_SUFFIXES:
+            yield inner
+
+
+def _suffix(path: Path) -> str:
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    return "".join(suffixes[:-1][-1:] if suffixes[-1:] == [".gz"] else suffixes[-1:])

@@ -1,0 +1,38 @@
+"""Groups of commands whose modules are imported when they are asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, ClassVar
+
+import typer
+from typer.core import TyperGroup
+
+
+class LazyCommands(TyperGroup):
+    """Imports a command when it is asked for: torch alone takes more than a second.
+
+    Attributes:
+        names: of the commands, in the order of the help. Each is a function, or a `typer.Typer`
+            that is a group itself, of the same name in a module of this package.
+        prefix: of the modules' names.
+    """
+
+    names: ClassVar[tuple[str, ...]] = ()
+    prefix: ClassVar[str] = ""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names in the order of the help."""
+        return [name.replace("_", "-") for name in self.names]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a name, None when there is none."""
+        name = cmd_name.replace("-", "_")
+        if name not in self.names:
+            return None
+        found = getattr(import_module(f"evpinn_ros.cli.{self.prefix}{name}"), name)
+        if isinstance(found, typer.Typer):
+            return typer.main.get_group(found)
+        alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        alone.command(cmd_name)(found)
+        return typer.main.get_command(alone)
