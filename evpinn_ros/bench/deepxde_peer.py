@@ -29,7 +29,11 @@ def deepxde_version() -> str | None:
 
 
 class DeepXdeTraining:
-    """The problem as a `dde.Model`; raw inputs alone, as for Adam as published."""
+    """The problem as a `dde.Model`; raw inputs alone, as for Adam as published.
+
+    Attributes:
+        log_scale: z of the five parameters, a `dde.Variable` each.
+    """
 
     def __init__(self, problem: Problem, seed: int) -> None:
         """Build the model; nothing is trained yet."""
@@ -41,11 +45,11 @@ class DeepXdeTraining:
         samples = problem.training
         points = samples.inputs.numpy()
         moments, accelerations = points[:, 1], samples.motion.acceleration.numpy()
-        self._log_scale = [deepxde.Variable(0.0) for _ in LEARNED]
+        self.log_scale = [deepxde.Variable(0.0) for _ in LEARNED]
 
         def residual(inputs: Any, power: Any, acceleration: Any) -> Any:
             motion = Motion(inputs[:, 0], acceleration[:, 0])
-            return problem.physics(motion, torch.stack(self._log_scale))[:, None] - power
+            return problem.physics(motion, torch.stack(self.log_scale))[:, None] - power
 
         def acceleration_at(inputs: np.ndarray) -> np.ndarray:
             found = np.interp(inputs[:, 1], moments, accelerations)
@@ -64,7 +68,7 @@ class DeepXdeTraining:
             "adam",
             lr=NETWORK_RATE,
             loss_weights=[PHYSICS_LOSS, 1.0],
-            external_trainable_variables=self._log_scale,
+            external_trainable_variables=self.log_scale,
             verbose=0,
         )
 
@@ -83,7 +87,7 @@ class DeepXdeTraining:
     @torch.no_grad()
     def validation_loss(self) -> float:
         """Total loss on the validation data, the very one of `Problem.losses`."""
-        log_scale = torch.stack([variable.detach() for variable in self._log_scale])
+        log_scale = torch.stack([variable.detach() for variable in self.log_scale])
         problem, network = self._problem, self._model.net
         return problem.losses(
             problem.validation, lambda inputs: network(inputs)[:, 0], log_scale

@@ -90,7 +90,7 @@ def bench_training(
     """
     stop = -math.inf
     for contender in _contenders(log, vehicle, seed):
-        timed = _Clock(contender, epochs, stop, on_epoch).time()
+        timed = time_to_loss(contender, epochs, stop, on_epoch)
         if contender.title == TITLES[OptimizerName.ADAM]:
             stop = timed.loss
         yield timed
@@ -139,33 +139,35 @@ class _Ours:
         return problem.losses(problem.validation, optimizer.network, log_scale).total
 
 
+def time_to_loss(contender: Contender, epochs: int, stop: float, on_epoch: OnEpoch) -> Timed:
+    """Train one contender, after a step of warm-up, until its validation loss reaches `stop`."""
+    warm_up = contender.begin()
+    warm_up.train(1, lambda: True)
+    warm_up.validation_loss()
+    clock = _Clock(contender, epochs, stop, on_epoch)
+    clock.training.train(epochs, clock.after_epoch)
+    reached = clock.loss <= stop
+    return Timed(contender.title, clock.epoch, clock.seconds, clock.loss, clock.best, reached)
+
+
 class _Clock:
-    """Counts epochs and seconds of training, and stops it at a loss."""
+    """Counts epochs and seconds of training, and says when the loss is reached."""
 
     def __init__(self, contender: Contender, epochs: int, stop: float, on_epoch: OnEpoch) -> None:
         self._contender, self._epochs = contender, epochs
         self._stop, self._on_epoch = stop, on_epoch
-        self._epoch, self._seconds, self._best, self._loss = 0, 0.0, math.inf, math.inf
-
-    def time(self) -> Timed:
-        warm_up = self._contender.begin()
-        warm_up.train(1, lambda: True)
-        warm_up.validation_loss()
+        self.epoch, self.seconds, self.best, self.loss = 0, 0.0, math.inf, math.inf
         self._since = time.perf_counter()
-        self._training = self._contender.begin()
-        self._training.train(self._epochs, self._after_epoch)
-        reached = self._loss <= self._stop
-        return Timed(
-            self._contender.title, self._epoch, self._seconds, self._loss, self._best, reached
-        )
+        self.training = contender.begin()
 
-    def _after_epoch(self) -> bool:
-        self._epoch += 1
-        if self._epoch % self._contender.every and self._epoch < self._epochs:
+    def after_epoch(self) -> bool:
+        """Whether to stop."""
+        self.epoch += 1
+        if self.epoch % self._contender.every and self.epoch < self._epochs:
             return False
-        self._seconds += time.perf_counter() - self._since
-        self._loss = self._training.validation_loss()
-        self._best = min(self._best, self._loss)
-        self._on_epoch(self._contender.title, self._epoch, self._epochs, self._loss)
+        self.seconds += time.perf_counter() - self._since
+        self.loss = self.training.validation_loss()
+        self.best = min(self.best, self.loss)
+        self._on_epoch(self._contender.title, self.epoch, self._epochs, self.loss)
         self._since = time.perf_counter()
-        return self._loss <= self._stop
+        return self.loss <= self._stop
