@@ -1,5 +1,6 @@
 """Reference pages equal the code they are made from, and links in the docs lead somewhere."""
 
+import importlib
 import importlib.util
 from pathlib import Path
 import re
@@ -36,3 +37,26 @@ def test_readme_names_every_topic():
         t.name for t in generator().TOPICS if t.name not in readme and "estimate/" not in t.name
     ]
     assert not missing
+
+
+def equations_named(text: str) -> set[int]:
+    """Numbers of equations after `eq.`, single or as a range."""
+    found: set[int] = set()
+    for group in re.findall(r"[Ee]q\. ([\d, to and-]+)", text):
+        for first, last in re.findall(r"(\d+)(?:(?:-| to )(\d+))?", group):
+            found |= set(range(int(first), int(last or first) + 1))
+    return found
+
+
+def test_every_equation_is_where_the_page_says():
+    """docs/paper.md: each function exists and its docstring names its equation."""
+    page = (ROOT / "docs" / "paper.md").read_text()
+    rows = re.findall(r"^\| (\d+) \| .+? \| `([\w.]+)` \|$", page, re.MULTILINE)
+    assert {int(number) for number, _ in rows} == set(range(11, 31))
+    for number, name in rows:
+        parts = name.split(".")
+        module = importlib.import_module("evpinn_ros." + ".".join(parts[:2]))
+        found = module
+        for part in parts[2:]:
+            found = getattr(found, part)
+        assert int(number) in equations_named(found.__doc__), f"{name} does not name eq. {number}"

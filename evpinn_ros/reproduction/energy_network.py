@@ -224,7 +224,7 @@ class EnergyTraining:
         return self._epoch
 
     def run_to(self, epoch: int, on_epoch: Callable[[int, float], None] | None = None) -> None:
-        """Train until this many epochs in all are done.
+        """Train on eq. 30 until this many epochs in all are done.
 
         Args:
             epoch: the last to do.

@@ -155,7 +155,7 @@ class Problem:
         return Parameters._make([*(self._initial * torch.exp(log_scale)), self.p_aux])
 
     def values(self, log_scale: torch.Tensor) -> Parameters:
-        """The parameters at z as numbers."""
+        """The parameters at z as numbers; at z = 0 the initial values of eq. 24 and 25."""
         initial = self._initial.double() * torch.exp(log_scale.detach().double())
         return Parameters._make([*initial.tolist(), self.p_aux])
 
