@@ -123,4 +123,4 @@ def batch(observations: Sequence[Observation], newest_ns: int) -> Batch:
     columns = np.array(rows, dtype=float).reshape(len(rows), len(Batch._fields) - 1).T
     unknown = (0.0,) * COURSE
     course = np.array([sample.course or unknown for sample, _, _ in observations])
-    return Batch(*columns, course.reshape(len(rows), COURSE))
+    return Batch._make((*columns, course.reshape(len(rows), COURSE)))
