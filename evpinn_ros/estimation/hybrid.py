@@ -87,15 +87,15 @@ class HybridLearner:
         return PowerPrediction(power + load, math.hypot(physics.sigma, load_std))
 
     def observe(self, sample: Sample, power: float) -> None:
-        """Learn from a measured sample, after judging the networks by it."""
+        """Learn from a measured sample, and judge the networks by what it surprised by."""
         step = self._step(sample)
         reason = gate(sample, power)
         if reason is not None:
             self.gated[reason] += 1
             return
-        self._judge(sample, power, step)
         self.parameter_filter.update(sample, power, step)
         left = self.power_filter.update(sample, power, step)
+        self._judge(sample, left, step)
         self._load.update(sample.speed, left, self.power_filter.residual_std(sample), step)
         observation = Observation(sample, power, self.power_filter.slope)
         for old in self._window.add(observation):
@@ -179,10 +179,10 @@ class HybridLearner:
         inputs = np.array([sample.speed, sample.acceleration, 0.0]) / _SCALES
         return network.at(inputs) * self.power_filter.residual_std(sample)
 
-    def _judge(self, sample: Sample, power: float, step: float) -> None:
-        """Compare networks on a sample that none of them has seen."""
+    def _judge(self, sample: Sample, residual: float, step: float) -> None:
+        """Compare networks on what physics left, W, of a sample that none of them has seen."""
         scale = self.power_filter.residual_std(sample)
-        left = (power - self.power_filter.predict(sample).power) / scale
+        left = residual / scale
         said = self._said(self._network, sample) / scale
         if self._candidate is not None:
             rival = self._said(self._candidate, sample) / scale
