@@ -121,6 +121,7 @@ def _restore(chain: Chain, state: Path | None) -> None:
         chain.estimator.restore(saved)
     except ValueError as error:
         raise InputError(f"{state}: {error}") from error
+    chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
 
 
 def _one(

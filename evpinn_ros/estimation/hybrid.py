@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from copy import deepcopy
+import math
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from evpinn_ros.estimation.learner import PowerPrediction, gate
 from evpinn_ros.estimation.network import PowerNetwork
 from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME, ParameterFilter
 from evpinn_ros.estimation.parameter_set import parameter_set
+from evpinn_ros.estimation.power_filter import PowerFilter
+from evpinn_ros.estimation.unknown_load import UnknownLoad
 from evpinn_ros.estimation.window import Observation, SampleStore, SlidingWindow, batch
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -48,7 +51,8 @@ class HybridLearner:
         """Start at the vehicle's priors, with a network that says zero."""
         self._vehicle = vehicle
         self.parameter_filter = ParameterFilter(vehicle, copper_loss=False)
-        self.power_filter = ParameterFilter(vehicle, copper_loss=True)
+        self.power_filter = PowerFilter(vehicle)
+        self._load = UnknownLoad()
         self._start = PowerNetwork(WIDTHS, seed=seed, dtype=torch.float64)
         torch.nn.init.zeros_(self._start.layers[-1].weight)
         self._network = deepcopy(self._start)
@@ -69,23 +73,30 @@ class HybridLearner:
         """Let time pass up to a smoothed sample."""
         self.parameter_filter.advance(sample)
         self.power_filter.advance(sample)
+        self._load.advance(sample.stamp_ns)
 
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of physics and network, W."""
         physics = self.power_filter.predict(sample)
-        correction = self.trust * self._said(self._network, sample)
-        return PowerPrediction(physics.power + correction, physics.sigma)
+        power = physics.power + self.trust * self._said(self._network, sample)
+        if not sample.course:
+            # The newest moment: its acceleration is foretold, and what is wrong with it is larger
+            # than the load and has the same sign, so both together were worse on every drive.
+            return PowerPrediction(power, physics.sigma)
+        load, load_std = self._load.power(sample.speed)
+        return PowerPrediction(power + load, math.hypot(physics.sigma, load_std))
 
     def observe(self, sample: Sample, power: float) -> None:
-        """Learn from a measured sample, after judging the networks by it."""
+        """Learn from a measured sample, and judge the networks by what it surprised by."""
         step = self._step(sample)
         reason = gate(sample, power)
         if reason is not None:
             self.gated[reason] += 1
             return
-        self._judge(sample, power, step)
         self.parameter_filter.update(sample, power, step)
-        self.power_filter.update(sample, power, step)
+        left = self.power_filter.update(sample, power, step)
+        self._judge(sample, left, step)
+        self._load.update(sample.speed, left, self.power_filter.residual_std(sample), step)
         observation = Observation(sample, power, self.power_filter.slope)
         for old in self._window.add(observation):
             self._store.add(old)
@@ -130,6 +141,7 @@ class HybridLearner:
         self._last_ns = None
         self.parameter_filter.forget_time()
         self.power_filter.forget_time()
+        self._load.forget()
 
     def export(self) -> Mapping[str, Any]:
         """State to save."""
@@ -164,15 +176,13 @@ class HybridLearner:
 
     def _said(self, network: PowerNetwork, sample: Sample) -> float:
         """What a network adds to the physics at a sample, W."""
-        inputs = np.array([[sample.speed, sample.acceleration, 0.0]]) / _SCALES
-        with torch.inference_mode():
-            output = network(torch.from_numpy(inputs))
-        return float(output) * self.power_filter.residual_std(sample)
+        inputs = np.array([sample.speed, sample.acceleration, 0.0]) / _SCALES
+        return network.at(inputs) * self.power_filter.residual_std(sample)
 
-    def _judge(self, sample: Sample, power: float, step: float) -> None:
-        """Compare networks on a sample that none of them has seen."""
+    def _judge(self, sample: Sample, residual: float, step: float) -> None:
+        """Compare networks on what physics left, W, of a sample that none of them has seen."""
         scale = self.power_filter.residual_std(sample)
-        left = (power - self.power_filter.predict(sample).power) / scale
+        left = residual / scale
         said = self._said(self._network, sample) / scale
         if self._candidate is not None:
             rival = self._said(self._candidate, sample) / scale

@@ -71,7 +71,9 @@ def joint_step(network: PowerNetwork, start: torch.Tensor, problem: JointProblem
     weighted = jacobian * root
     weights = network.vector().numpy()
     size = len(weights)
-    normal = weighted.T @ project(weighted) + problem.physics_loss * (weighted.T @ weighted)
+    # weighted' project(weighted), without a matrix of all samples by all weights in between.
+    shared = hidden.T @ weighted
+    normal = (1.0 + problem.physics_loss) * (weighted.T @ weighted) - shared.T @ physics @ shared
     normal[np.diag_indices(size)] += problem.ridge
     slope = weighted.T @ project(rest[:, None] * root)
     slope -= problem.physics_loss * (weighted.T @ (output[:, None] * root))

@@ -93,6 +93,9 @@ class ParameterFilter:
         self.mean = self._prior_mean.copy()
         self.covariance = np.diag(self._prior_variance)
         self.noise_scale = 1.0
+        self._time_constants = np.full(len(STATES), np.inf)
+        for index, constant in TIME_CONSTANTS.items():
+            self._time_constants[index] = constant
         self._last_ns: int | None = None
 
     def predict(self, sample: Sample) -> Prediction:
@@ -110,13 +113,11 @@ class ParameterFilter:
         """Let time pass up to a sample: every state relaxes towards its prior."""
         step = self._step(sample)
         self._last_ns = sample.stamp_ns
-        keep = np.empty(len(STATES))
-        for index, constant in TIME_CONSTANTS.items():
-            keep[index] = math.exp(-step / constant)
+        keep = np.exp(-step / self._time_constants)
         keep[SLOPE] = math.exp(-abs(sample.speed) * step / SLOPE_LENGTH)
         self.mean = self._prior_mean + keep * (self.mean - self._prior_mean)
         self.covariance = self.covariance * np.outer(keep, keep)
-        self.covariance[np.diag_indices(len(STATES))] += (1 - keep**2) * self._prior_variance
+        self.covariance[np.diag_indices(keep.size)] += (1 - keep**2) * self._prior_variance
 
     def update(self, sample: Sample, power: float, step: float) -> float:
         """Learn from measured power, W, that stands for `step` seconds; returns the residual, W.
@@ -158,10 +159,12 @@ class ParameterFilter:
     def identifiable(self) -> tuple[Identifiable, Identifiable, Identifiable]:
         """The identifiable combinations, their 1-sigma and the share of variance left of prior."""
         combine = _combination_matrix()
-        mean = combine @ self.mean
+        physics = slice(len(STATES))
+        mean = combine @ self.mean[physics]
         mean[1] += math.log(self._vehicle.frontal_area)
-        variance = np.einsum("ij,jk,ik->i", combine, self.covariance, combine)
-        prior_variance = (combine**2) @ self._prior_variance
+        covariance = self.covariance[physics, physics]
+        variance = np.einsum("ij,jk,ik->i", combine, covariance, combine)
+        prior_variance = (combine**2) @ self._prior_variance[physics]
         value = np.append(np.exp(mean[:-1]), mean[-1])
         std = np.sqrt(variance) * np.append(value[:-1], 1.0)
         share = np.minimum(1.0, variance / prior_variance)
@@ -222,7 +225,7 @@ class ParameterFilter:
         mean = np.array(state["mean"], dtype=float)
         covariance = np.array(state["covariance"], dtype=float)
         noise_scale = float(state["noise_scale"])
-        size = len(STATES)
+        size = self.mean.size
         if mean.shape != (size,) or covariance.shape != (size, size):
             raise ValueError("the saved filter has another shape")
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):

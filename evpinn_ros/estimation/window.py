@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.signals.kinematics import COURSE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 
@@ -26,7 +27,10 @@ class Observation(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Observations as columns, each of shape (n,); `age` in s before the newest, rest SI."""
+    """Observations as columns of shape (n,); `age` in s before the newest, rest SI.
+
+    `course` has shape (n, `kinematics.COURSE`).
+    """
 
     age: np.ndarray
     speed: np.ndarray
@@ -36,6 +40,7 @@ class Batch(NamedTuple):
     known_auxiliary: np.ndarray
     power: np.ndarray
     slope: np.ndarray
+    course: np.ndarray
 
 
 class SlidingWindow:
@@ -115,4 +120,7 @@ def batch(observations: Sequence[Observation], newest_ns: int) -> Batch:
         )
         for sample, power, slope in observations
     ]
-    return Batch(*np.array(rows, dtype=float).reshape(len(rows), len(Batch._fields)).T)
+    columns = np.array(rows, dtype=float).reshape(len(rows), len(Batch._fields) - 1).T
+    unknown = (0.0,) * COURSE
+    course = np.array([sample.course or unknown for sample, _, _ in observations])
+    return Batch._make((*columns, course.reshape(len(rows), COURSE)))

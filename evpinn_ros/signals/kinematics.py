@@ -21,6 +21,10 @@ MIN_POINTS = 4  # of a local quadratic: one more than it has coefficients
 TRACK_LENGTH = 6.0  # s of speed kept; enough for MIN_POINTS at 1 Hz
 LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as "that lag later"
 
+COURSE_PERIOD = 0.1  # s, steps of the course of the acceleration around a moment
+COURSE_AHEAD = 3  # steps of it that lie after the moment
+COURSE = 11  # steps of it in all
+
 TAPS = 10  # speed differences in the causal differentiator
 TAP_PERIOD = 0.1  # s between them
 INITIAL_TAPS = 4  # the first guess is the mean slope over this many
@@ -81,6 +85,28 @@ class SpeedTrack:
             return float(speed[-1]), np.nan
         return float(coefficients[0]), float(coefficients[1])
 
+    def course(self, stamp_ns: int, until_ns: int, acceleration: float) -> tuple[float, ...]:
+        """How the acceleration runs around a past moment: what one number for it leaves out.
+
+        Args:
+            stamp_ns: the moment.
+            until_ns: speed after this is not used.
+            acceleration: at the moment, m/s^2.
+
+        Returns:
+            Mean slope of speed in each `COURSE_PERIOD`, latest first, less the acceleration,
+            m/s^2, shape (COURSE,); 0 where speed is not known.
+        """
+        last = bisect_right(self._stamps, until_ns)
+        first = bisect_left(self._stamps, stamp_ns - int(_COURSE_SPAN * NANOSECONDS))
+        first = max(0, first - 1)
+        time = np.array([s - stamp_ns for s in self._stamps[first:last]]) / NANOSECONDS
+        speed = np.interp(_COURSE_GRID, time, self._speeds[first:last])
+        slopes = (speed[:-1] - speed[1:]) / COURSE_PERIOD
+        tolerance = LAG_TOLERANCE_NS / NANOSECONDS
+        known = (_COURSE_GRID[:-1] <= time[-1] + tolerance) & (_COURSE_GRID[1:] >= time[0])
+        return tuple(np.where(known, slopes - acceleration, 0.0).tolist())
+
     def differences(self) -> np.ndarray:
         """Mean slopes of speed over the last `TAPS` periods, newest first, shape (TAPS,), m/s^2.
 
@@ -130,3 +156,7 @@ class CausalDifferentiator:
     def forget_pending(self) -> None:
         """Drop what waits for the smoother, after a gap or a jump of time."""
         self._pending.clear()
+
+
+_COURSE_GRID = COURSE_PERIOD * (COURSE_AHEAD - np.arange(COURSE + 1))  # s after the moment
+_COURSE_SPAN = -float(_COURSE_GRID[-1])

@@ -17,6 +17,8 @@ class Sample:
         grade: road incline angle, rad, positive uphill; 0 while unknown.
         air_density: kg/m^3.
         known_auxiliary: power of auxiliary loads the car reports, W; 0 while unknown.
+        course: of a smoothed sample, how the acceleration runs around it, shape
+            (`kinematics.COURSE`,), m/s^2; empty for the newest moment, whose future is unknown.
     """
 
     stamp_ns: int
@@ -25,6 +27,7 @@ class Sample:
     grade: float
     air_density: float
     known_auxiliary: float
+    course: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

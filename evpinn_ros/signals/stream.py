@@ -159,7 +159,8 @@ class SampleStream:
             yield from self._match_power(stamp_ns - 1)
             self._last_moment_ns = stamp_ns
             self._differentiator.learn(stamp_ns, acceleration)
-            sample = self._sample(stamp_ns, speed, acceleration)
+            course = self._speed.course(stamp_ns, newest, acceleration)
+            sample = self._sample(stamp_ns, speed, acceleration, course)
             self._unmeasured.append(sample)
             yield SmoothedSample(sample)
 
@@ -170,7 +171,9 @@ class SampleStream:
         step = stamp_ns - self._last_moment_ns
         return step >= int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
 
-    def _sample(self, stamp_ns: int, speed: float, acceleration: float) -> Sample:
+    def _sample(
+        self, stamp_ns: int, speed: float, acceleration: float, course: tuple[float, ...] = ()
+    ) -> Sample:
         return Sample(
             stamp_ns=stamp_ns,
             speed=speed,
@@ -178,6 +181,7 @@ class SampleStream:
             grade=self._road.grade(stamp_ns),
             air_density=self._road.air_density(),
             known_auxiliary=self._road.known_auxiliary(stamp_ns),
+            course=course,
         )
 
     def _push_battery(self, reading: BatteryReading) -> None:

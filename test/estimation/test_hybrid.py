@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import pairwise
 import math
 
@@ -7,6 +8,7 @@ import torch
 
 from evpinn_ros.estimation.estimate import State
 from evpinn_ros.estimation.hybrid import MIN_SAMPLES, TRUST_PRIOR, WIDTHS, HybridLearner
+from evpinn_ros.signals.kinematics import COURSE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
@@ -184,7 +186,7 @@ def test_trust_is_the_regression_on_what_the_network_says(vehicle, synthetic):
     for sample in drive.samples[:2000]:
         learner.advance(sample)
         scale = learner.power_filter.residual_std(sample)
-        learner._judge(sample, learner.power_filter.predict(sample).power + 0.5 * scale, 0.2)
+        learner._judge(sample, 0.5 * scale, 0.2)
     keep = 1 - 0.2 / 300.0
     seen = (1 - keep**2000) / (1 - keep)
     assert learner.trust == pytest.approx(0.5 * seen / (seen + TRUST_PRIOR), rel=1e-6)
@@ -208,6 +210,33 @@ def test_the_network_does_no_harm(vehicle, synthetic):
                 learner.consider(work())
     assert learner._candidate is not None
     assert np.linalg.norm(both) < 1.005 * np.linalg.norm(physics)
+
+
+def test_the_load_is_met_where_the_car_is_and_not_foretold(vehicle):
+    """A head wind of 300 N that nothing reports: `smoothed` samples know it in some seconds.
+
+    The newest sample, which has no course, is predicted without it; a standing car meets none.
+    """
+    learner = HybridLearner(vehicle)
+    smoothed = [
+        Sample(k * NANOSECONDS // 10, 15.0, 0.0, 0.0, 1.17, 0.0, (0.0,) * COURSE)
+        for k in range(100)
+    ]
+    for sample in smoothed:
+        learner.advance(sample)
+        learner.observe(sample, learner.power_filter.predict(sample).power + 300.0 * 15.0)
+    last = smoothed[-1]
+    physics = learner.power_filter.predict(last)
+    met = learner.predict(last).power - physics.power
+    assert 0.5 * 4500.0 < met < 4500.0
+    newest = replace(last, course=())
+    assert learner.predict(newest).power == learner.power_filter.predict(newest).power
+    assert learner.predict(replace(last, speed=0.0)).power == pytest.approx(
+        learner.power_filter.predict(replace(last, speed=0.0)).power
+    )
+    assert learner.predict(last).sigma > physics.sigma
+    learner.forget_window()
+    assert learner.predict(last).power == learner.power_filter.predict(last).power
 
 
 def test_samples_from_before_time_went_back_count_as_old(vehicle, synthetic):

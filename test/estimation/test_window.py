@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -12,6 +14,7 @@ from evpinn_ros.estimation.window import (
     SlidingWindow,
     batch,
 )
+from evpinn_ros.signals.kinematics import COURSE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 
@@ -92,8 +95,13 @@ def test_full_coverage_is_one():
 
 
 def test_columns():
-    data = batch([seen(1.0, 10.0, 0.5), seen(3.0, 20.0, -0.5)], 3 * NANOSECONDS)
-    assert [column.tolist() for column in data] == [
+    course = tuple(0.1 * k for k in range(COURSE))
+    one, other = seen(1.0, 10.0, 0.5), seen(3.0, 20.0, -0.5)
+    data = batch(
+        [one, other._replace(sample=replace(other.sample, course=course))], 3 * NANOSECONDS
+    )
+    assert data.course.tolist() == [[0.0] * COURSE, list(course)]
+    assert [column.tolist() for column in data[:-1]] == [
         [2.0, 0.0],  # age
         [10.0, 20.0],
         [0.5, -0.5],
@@ -103,4 +111,6 @@ def test_columns():
         [1000.0, 1000.0],
         [0.002, 0.002],
     ]
-    assert all(column.shape == (0,) for column in batch([], 0))
+    nothing = batch([], 0)
+    assert all(column.shape == (0,) for column in nothing[:-1])
+    assert nothing.course.shape == (0, COURSE)

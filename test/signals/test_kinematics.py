@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from evpinn_ros.signals.kinematics import (
+    COURSE,
+    COURSE_AHEAD,
+    COURSE_PERIOD,
     INITIAL_TAPS,
     MIN_POINTS,
     TAP_PERIOD,
@@ -53,6 +56,35 @@ def test_constant_acceleration_at_any_rate(rate):
     moment = times[-1] - 1 / rate
     found = track(times, 3.0 + 1.5 * times).smoothed(at(moment), at(times[-1]))
     assert found == pytest.approx((3.0 + 1.5 * moment, 1.5), rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [2.0, 10.0, 33.0, 100.0])
+def test_a_constant_acceleration_has_no_course(rate):
+    times = np.arange(0, 4, 1 / rate)
+    found = track(times, 3.0 + 1.5 * times).course(at(2.0), at(times[-1]), 1.5)
+    assert found == pytest.approx([0.0] * COURSE, abs=1e-6)
+
+
+def test_the_course_of_a_jerk_by_hand():
+    """v = t^3 / 6 m/s: mean slopes over tenths of a second, less a = t^2 / 2 at 2 s."""
+    times = np.arange(0, 40) / 10
+    found = track(times, times**3 / 6).course(at(2.0), at(2.3), 2.0)
+    ends = 2.0 + COURSE_PERIOD * (COURSE_AHEAD - np.arange(COURSE + 1))
+    expected = (ends[:-1] ** 3 - ends[1:] ** 3) / 6 / COURSE_PERIOD - 2.0
+    assert found == pytest.approx(expected, abs=1e-6)
+    assert found[0] > 0.4 and found[-1] < -1.1
+
+
+def test_what_is_not_known_has_no_course():
+    """Neither before the first speed nor after the last that may be used."""
+    times = 1.6 + np.arange(0, 10) / 10
+    speeds = np.random.default_rng(0).standard_normal(10)
+    found = track(times, speeds).course(at(2.0), at(2.1), 0.5)
+    assert found[:2] == (0.0, 0.0) and found[-4:] == (0.0,) * 4
+    assert all(slope != 0.0 for slope in found[2:-4])
+    later = speeds.copy()
+    later[6:] += 5.0  # of 2.2 s on
+    assert track(times, later).course(at(2.0), at(2.1), 0.5) == found
 
 
 def test_smoothing_averages_noise():

@@ -1,0 +1,149 @@
+"""Power from the physics and a network, learned together at every sample.
+
+The equations of `ParameterFilter`, copper loss included, are one model of a car; the car is
+another. What they leave, a constant efficiency above all, repeats at the same speed and
+acceleration: weak recuperation at a walking pace, friction brakes in hard braking, the motor's
+efficiency map. Here the filter's state also holds
+
+- a radial-basis network over speed and acceleration whose output is a force, N: its units are
+  fixed on a grid, its output weights are states. It pays for what it says by its prior (the
+  physics loss of eq. 22 in the filter's terms), and where nothing was driven it says nothing;
+- weights of the course of the acceleration around a moment, kg: inertia that one number for the
+  acceleration misses, with it any lag between speed and power;
+- the share by which reported auxiliary loads are not drawn: sensors of heaters err by kilowatts;
+- the drift of the auxiliary power of this drive from that of the car.
+
+All of it is linear, so the extended Kalman filter stays as it is, and one covariance decides what
+is physics and what network. The unknown slope is that of the roads driven: how hilly they are is
+learned from how large the slopes found were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any
+
+import numpy as np
+
+from evpinn_ros.estimation.parameter_filter import (
+    HOUR,
+    P_AUX,
+    SLOPE,
+    STATES,
+    ParameterFilter,
+)
+from evpinn_ros.estimation.window import Batch
+from evpinn_ros.signals.kinematics import COURSE
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
+
+UNIT_SPEED_STEP, UNIT_ACCELERATION_STEP = 4.0, 0.7  # m/s and m/s^2; units are as wide as far apart
+UNIT_SPEEDS = UNIT_SPEED_STEP * np.arange(11)  # to 40 m/s
+UNIT_ACCELERATIONS = UNIT_ACCELERATION_STEP * (np.arange(8) - 3.5)  # +-2.45 m/s^2
+UNITS = UNIT_SPEEDS.size * UNIT_ACCELERATIONS.size
+UNIT_STD = 100.0  # N, of what one unit adds: the size of the residuals (`FORCE_NOISE`)
+COURSE_STD = 40.0  # kg: a fiftieth of a car
+REPORTED_STD = 0.5  # of the share of reported loads that is not drawn
+REPORTED_TIME = 3 * HOUR  # s; a fault of a sensor stays for a drive
+DRIFT_STD = 400.0  # W, from the mean of the car, within a drive and from drive to drive
+DRIFT_TIME = HOUR / 2  # s
+CAR_TIME = 100 * HOUR  # s in which what belongs to the car is forgotten
+
+HILL_STD = 0.01  # rad, 1-sigma of the unknown slope on roads not yet known
+HILL_RANGE = (0.003, 0.03)  # rad, a plain to mountains
+HILL_LENGTH = 10e3  # m over which it is learned how hilly the roads are
+
+REPORTED = len(STATES) + UNITS + COURSE
+DRIFT = REPORTED + 1
+ROAD_STATES = (REPORTED, DRIFT)  # beside the slope: of this drive, not of the car
+
+
+class PowerFilter(ParameterFilter):
+    """The filter of the module's text."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start at the vehicle's priors, with a network that says zero."""
+        super().__init__(vehicle, copper_loss=True)
+        std = np.repeat((UNIT_STD, COURSE_STD, REPORTED_STD, DRIFT_STD), (UNITS, COURSE, 1, 1))
+        self._prior_mean = np.concatenate((self._prior_mean, np.zeros(std.size)))
+        self._prior_variance = np.concatenate((self._prior_variance, std**2))
+        self._prior_variance[SLOPE] = HILL_STD**2
+        self._time_constants = np.concatenate((self._time_constants, np.full(std.size, CAR_TIME)))
+        self._time_constants[[P_AUX, REPORTED, DRIFT]] = CAR_TIME, REPORTED_TIME, DRIFT_TIME
+        self.mean = self._prior_mean.copy()
+        self.covariance = np.diag(self._prior_variance)
+
+    @property
+    def hilliness(self) -> float:
+        """1-sigma of the unknown slope on the roads driven, rad."""
+        return math.sqrt(self._prior_variance[SLOPE])
+
+    def update(self, sample: Sample, power: float, step: float) -> float:
+        """Learn as `ParameterFilter` does, and how hilly the roads are."""
+        residual = super().update(sample, power, step)
+        if abs(sample.speed) > STANDSTILL_SPEED:
+            found = self.mean[SLOPE] ** 2 + self.covariance[SLOPE, SLOPE]
+            share = min(1.0, abs(sample.speed) * step / HILL_LENGTH)
+            variance = self._prior_variance[SLOPE]
+            self._set_hills(variance + share * (found - variance))
+        return residual
+
+    def forget_time(self) -> None:
+        """Start time anew after a jump: another road, and perhaps another day."""
+        super().forget_time()
+        for index in ROAD_STATES:
+            self.mean[index] = self._prior_mean[index]
+            self.covariance[index, :] = self.covariance[:, index] = 0.0
+            self.covariance[index, index] = self._prior_variance[index]
+
+    def export(self) -> dict[str, Any]:
+        """State to save."""
+        return {**super().export(), "hilliness": self.hilliness}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a saved state; ValueError when it does not fit."""
+        hilliness = float(state["hilliness"])
+        if not HILL_RANGE[0] <= hilliness <= HILL_RANGE[1]:
+            raise ValueError("the saved hilliness is out of range")
+        before = self._prior_variance[SLOPE]
+        self._prior_variance[SLOPE] = hilliness**2
+        try:
+            super().restore(state)
+        except BaseException:
+            self._prior_variance[SLOPE] = before
+            raise
+
+    def _set_hills(self, variance: float) -> None:
+        """Take a new prior variance of the slope, rad^2; the present one never exceeds it."""
+        variance = min(max(variance, HILL_RANGE[0] ** 2), HILL_RANGE[1] ** 2)
+        self._prior_variance[SLOPE] = variance
+        shrink = math.sqrt(variance / max(variance, self.covariance[SLOPE, SLOPE]))
+        self.covariance[SLOPE, :] *= shrink
+        self.covariance[:, SLOPE] *= shrink
+
+    def _model(self, sample: Sample | Batch, slope: Any) -> tuple[Any, np.ndarray]:
+        """Battery power, W, shape (...), and its gradient by all states, shape (..., k)."""
+        power, gradient = super()._model(sample, slope)
+        added = _added(sample)
+        power = power + added @ self.mean[len(STATES) :]
+        return power, np.concatenate((gradient, added), axis=-1)
+
+
+def _added(sample: Sample | Batch) -> np.ndarray:
+    """Power by each state beyond those of the physics, shape (..., k - 8)."""
+    speed = np.asarray(sample.speed)[..., None]
+    acceleration = np.asarray(sample.acceleration)[..., None]
+    by_speed = speed * np.exp(-0.5 * ((speed - UNIT_SPEEDS) / UNIT_SPEED_STEP) ** 2)
+    by_acceleration = np.exp(
+        -0.5 * ((acceleration - UNIT_ACCELERATIONS) / UNIT_ACCELERATION_STEP) ** 2
+    )
+    units = by_speed[..., :, None] * by_acceleration[..., None, :]
+    known = isinstance(sample, Batch) or len(sample.course) == COURSE
+    course = speed * (np.asarray(sample.course) if known else np.zeros(COURSE))
+    reported = np.asarray(sample.known_auxiliary)[..., None]
+    return np.concatenate(
+        (units.reshape(*speed.shape[:-1], UNITS), course, reported, np.ones_like(reported)),
+        axis=-1,
+    )
