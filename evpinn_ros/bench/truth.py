@@ -19,7 +19,7 @@ from evpinn_ros.estimation.load_change import LoadChange, LoadDetector
 from evpinn_ros.estimation.parameter_set import parameter_set
 from evpinn_ros.estimation.published_filter import PublishedFilter
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
-from evpinn_ros.signals.sample import MeasuredSample, Sample
+from evpinn_ros.signals.sample import MeasuredSample, Sample, SmoothedSample
 from evpinn_ros.signals.stream import SAMPLE_PERIOD, SampleStream, StreamSettings
 from evpinn_ros.simulation.car import Trace
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, Motion
@@ -54,7 +54,9 @@ class PublishedChain:
     def push(self, reading: Reading) -> None:
         """Take one reading."""
         for event in self._stream.push(reading):
-            if isinstance(event, MeasuredSample):
+            if isinstance(event, SmoothedSample):
+                self.filter.advance(event.sample)
+            elif isinstance(event, MeasuredSample):
                 self._count += 1
                 if self._count % self._stride == 0:
                     self._learn(event.sample, event.power)
@@ -68,7 +70,6 @@ class PublishedChain:
         step = SAMPLE_PERIOD * self._stride
         if last is not None:
             step = min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
-        self.filter.advance(sample)
         if gate(sample, power) is not None:
             return
         self.filter.update(sample, power, step)

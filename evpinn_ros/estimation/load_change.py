@@ -24,12 +24,13 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 STOP = 5.0  # s of standstill, or of silence, in which someone may get in or out
 LOAD_SPREAD = 0.15  # 1-sigma of the logarithm of mass across a stop: full load of a passenger car
-LEAST_MOTION = 25.0  # s of motion after a stop before it is judged
+LEAST_MOTION = 60.0  # s of motion after a stop before it is judged
 MOST_MOTION = 120.0  # s of motion after which a stop is judged no more
 KNOWN = 0.02  # 1-sigma of the logarithm of m/eta that must be reached before and after
-SIGNIFICANT = 4.0  # sigmas; some 100 stops an hour, each judged some ten times over
+SIGNIFICANT = 3.5  # sigmas; those below hold far more than chance
 LEAST_CHANGE = 85.0  # kg: one grown person with a bag
-MAP_STD = 0.008  # of m/eta between pieces of one drive, because efficiency is a map
+MAP_STD = 0.015  # of m/eta from one minute of motion to the next: efficiency is a map, roads hilly
+MAP_TIME = 60.0  # s of motion that this is meant for; it averages out as any noise
 FORKS = 4  # stops on trial at once
 PROBATION = 600.0  # s of motion in which a change may be withdrawn
 
@@ -128,7 +129,7 @@ class LoadDetector:
                 continue
             log, std = trial.filter.mass_over_eta()
             change = log - trial.before
-            spread = math.hypot(std, trial.before_std, MAP_STD)
+            spread = _spread(trial, std)
             significance = abs(change) / spread
             enough = abs(trial.mass * math.expm1(change)) >= LEAST_CHANGE
             decided = std <= KNOWN and significance >= SIGNIFICANT and enough
@@ -163,5 +164,11 @@ class LoadDetector:
 
 def _load_change(trial: _Trial, change: float, std: float) -> LoadChange:
     """The change of mass, kg, of a change of the logarithm of m / eta, whose 1-sigma is given."""
-    spread = math.hypot(std, trial.before_std, MAP_STD)
-    return LoadChange(trial.stamp_ns, trial.mass * math.expm1(change), trial.mass * spread)
+    delta = trial.mass * math.expm1(change)
+    return LoadChange(trial.stamp_ns, delta, trial.mass * _spread(trial, std))
+
+
+def _spread(trial: _Trial, std: float) -> float:
+    """1-sigma of a change of log m / eta, from its 1-sigma now."""
+    varies = MAP_STD * math.sqrt(MAP_TIME / trial.motion)
+    return math.hypot(std, trial.before_std, varies)
