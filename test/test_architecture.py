@@ -26,6 +26,7 @@ LAYERS = [
     {"simulation"},
     {"replay"},
     {"report"},
+    {"bench"},
     {"nodes"},
     {"cli"},
     {"__main__"},

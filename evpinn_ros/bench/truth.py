@@ -245,8 +245,8 @@ def _compared(chain: PublishedChain, drive: SimulatedDrive, seconds: int) -> Ite
         yield one(name, *(getattr(part, name) for part in parts))
     for name in PARAMETER_NAMES:
         estimate, true = found.parameters[name], getattr(truth.parameters, name)
-        label = "c_rr (own)" if name == "c_rr" else name
-        yield one(label, estimate.value, estimate.std, estimate.prior_share, true)
+        if name not in IDENTIFIABLE_NAMES or name == "p_aux":
+            yield one(name, estimate.value, estimate.std, estimate.prior_share, true)
 
 
 def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
