@@ -15,13 +15,15 @@ class State(str, Enum):
     `unestimated` while the data say next to nothing of it; `estimating` while they still learn
     the combination it rests on; `valid` when they have told what they can of it (how much of the
     absolute value is prior all the same, `prior_share` says); `stale` when the battery has been
-    silent for long.
+    silent for long; `invalid` when the signals contradict each other, or the value lies where no
+    car of this model can be.
     """
 
     UNESTIMATED = "unestimated"
     ESTIMATING = "estimating"
     VALID = "valid"
     STALE = "stale"
+    INVALID = "invalid"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +37,7 @@ class ParameterEstimate:
         lower: bound from the combinations and eta, mu <= 1, or the limit of the parameter.
         upper: likewise.
         state: how far to believe it.
+        progress: percent of what makes it valid that the data have told.
     """
 
     value: float
@@ -43,6 +46,7 @@ class ParameterEstimate:
     lower: float
     upper: float
     state: State
+    progress: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,13 @@ from typing import Any, TypeAlias
 from evpinn_ros.estimation.calibration import BandCalibration
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
 from evpinn_ros.estimation.hybrid import HybridLearner
-from evpinn_ros.estimation.learner import STATE_VERSION, Learner, PowerPrediction, gate
+from evpinn_ros.estimation.learner import (
+    STATE_VERSION,
+    Learner,
+    LearnerReport,
+    PowerPrediction,
+    gate,
+)
 from evpinn_ros.estimation.paper import PaperLearner
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -89,6 +95,8 @@ class EstimatorStatus:
         accepted: updates adopted.
         rejected: updates not adopted, by reason.
         durations: seconds each update took.
+        report: changes of payload and suspicions.
+        progress: percent told of each parameter.
         newest_ns: stamp of the newest speed, None before the first.
     """
 
@@ -100,6 +108,8 @@ class EstimatorStatus:
     rejected: Mapping[str, int]
     durations: tuple[float, ...]
     newest_ns: int | None
+    report: LearnerReport = field(default_factory=LearnerReport)
+    progress: Mapping[str, float] = field(default_factory=dict)
 
 
 class OnlineEstimator:
@@ -180,6 +190,8 @@ class OnlineEstimator:
             rejected=dict(self._rejected),
             durations=tuple(self._worker.durations),
             newest_ns=self._stream.newest_ns,
+            report=self._learner.report(),
+            progress={name: p.progress for name, p in self.parameters().parameters.items()},
         )
 
     def export(self) -> dict[str, Any]:

@@ -20,11 +20,14 @@ import torch
 
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.joint_step import JointProblem, joint_step
-from evpinn_ros.estimation.learner import PowerPrediction, gate
+from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
+from evpinn_ros.estimation.load_change import LoadDetector
 from evpinn_ros.estimation.network import PowerNetwork
-from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME, ParameterFilter
-from evpinn_ros.estimation.parameter_set import parameter_set
+from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME
+from evpinn_ros.estimation.parameter_set import StateKeeper, parameter_set
 from evpinn_ros.estimation.power_filter import PowerFilter
+from evpinn_ros.estimation.published_filter import PublishedFilter
+from evpinn_ros.estimation.suspicion import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.estimation.unknown_load import UnknownLoad
 from evpinn_ros.estimation.window import Observation, SampleStore, SlidingWindow, batch
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -50,9 +53,9 @@ class HybridLearner:
     def __init__(self, vehicle: Vehicle, *, seed: int = 0) -> None:
         """Start at the vehicle's priors, with a network that says zero."""
         self._vehicle = vehicle
-        self.parameter_filter = ParameterFilter(vehicle, copper_loss=False)
+        self.parameter_filter = PublishedFilter(vehicle)
         self.power_filter = PowerFilter(vehicle)
-        self._load = UnknownLoad()
+        self._unknown_load = UnknownLoad()
         self._start = PowerNetwork(WIDTHS, seed=seed, dtype=torch.float64)
         torch.nn.init.zeros_(self._start.layers[-1].weight)
         self._network = deepcopy(self._start)
@@ -62,6 +65,9 @@ class HybridLearner:
         self._window = SlidingWindow(WINDOW)
         self._store = SampleStore()
         self._last_ns: int | None = None
+        self._payload = LoadDetector()
+        self._suspicion = SignSuspicion()
+        self._states = StateKeeper()
         self.gated: Counter[str] = Counter()
 
     @property
@@ -73,7 +79,7 @@ class HybridLearner:
         """Let time pass up to a smoothed sample."""
         self.parameter_filter.advance(sample)
         self.power_filter.advance(sample)
-        self._load.advance(sample.stamp_ns)
+        self._unknown_load.advance(sample.stamp_ns)
 
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of physics and network, W."""
@@ -81,9 +87,9 @@ class HybridLearner:
         power = physics.power + self.trust * self._said(self._network, sample)
         if not sample.course:
             # The newest moment: its acceleration is foretold, and what is wrong with it is larger
-            # than the load and has the same sign, so both together were worse on every drive.
+            # than the load; both together were worse on the drives measured.
             return PowerPrediction(power, physics.sigma)
-        load, load_std = self._load.power(sample.speed)
+        load, load_std = self._unknown_load.power(sample.speed)
         return PowerPrediction(power + load, math.hypot(physics.sigma, load_std))
 
     def observe(self, sample: Sample, power: float) -> None:
@@ -93,10 +99,16 @@ class HybridLearner:
         if reason is not None:
             self.gated[reason] += 1
             return
+        self._suspicion.push(sample, power, step)
+        if self._suspicion.suspected:
+            self.gated[CURRENT_SIGN] += 1
+            return
         self.parameter_filter.update(sample, power, step)
         left = self.power_filter.update(sample, power, step)
         self._judge(sample, left, step)
-        self._load.update(sample.speed, left, self.power_filter.residual_std(sample), step)
+        residual_std = self.power_filter.residual_std(sample)
+        self._unknown_load.update(sample.speed, left, residual_std, step)
+        self._follow_payload(sample, power, step)
         observation = Observation(sample, power, self.power_filter.slope)
         for old in self._window.add(observation):
             self._store.add(old)
@@ -132,16 +144,29 @@ class HybridLearner:
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters, in the constant-efficiency sense of eq. 12-21."""
-        return parameter_set(self._last_ns or 0, self.parameter_filter)
+        told = self.parameter_filter.published()
+        found = parameter_set(self._last_ns or 0, told)
+        suspected = self._suspicion.suspected
+        return self._states.judge(found, told.deviation()._asdict(), suspected=suspected)
+
+    def report(self) -> LearnerReport:
+        """Changes of payload, and a current of the wrong sign."""
+        return LearnerReport(
+            self._payload.change,
+            self._payload.found,
+            self._payload.withdrawn,
+            CURRENT_SIGN if self._suspicion.suspected else None,
+        )
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time."""
         self._window.clear()
         self._candidate = None
         self._last_ns = None
+        self._payload.forget_time()
         self.parameter_filter.forget_time()
         self.power_filter.forget_time()
-        self._load.forget()
+        self._unknown_load.forget()
 
     def export(self) -> Mapping[str, Any]:
         """State to save."""
@@ -166,6 +191,16 @@ class HybridLearner:
         self.power_filter.restore(state["power_filter"])
         self._network.load_vector(weights)
         self._merit = merit
+
+    def _follow_payload(self, sample: Sample, power: float, step: float) -> None:
+        """When a stop changed the payload, let both filters follow."""
+        old = self.parameter_filter
+        new = self._payload.push(old, sample, power, step)
+        if new is old:
+            return
+        (log, std), (before, _) = new.mass_over_eta(), old.mass_over_eta()
+        self.parameter_filter = new
+        self.power_filter.shift_mass(log - before, std)
 
     def _step(self, sample: Sample) -> float:
         """Seconds this sample stands for."""

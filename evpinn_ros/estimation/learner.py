@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.estimation.load_change import LoadChange
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
@@ -20,6 +21,22 @@ class PowerPrediction(NamedTuple):
 
     power: float
     sigma: float
+
+
+class LearnerReport(NamedTuple):
+    """What a learner noticed of the car and its signals.
+
+    Attributes:
+        load_change: the last change of payload, None when none was found.
+        load_changes: changes found.
+        load_changes_withdrawn: of them, changes that later data took back.
+        suspicion: name of a fault of the signals that the data speak for, or None.
+    """
+
+    load_change: LoadChange | None = None
+    load_changes: int = 0
+    load_changes_withdrawn: int = 0
+    suspicion: str | None = None
 
 
 class Learner(Protocol):
@@ -44,6 +61,9 @@ class Learner(Protocol):
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
+
+    def report(self) -> LearnerReport:
+        """What was noticed of the car and its signals."""
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time; keep what was learned."""

@@ -28,7 +28,7 @@ import numpy as np
 import torch
 
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
-from evpinn_ros.estimation.learner import PowerPrediction, gate
+from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.estimation.window import Batch, Observation, SlidingWindow, batch
@@ -183,6 +183,10 @@ class PaperLearner:
         combined = identifiable(values, self._vehicle.frontal_area)
         std = _combined_std(combined, self._trained.covariance, prior.std)
         return ParameterSet(self._last_ns or 0, estimates, combined, std, reliable=False)
+
+    def report(self) -> LearnerReport:
+        """Nothing: the paper's mode does not look for changes of the car."""
+        return LearnerReport()
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time."""

@@ -135,7 +135,7 @@ class ParameterFilter:
         self.mean = self.mean + gain * residual
         self.covariance = self.covariance - np.outer(gain, projected)
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        self._respect_efficiency_limits()
+        self.limit_efficiencies()
         return residual
 
     def parameters(self) -> Parameters:
@@ -149,6 +149,11 @@ class ParameterFilter:
         std = np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
         std[LOGARITHMIC] *= np.exp(self.mean[LOGARITHMIC])
         return Parameters(*(float(value) for value in std))
+
+    def deviation(self) -> Parameters:
+        """Distance of each parameter from its prior, in prior sigmas."""
+        away = (self.mean - self._prior_mean) / np.sqrt(np.maximum(self._prior_variance, TINY))
+        return Parameters(*(float(value) for value in away[: len(PARAMETER_NAMES)]))
 
     def prior_share(self) -> Parameters:
         """Variance left of the prior's, 0 (all data) to 1 (all prior), for each parameter."""
@@ -204,6 +209,17 @@ class ParameterFilter:
         """
         power, gradient = self._model(data, data.slope)
         return power, gradient[:, :SLOPE]
+
+    def shift_mass(self, change: float, std: float) -> None:
+        """Take up a known change of load: of the logarithm of mass, and its 1-sigma.
+
+        The variance stays within the prior's, as everywhere.
+        """
+        self.mean[MASS] += change
+        self.covariance[MASS, MASS] += std**2
+        most = math.sqrt(min(1.0, self._prior_variance[MASS] / self.covariance[MASS, MASS]))
+        self.covariance[MASS, :] *= most
+        self.covariance[:, MASS] *= most
 
     def forget_time(self) -> None:
         """Start time anew after a jump: the car may be on another road."""
@@ -283,7 +299,7 @@ class ParameterFilter:
         scale = self.noise_scale * (1.0 + rate * (excess - 1.0))
         self.noise_scale = min(max(scale, NOISE_RANGE[0]), NOISE_RANGE[1])
 
-    def _respect_efficiency_limits(self) -> None:
+    def limit_efficiencies(self) -> None:
         """Project onto eta <= 1 and mu <= 1 along the covariance (Simon, 2010, section 2.4).
 
         First onto the one limit that is passed; where that leads beyond the other, onto both.

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+import math
+
 import numpy as np
 
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
@@ -21,6 +25,10 @@ RESTS_ON = {
     "p_aux": "p_aux",
 }
 BOUND_SIGMAS = 2.0
+STAYS_VALID_ABOVE = 66.0  # percent of progress: until 0.4 of the prior's variance is back
+STAYS_OBSERVABLE_BELOW = 0.93  # share until which what was told counts as told
+IMPOSSIBLE_BEYOND = 6.0  # prior sigmas, then the value is no car's of this model
+POSSIBLE_WITHIN = 5.0  # where a value that was impossible is believed again
 RELIABLE_NEEDS = ("mass_over_eta", "regeneration")
 
 
@@ -39,9 +47,48 @@ def parameter_set(stamp_ns: int, source: ParameterFilter) -> ParameterSet:
             lower=limits.lower,
             upper=limits.upper,
             state=_state(getattr(combined_share, RESTS_ON[name]), getattr(share, name)),
+            progress=_progress(getattr(combined_share, RESTS_ON[name])),
         )
     reliable = all(getattr(combined_share, name) < VALID_BELOW for name in RELIABLE_NEEDS)
     return ParameterSet(stamp_ns, parameters, combined, combined_std, reliable)
+
+
+class StateKeeper:
+    """States that do not flicker: what holds goes on holding a little beyond where it began."""
+
+    def __init__(self) -> None:
+        """Nothing judged yet."""
+        self._states: dict[str, State] = {}
+
+    def judge(
+        self, found: ParameterSet, deviations: Mapping[str, float], *, suspected: bool
+    ) -> ParameterSet:
+        """The set with states that have hysteresis.
+
+        Args:
+            found: as made by `parameter_set`.
+            deviations: of each parameter from its prior, in prior sigmas.
+            suspected: whether the signals contradict each other.
+        """
+        parameters = {
+            name: replace(p, state=self._next(name, p, deviations[name], suspected))
+            for name, p in found.parameters.items()
+        }
+        self._states = {name: p.state for name, p in parameters.items()}
+        wrong = State.INVALID in self._states.values()
+        return replace(found, parameters=parameters, reliable=found.reliable and not wrong)
+
+    def _next(self, name: str, now: ParameterEstimate, deviation: float, suspected: bool) -> State:
+        before = self._states.get(name)
+        limit = POSSIBLE_WITHIN if before is State.INVALID else IMPOSSIBLE_BEYOND
+        if suspected or abs(deviation) > limit:
+            return State.INVALID
+        told = now.prior_share <= STAYS_OBSERVABLE_BELOW
+        if before is State.VALID and told and now.progress >= STAYS_VALID_ABOVE:
+            return State.VALID
+        if now.state is State.UNESTIMATED and before in (State.VALID, State.ESTIMATING) and told:
+            return State.ESTIMATING if now.progress > 0.0 else State.UNESTIMATED
+        return now.state
 
 
 def _bounds(source: ParameterFilter) -> dict[str, Limits]:
@@ -74,3 +121,9 @@ def _state(combined_share: float, own_share: float) -> State:
     if combined_share > ESTIMATING_BELOW or own_share > UNOBSERVABLE_ABOVE:
         return State.UNESTIMATED
     return State.VALID if combined_share < VALID_BELOW else State.ESTIMATING
+
+
+def _progress(combined_share: float) -> float:
+    """Percent of the way from prior to valid, in the logarithm of the variance left."""
+    told = math.log(max(combined_share, 1e-12)) / math.log(VALID_BELOW)
+    return 100.0 * min(1.0, max(0.0, told))

@@ -7,6 +7,8 @@ import math
 import statistics
 
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.estimation.learner import LearnerReport
+from evpinn_ros.estimation.suspicion import CURRENT_SIGN
 from evpinn_ros.nodes.diagnosis import (
     SILENT_AFTER,
     Health,
@@ -16,6 +18,7 @@ from evpinn_ros.nodes.diagnosis import (
     with_health,
 )
 from evpinn_ros.nodes.messages import Level
+from evpinn_ros.signals.readings import NANOSECONDS
 
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
 RECENT = 60  # updates whose median duration is told
@@ -53,6 +56,8 @@ def estimator_status(report: EstimatorReport) -> Status:
         **flat("rejected", status.rejected),
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),
+        **flat("progress", {name: round(p) for name, p in status.progress.items()}),
+        **_noticed(status.report),
     }
     level, text = _estimator_verdict(report)
     return with_health(Status("estimate", level, text, values), report.health)
@@ -66,6 +71,8 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
         return Level.WARN, f"no vehicle/speed for {report.speed_age:.0f} s"
     if report.state_problem is not None:
         return Level.WARN, report.state_problem
+    if status.report.suspicion == CURRENT_SIGN:
+        return Level.WARN, "accelerating charges the battery: is the sign of current wrong?"
     if status.activity is Activity.PREDICTING:
         return Level.WARN, "predicting from speed alone: battery/state is silent"
     if status.activity is Activity.PAUSED:
@@ -73,6 +80,21 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
     if status.rejected.get("overrun", 0) > OVERRUN_SHARE * max(status.updates, 10):
         return Level.WARN, "updates take longer than a second: this computer is too slow or busy"
     return Level.OK, f"learning: {status.accepted} of {status.updates} updates adopted"
+
+
+def _noticed(report: LearnerReport) -> dict[str, object]:
+    """What was noticed of the car and its signals."""
+    values: dict[str, object] = {
+        "suspicion": report.suspicion or "none",
+        "load_changes": report.load_changes,
+        "load_changes_withdrawn": report.load_changes_withdrawn,
+    }
+    if report.load_change is not None:
+        change = report.load_change
+        values["load_change_stamp_s"] = change.stamp_ns / NANOSECONDS
+        values["load_change_kg"] = rounded(change.delta_mass)
+        values["load_change_std_kg"] = rounded(change.std)
+    return values
 
 
 def _milliseconds(durations: tuple[float, ...]) -> object:

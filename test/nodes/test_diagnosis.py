@@ -9,6 +9,8 @@ from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusState, BusStatus
 from evpinn_ros.energy.meter import EnergyState, Flow
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.estimation.learner import LearnerReport
+from evpinn_ros.estimation.load_change import LoadChange
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Health
 from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
@@ -110,3 +112,14 @@ def test_states_of_the_bus(state, ok, level, text):
 def test_states_of_a_log():
     assert log_status("playing", None, BRIDGE, WELL).level is Level.OK
     assert log_status("playing", "x.log: cut off", BRIDGE, WELL).text == "x.log: cut off"
+
+
+def test_what_was_noticed_of_the_car_is_told():
+    change = LoadChange(5_000_000_000, 151.23456, 24.0)
+    noticed = LearnerReport(change, 2, 1, "current_sign")
+    status = dataclasses.replace(STATUS, report=noticed, progress={"mass": 73.4})
+    found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
+    assert found.level == Level.WARN and "sign of current" in found.text
+    told = {key: found.values[key] for key in ("load_change_kg", "load_changes", "progress.mass")}
+    assert told == {"load_change_kg": 151.235, "load_changes": 2, "progress.mass": 73}
+    assert found.values["suspicion"] == "current_sign"

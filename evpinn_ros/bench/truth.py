@@ -1,0 +1,274 @@
+"""How true the published parameters are: simulated cars, whose truth is known.
+
+Readings of a simulated drive go through the sample stream and the learning of the published
+parameters, as in the estimator of `mode: hybrid`; its networks and its power do not touch them and
+are left out, which makes an hour of driving a matter of seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+import math
+
+import numpy as np
+
+from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.estimation.learner import gate
+from evpinn_ros.estimation.load_change import LoadChange, LoadDetector
+from evpinn_ros.estimation.parameter_set import parameter_set
+from evpinn_ros.estimation.published_filter import PublishedFilter
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.signals.sample import MeasuredSample, Sample, SmoothedSample
+from evpinn_ros.signals.stream import SAMPLE_PERIOD, SampleStream, StreamSettings
+from evpinn_ros.simulation.car import Trace
+from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, Motion
+from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, SimulatedDrive, simulate
+from evpinn_ros.simulation.truth import Truth, prior_parameters, true_values
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
+
+PROFILE = "tesla_model_3"  # of the bus, whatever the car: all that is on it is what is needed
+VEHICLES = ("tesla_model_3_lr", "nissan_leaf", "bmw_i3")
+MARKS = (60, 120, 300, 600)  # s of the drive at which estimates are held against truth
+INTERVAL = 1.96  # sigmas to either side that cover 95 %
+STOP_GAP = 10  # s between two drives of one car
+STRIDE = 5  # samples of 10 Hz to one of the hours without a change
+MAX_STEP = 1.0  # s one sample may stand for
+
+
+class PublishedChain:
+    """Readings to published parameters and changes of load, without networks."""
+
+    def __init__(self, vehicle: Vehicle, *, stride: int = 1) -> None:
+        """Learn from every sample, or of every `stride` samples one."""
+        self.filter = PublishedFilter(vehicle)
+        self.load = LoadDetector()
+        self.motion = 0.0  # s driven
+        self._stream = SampleStream(StreamSettings(), vehicle.air_density)
+        self._stride, self._count = stride, 0
+        self._last_ns: int | None = None
+
+    def push(self, reading: Reading) -> None:
+        """Take one reading."""
+        for event in self._stream.push(reading):
+            if isinstance(event, SmoothedSample):
+                self.filter.advance(event.sample)
+            elif isinstance(event, MeasuredSample):
+                self._count += 1
+                if self._count % self._stride == 0:
+                    self._learn(event.sample, event.power)
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate."""
+        return parameter_set(self._last_ns or 0, self.filter.published())
+
+    def _learn(self, sample: Sample, power: float) -> None:
+        last, self._last_ns = self._last_ns, sample.stamp_ns
+        step = SAMPLE_PERIOD * self._stride
+        if last is not None:
+            step = min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
+        if gate(sample, power) is not None:
+            return
+        self.filter.update(sample, power, step)
+        self.filter = self.load.push(self.filter, sample, power, step)
+        self.motion += step * (abs(sample.speed) > STANDSTILL_SPEED)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One quantity of one drive at one time against its truth."""
+
+    vehicle: str
+    seed: int
+    seconds: int
+    name: str
+    value: float
+    std: float
+    prior_share: float
+    truth: float
+
+    @property
+    def error_percent(self) -> float:
+        """Of the truth."""
+        return 100.0 * (self.value / self.truth - 1.0)
+
+    @property
+    def covered(self) -> bool:
+        """Whether the interval of 95 % holds the truth.
+
+        What is learned as a logarithm has its interval there: all but p_aux.
+        """
+        if self.name == "p_aux":
+            return abs(self.value - self.truth) <= INTERVAL * self.std
+        return abs(math.log(self.value / self.truth)) <= INTERVAL * self.std / self.value
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Comparisons of one quantity at one time over many drives."""
+
+    name: str
+    seconds: int
+    drives: int
+    bias_percent: float
+    median_percent: float
+    p90_percent: float
+    std_percent: float
+    coverage_percent: float
+    prior_share: float
+
+
+def compare(
+    kind: DriveKind,
+    vehicles: Sequence[str],
+    seeds: Iterable[int],
+    *,
+    marks: Sequence[int] = MARKS,
+    from_priors: bool = False,
+    rms_grade: float = RMS_GRADE,
+    altitude: bool = False,
+) -> Iterator[Comparison]:
+    """Drive one car per seed and hold what is published against the truth so far.
+
+    Args:
+        kind: where to drive.
+        vehicles: models, in turn.
+        seeds: of the drives.
+        marks: s into the drive.
+        from_priors: whether the car is drawn from the priors instead of from plausible cars.
+        rms_grade: of the road.
+        altitude: whether there is a barometer.
+    """
+    for number, seed in enumerate(seeds):
+        vehicle = load_vehicle(vehicles[number % len(vehicles)])
+        wish = prior_parameters(vehicle, np.random.default_rng(seed)) if from_priors else None
+        drive = simulate(
+            kind,
+            vehicle,
+            max(marks),
+            seed,
+            car=wish._asdict() if wish else None,
+            can_profile=PROFILE,
+            altitude=altitude,
+            rms_grade=rms_grade,
+        )
+        chain, left = PublishedChain(vehicle), sorted(marks)
+        begin = drive.readings[0].stamp_ns
+        for reading in drive.readings:
+            while left and reading.stamp_ns - begin >= (left[0] - 1) * NANOSECONDS:
+                yield from _compared(chain, drive, left.pop(0))
+            chain.push(reading)
+
+
+def summaries(found: Iterable[Comparison]) -> list[Summary]:
+    """Median, 90th percentile and coverage of each quantity at each time."""
+    groups: dict[tuple[int, str], list[Comparison]] = {}
+    for one in found:
+        groups.setdefault((one.seconds, one.name), []).append(one)
+    return [_summary(group) for group in groups.values()]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A change of payload at a stop and what was found of it.
+
+    `detected_after` is s of motion (NaN: never), `error` kg of the change as told at the end.
+    """
+
+    vehicle: str
+    seed: int
+    delta_mass: float
+    detected_after: float
+    error: float
+
+
+def load_steps(
+    vehicles: Sequence[str], seeds: Iterable[int], *, before: int = 420, after: int = 240
+) -> Iterator[Step]:
+    """Drive in town, stop, change the load by 150 kg, up or down in turn, and drive on."""
+    for number, seed in enumerate(seeds):
+        vehicle = load_vehicle(vehicles[number % len(vehicles)])
+        delta = 150.0 if number % 2 else -150.0
+        first = simulate(DriveKind.URBAN, vehicle, before, seed, can_profile=PROFILE)
+        second = simulate(
+            DriveKind.URBAN,
+            vehicle,
+            after,
+            seed + 1_000_000,
+            can_profile=PROFILE,
+            car=replace(first.car, mass=first.car.mass + delta),
+            start_ns=EPOCH_NS + (before + STOP_GAP) * NANOSECONDS,
+        )
+        chain = PublishedChain(vehicle)
+        for reading in first.readings:
+            chain.push(reading)
+        chain.motion = 0.0
+        detected: float = math.nan
+        change: LoadChange | None = None
+        for reading in second.readings:
+            known = chain.load.found
+            chain.push(reading)
+            if chain.load.found > known and math.isnan(detected):
+                detected = chain.motion
+            if chain.load.change is not None and chain.motion <= 90.0:
+                change = chain.load.change
+        error = change.delta_mass - delta if change is not None else math.nan
+        yield Step(vehicle.key, seed, delta, detected, error)
+
+
+def false_alarms(
+    kind: DriveKind, vehicles: Sequence[str], seeds: Iterable[int], *, hours: float = 1.0
+) -> Iterator[tuple[float, int, int]]:
+    """Hours driven, changes of load found and withdrawn, of drives on which there were none."""
+    for number, seed in enumerate(seeds):
+        vehicle = load_vehicle(vehicles[number % len(vehicles)])
+        drive = simulate(kind, vehicle, 3600.0 * hours, seed, can_profile=PROFILE)
+        chain = PublishedChain(vehicle, stride=STRIDE)
+        for reading in drive.readings:
+            chain.push(reading)
+        yield hours, chain.load.found, chain.load.withdrawn
+
+
+def _compared(chain: PublishedChain, drive: SimulatedDrive, seconds: int) -> Iterator[Comparison]:
+    found = chain.parameters()
+    truth = true_so_far(drive, seconds)
+    share = chain.filter.published().identifiable()[2]
+
+    def one(name: str, value: float, std: float, prior: float, true: float) -> Comparison:
+        return Comparison(drive.vehicle.key, drive.seed, seconds, name, value, std, prior, true)
+
+    for name in IDENTIFIABLE_NAMES[:4]:
+        parts = (found.identifiable, found.identifiable_std, share, truth.identifiable)
+        yield one(name, *(getattr(part, name) for part in parts))
+    for name in PARAMETER_NAMES:
+        estimate, true = found.parameters[name], getattr(truth.parameters, name)
+        if name not in IDENTIFIABLE_NAMES or name == "p_aux":
+            yield one(name, estimate.value, estimate.std, estimate.prior_share, true)
+
+
+def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
+    """The true parameters of the first seconds of a drive."""
+    count = seconds * SAMPLE_RATE
+    trace = drive.trace
+    motion = Motion(**{f.name: getattr(trace.motion, f.name)[:count] for f in fields(Motion)})
+    columns = {f.name: getattr(trace, f.name)[:count] for f in fields(Trace) if f.name != "motion"}
+    return true_values(drive.car, Trace(motion=motion, **columns))
+
+
+def _summary(group: list[Comparison]) -> Summary:
+    error = np.array([one.error_percent for one in group])
+    first = group[0]
+    return Summary(
+        first.name,
+        first.seconds,
+        len(group),
+        float(error.mean()),
+        float(np.median(np.abs(error))),
+        float(np.quantile(np.abs(error), 0.9)),
+        float(np.median([100 * one.std / one.value for one in group])),
+        float(np.mean([100.0 * one.covered for one in group])),
+        float(np.median([one.prior_share for one in group])),
+    )
