@@ -4,6 +4,7 @@ python docs/paper_choices.py LOG VEHICLE [EPOCHS]
 """
 
 from collections.abc import Callable
+from copy import copy
 from pathlib import Path
 import sys
 
@@ -13,7 +14,13 @@ from evpinn_ros.reproduction import optimizers, problem
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
 from evpinn_ros.reproduction.optimizers import Adam
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
-from evpinn_ros.reproduction.problem import InputForm, Problem, chronological_split, random_split
+from evpinn_ros.reproduction.problem import (
+    InputForm,
+    Motion,
+    Problem,
+    chronological_split,
+    random_split,
+)
 from evpinn_ros.reproduction.scores import combinations, least_squares_power, power_score
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.physics import RegenForm
@@ -42,6 +49,29 @@ def pytorch_start(log: DriveLog, vehicle: Vehicle) -> Adam:
     return adam
 
 
+class BatchedAdam(Adam):
+    """Adam on batches of `SIZE`: an epoch is then as many steps as there are batches."""
+
+    SIZE = 256
+
+    def step(self) -> None:
+        """One pass over the training data."""
+        whole = self.problem.training
+        for rows in torch.randperm(len(whole)).split(self.SIZE):
+            batch = copy(whole)
+            batch.inputs, batch.power = whole.inputs[rows], whole.power[rows]
+            batch.motion = Motion(*(column[rows] for column in whole.motion))
+            self.problem.training = batch
+            super().step()
+        self.problem.training = whole
+
+
+def batched(log: DriveLog, vehicle: Vehicle) -> Adam:
+    """Twenty-four steps an epoch in place of one."""
+    torch.manual_seed(0)
+    return BatchedAdam(Problem(log, vehicle, random_split(len(log.time), 0)), seed=0)
+
+
 def chronological(log: DriveLog, vehicle: Vehicle) -> Adam:
     """Trained on the first four fifths."""
     return Adam(Problem(log, vehicle, chronological_split(len(log.time))), seed=0)
@@ -55,6 +85,7 @@ CHOICES: dict[str, Choice] = {
     "`wheel_power`": lambda *a: published(*a, form=RegenForm.WHEEL_POWER),
     "speed alone, no time": without_time,
     "chronological split": chronological,
+    "batches of 256": batched,
 }
 
 

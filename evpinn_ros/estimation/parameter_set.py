@@ -112,8 +112,8 @@ def _bounds(source: ParameterFilter) -> dict[str, Limits]:
         if getattr(share, combination) <= ESTIMATING_BELOW:
             spread = BOUND_SIGMAS * getattr(std, combination)
             middle = getattr(mean, combination)
-            lower = max(low * (middle - spread) / divisor, LIMITS[name].lower)
-            bounds[name] = Limits(lower, (middle + spread) / divisor)
+            ends = np.array((low * (middle - spread), middle + spread)) / divisor
+            bounds[name] = Limits(*(float(end) for end in np.clip(ends, *LIMITS[name])))
     return bounds
 
 
