@@ -42,6 +42,7 @@ setup(
         "rich",
         "rosbags",
         "scipy",
+        "threadpoolctl",
         "torch",
         "typer",
         "zstandard",

@@ -35,6 +35,7 @@ NAMES = {
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
+    "threadpoolctl": ("threadpoolctl", None),
     "torch": ("torch", "python3-torch"),
     "typer": ("typer", "python3-typer"),
     "yaml": ("pyyaml", "python3-yaml"),

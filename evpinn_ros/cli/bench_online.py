@@ -11,7 +11,6 @@ from typing import Annotated, Any
 from rich.box import MARKDOWN, SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
-import torch
 import typer
 
 from evpinn_ros.bench.logs import Log, find_logs
@@ -19,6 +18,7 @@ from evpinn_ros.bench.online import METHODS, OnlineBenchmark, Run
 from evpinn_ros.bench.scores import Score, log_scores, total_scores
 from evpinn_ros.cli.console import note, progress_bar, results
 from evpinn_ros.errors import InputError
+from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.run import PROGRESS_STEP, WARM_UP, has_battery
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
@@ -60,7 +60,7 @@ def online(
 
     Example: evpinn bench online bags/urban --vehicle tesla_model_3_lr --methods null,ekf5,hybrid
     """
-    torch.set_num_threads(1)
+    one_thread()
     names = _chosen(methods)
     found: dict[str, list[dict[str, Any]]] = {"logs": [], "failed": []}
     for log in _logs(paths, vehicle, found["failed"]):

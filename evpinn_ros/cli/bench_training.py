@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import torch
 import typer
 
 from evpinn_ros.bench.deepxde_peer import deepxde_version
@@ -16,6 +15,7 @@ from evpinn_ros.cli.console import note, results
 from evpinn_ros.cli.reproduce import training_progress
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
+from evpinn_ros.one_thread import one_thread
 from evpinn_ros.reproduction.drive_log import read_drive_log
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -36,7 +36,7 @@ def training(
 
     Example: evpinn bench training drive.csv --vehicle tesla_model_3_lr --epochs 10000
     """
-    torch.set_num_threads(1)
+    one_thread()
     car = load_vehicle(vehicle)
     drive = read_drive_log(log, car)
     if deepxde_version() is None:

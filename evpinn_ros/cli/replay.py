@@ -10,7 +10,6 @@ import sys
 import time
 from typing import Annotated, Any
 
-import torch
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
@@ -23,6 +22,7 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import TABLES, Value
 from evpinn_ros.nodes.settings import estimator_settings
+from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import (
     WARM_UP,
@@ -80,7 +80,7 @@ def replay(
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
     # One thread, so that the same bag gives the same bits and other cores stay free.
-    torch.set_num_threads(1)
+    one_thread()
     car = load_vehicle(vehicle)
     settings = estimator_settings(_parameters(params, mode))
     sources = [open_source(path, car, can_profile) for path in inputs]

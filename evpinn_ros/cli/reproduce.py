@@ -20,6 +20,7 @@ import typer
 from evpinn_ros.cli.console import note, notes, results
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
+from evpinn_ros.one_thread import one_thread
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import read_drive_log
 from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, Settings
@@ -81,7 +82,7 @@ def reproduce(
     if device is Device.CUDA and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no CUDA device here")
     # One thread: small matrices gain nothing from two, and the same run gives the same bits.
-    torch.set_num_threads(1)
+    one_thread()
     car = load_vehicle(vehicle)
     drive = read_drive_log(log, car, can_profile)
     settings = Settings(

@@ -35,6 +35,7 @@ from evpinn_ros.energy.rknn import (
     restored,
     slopes,
 )
+from evpinn_ros.one_thread import one_thread
 
 SEED = 20240601
 TRACES, KNOTS, STEPS_PER_TRACE = 128, 64, 32
@@ -194,7 +195,7 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 1:
         print("usage: python -m evpinn_ros.energy.rknn_training OUT.npz", file=sys.stderr)
         return 2
-    torch.set_num_threads(1)
+    one_thread()
     module = train()
     np.savez(Path(arguments[0]), **module.weights())  # type: ignore[arg-type]
     unseen = loss(module, synthetic_steps(np.random.default_rng(SEED + 1)))

@@ -41,7 +41,8 @@ SPEED_SCALE = 15.0  # m/s, network inputs are of order one
 ACCELERATION_SCALE = 1.2  # m/s^2
 PHYSICS_LOSS = 0.1  # lambda of eq. 22
 RIDGE = 30.0  # pull of the network's weights to their start
-MIN_SAMPLES = 100  # in window and store, before the network is trained
+MIN_SAMPLES = 100  # in the window, before the network is trained
+THINNING = 3  # of the window: neighbours within `CORRELATION_TIME` say the same
 MAX_STEP = 1.0  # s one sample may stand for
 TRUST_MEMORY = 300.0  # s of driving over which the network's merit is judged
 TRUST_PRIOR = 200.0  # samples' worth of belief that the network is of no use
@@ -115,9 +116,10 @@ class HybridLearner:
 
     def prepare_update(self) -> Callable[[], PowerNetwork] | None:
         """Train a copy of the network on a snapshot of window and store."""
-        observations = [*self._window, *self._store]
-        if len(observations) < MIN_SAMPLES or self._last_ns is None:
+        window = list(self._window)
+        if len(window) < MIN_SAMPLES or self._last_ns is None:
             return None
+        observations = [*window[::-THINNING], *self._store]
         problem = self._problem(observations, self._last_ns)
         network, start = deepcopy(self._network), self._start.vector()
 
@@ -238,7 +240,7 @@ class HybridLearner:
             residual=(data.power - power) / scale,
             gradient=gradient / scale[:, None],
             prior_precision=self.power_filter.prior_precision(),
-            weight=SAMPLE_PERIOD / CORRELATION_TIME,
+            weight=THINNING * SAMPLE_PERIOD / CORRELATION_TIME,
             physics_loss=PHYSICS_LOSS,
             ridge=RIDGE,
         )

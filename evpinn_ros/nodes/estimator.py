@@ -8,7 +8,6 @@ import time
 from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
-import torch
 
 from evpinn_ros.estimation.estimator import OnlineEstimator
 from evpinn_ros.estimation.worker import ThreadWorker
@@ -24,6 +23,7 @@ from evpinn_ros.nodes.settings import estimator_settings
 from evpinn_ros.nodes.state_keeper import StateKeeper
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.one_thread import one_thread
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -50,7 +50,7 @@ class EstimatorNode(GuardedNode):
         """
         super().__init__("estimator", **kwargs)
         # One thread for arithmetic: other programs need the cores, and sums keep their order.
-        torch.set_num_threads(1)
+        one_thread()
         self._vehicle = load_vehicle(self.values["vehicle"])
         self._worker = ThreadWorker(time.perf_counter, wait=self.values["wait_for_update"])
         self.estimator = OnlineEstimator(
