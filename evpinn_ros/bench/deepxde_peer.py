@@ -1,8 +1,9 @@
 """DeepXDE (Lu et al., SIAM Review 63, 2021) on the same inverse problem, as its users would.
 
 Five `dde.Variable`, the physics of eq. 21 as residual with the acceleration as auxiliary variable,
-the measured power as `PointSetBC`, lambda as loss weight, its Adam at 1e-3. Optional: `pip install
-evpinn_ros[bench]`.
+the measured power as `PointSetBC`, lambda as loss weight, its Adam at 1e-3 for everything. It asks
+its network for the points of data and of physics apart, though they are the same ones here, which
+doubles its work; that is how the library is made. Optional: `pip install evpinn_ros[bench]`.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import numpy as np
 import torch
 
 from evpinn_ros.estimation.network import PAPER_WIDTHS
-from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE
-from evpinn_ros.reproduction.problem import PHYSICS_LOSS, Motion, Problem
+from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PHYSICS_LOSS
+from evpinn_ros.reproduction.problem import Motion, Problem
 
 
 def deepxde_version() -> str | None:

@@ -50,18 +50,18 @@ def training(
 
 def _show(timed: list[Timed]) -> None:
     published = timed[0]
-    table = titled_table(f"Time to a validation loss of {published.loss:.7f}")
+    table = titled_table(f"Time to a validation loss of {published.best:.6f}, Adam's best")
     for column in ("training", "epochs", "seconds", "ms/epoch", "best loss", "times as fast"):
         table.add_column(column, justify="left" if column == "training" else "right")
     for one in timed:
-        ratio = f"{published.seconds / one.seconds:.1f}" if one.reached else "not reached"
+        ratio = f"{published.best_seconds / one.best_seconds:.1f}"
         table.add_row(
             one.title,
-            str(one.epochs),
-            f"{one.seconds:.1f}",
+            str(one.best_epoch),
+            f"{one.best_seconds:.1f}",
             f"{1000 * one.seconds / one.epochs:.0f}",
-            f"{one.best:.7f}",
-            "1" if one is published else ratio,
+            f"{one.best:.6f}",
+            "1" if one is published else ratio if one.reached else "not reached",
         )
     results.print(table)
 
@@ -69,6 +69,8 @@ def _show(timed: list[Timed]) -> None:
 def _write(path: Path, timed: list[Timed]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps([asdict(one) for one in timed], indent=1) + "\n")
+        path.write_text(
+            json.dumps([asdict(one) for one in timed], indent=1) + "\n", encoding="utf-8"
+        )
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error

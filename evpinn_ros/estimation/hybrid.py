@@ -195,14 +195,11 @@ class HybridLearner:
         self._merit = merit
 
     def _follow_payload(self, sample: Sample, power: float, step: float) -> None:
-        """When a stop changed the payload, let both filters follow."""
-        old = self.parameter_filter
-        new = self._payload.push(old, sample, power, step)
-        if new is old:
-            return
-        (log, std), (before, _) = new.mass_over_eta(), old.mass_over_eta()
-        self.parameter_filter = new
-        self.power_filter.shift_mass(log - before, std)
+        """Let what is published follow a change of payload, and power once the change stood."""
+        self.parameter_filter = self._payload.push(self.parameter_filter, sample, power, step)
+        settled = self._payload.take_settled()
+        if settled is not None:
+            self.power_filter.shift_mass(*settled)
 
     def _step(self, sample: Sample) -> float:
         """Seconds this sample stands for."""

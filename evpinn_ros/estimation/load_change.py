@@ -81,6 +81,7 @@ class LoadDetector:
         self.found = self.withdrawn = 0
         self._trials: deque[_Trial] = deque(maxlen=FORKS)
         self._found: _Trial | None = None  # the change on probation
+        self._settled: tuple[float, float] | None = None
         self._standing = 0.0
         self._last_ns: int | None = None
 
@@ -107,6 +108,11 @@ class LoadDetector:
         self._standing = 0.0
         self._watch(current, step)
         return self._judge(current, step)
+
+    def take_settled(self) -> tuple[float, float] | None:
+        """A change that stood for `MOST_MOTION`: of log mass, and its 1-sigma; told once."""
+        settled, self._settled = self._settled, None
+        return settled
 
     def _begin(self, current: PublishedFilter, sample: Sample) -> None:
         """The car sets off again after a stop."""
@@ -150,6 +156,7 @@ class LoadDetector:
         found = self._found
         if found is None or self.change is None:
             return
+        unsettled = found.motion <= MOST_MOTION
         found.motion += step
         log, std = current.mass_over_eta()
         change = log - found.before
@@ -160,6 +167,8 @@ class LoadDetector:
             self.withdrawn += 1
         elif found.motion <= MOST_MOTION:
             self.change = _load_change(found, change, std)
+        elif unsettled:
+            self._settled = change, _spread(found, std)
 
 
 def _load_change(trial: _Trial, change: float, std: float) -> LoadChange:

@@ -21,6 +21,7 @@ MIN_SAMPLES = 100
 # causal. The paper differentiates an input and does not say how.
 SMOOTHING_AHEAD = 0.3  # s
 DELAYS = np.linspace(-0.4, 0.4, 41)  # s, candidates
+LEAST_GAIN = 0.01  # share of the residual that a delay must take away to be believed
 
 
 class DriveLog(NamedTuple):
@@ -59,12 +60,14 @@ def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None)
 def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
     """How much later than power speed was stamped, s: where eq. 21 leaves the least residual.
 
-    Eq. 21 is linear in its combinations, so each candidate is one least squares.
+    Eq. 21 is linear in its combinations, so each candidate is one least squares. Zero where the
+    drive does not tell: the residual is as good without a delay, or least beyond the candidates.
     """
-    left = [_residual(log, vehicle, delay) for delay in DELAYS]
+    left = np.array([_residual(log, vehicle, delay) for delay in DELAYS])
     best = int(np.argmin(left))
-    if best in (0, len(DELAYS) - 1) or left[best] <= 0.0:
-        return float(DELAYS[best]) if left[best] > 0.0 else 0.0
+    without = float(np.interp(0.0, DELAYS, left))
+    if best in (0, len(DELAYS) - 1) or left[best] > (1.0 - LEAST_GAIN) * without:
+        return 0.0
     before, least, after = left[best - 1 : best + 2]
     bend = before - 2.0 * least + after
     offset = 0.5 * (before - after) / bend if bend > 0.0 else 0.0

@@ -3,8 +3,8 @@
 - `Adam`: as published, full batch, a learning rate for the layers and one for the parameters.
 - `AdamThenLbfgs`: the usual improvement on it in the literature of PINNs.
 - `GaussNewton`: ours. The parameters are solved for (`parameter_fit`), so what is left is a plain
-  regression of the network on (P_data + lambda P_physics) / (1 + lambda), whose minimiser is that
-  of eq. 22. Steps are dual Gauss-Newton (`gauss_newton`) on random batches.
+  regression of the network on (P_data + lambda P_physics) / (1 + lambda), which minimises eq. 22
+  at these parameters. Steps are dual Gauss-Newton (`gauss_newton`) on random batches.
   The first layer starts with its units spread over the drive, each bending at a moment of its
   own: under Glorot's rule all bend near t = 0 and hours of descent go into moving them.
 
@@ -21,10 +21,15 @@ from typing import Any, Protocol
 import torch
 
 from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
-from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PARAMETER_RATE
+from evpinn_ros.estimation.paper import (
+    LEARNED,
+    NETWORK_RATE,
+    PARAMETER_RATE,
+    PHYSICS_LOSS,
+)
 from evpinn_ros.reproduction.gauss_newton import gauss_newton_step
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
-from evpinn_ros.reproduction.problem import PHYSICS_LOSS, InputForm, Problem
+from evpinn_ros.reproduction.problem import InputForm, Problem
 
 ADAM_EPOCHS_BEFORE_LBFGS = 1000
 LBFGS_MEMORY = 50

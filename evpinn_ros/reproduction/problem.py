@@ -20,14 +20,13 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import torch
 
-from evpinn_ros.estimation.paper import LEARNED
+from evpinn_ros.estimation.paper import LEARNED, PHYSICS_LOSS
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.published import Losses
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, Parameters
 from evpinn_ros.vehicle.physics import RegenForm, auxiliary_power, battery_power
 
-PHYSICS_LOSS = 0.1  # lambda of eq. 22
 VALIDATION_SHARE = 0.2
 
 
@@ -143,7 +142,7 @@ class Problem:
         self.device, self.dtype = torch.device(device), dtype
         self.inputs = InputScale.of(log, inputs)
         self.scale = PowerScale.of(log.power)
-        self.p_aux = standstill_power(log, vehicle)
+        self.p_aux = standstill_power(log.part(split.training), vehicle)
         self.training = self._samples(log.part(split.training))
         self.validation = self._samples(log.part(split.validation))
         self._initial = torch.tensor(
