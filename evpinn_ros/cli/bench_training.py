@@ -70,7 +70,8 @@ def _write(path: Path, timed: list[Timed]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(
-            json.dumps([asdict(one) for one in timed], indent=1) + "\n", encoding="utf-8"
+            json.dumps([asdict(one) for one in timed], indent=1, allow_nan=False) + "\n",
+            encoding="utf-8",
         )
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error

@@ -9,6 +9,8 @@ from zipfile import BadZipFile
 import numpy as np
 import torch
 
+from evpinn_ros.errors import InputError
+
 
 def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]) -> None:
     """Write a state so that a crash leaves the old file or the new one whole.
@@ -17,12 +19,19 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
         path: of the file, ending in `.npz`.
         settings: what the state belongs to; `load_checkpoint` asks for it again.
         state: named tensors.
+
+    Raises:
+        InputError: it cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name("new-" + path.name)
     arrays = {f"state/{name}": tensor.detach().cpu().numpy() for name, tensor in state.items()}
-    np.savez(fresh, settings=np.array(settings), **arrays)  # type: ignore[arg-type]
-    fresh.replace(path)
+    names = np.array(sorted(arrays))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(fresh, settings=np.array(settings), names=names, **arrays)  # type: ignore[arg-type]
+        fresh.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None:
@@ -33,8 +42,7 @@ def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None
                 return None
             return {
                 name.removeprefix("state/"): torch.from_numpy(np.array(file[name]))
-                for name in file.files
-                if name.startswith("state/")
+                for name in file["names"].tolist()
             }
-    except (OSError, KeyError, ValueError, EOFError, BadZipFile):
+    except (OSError, KeyError, ValueError, TypeError, EOFError, BadZipFile):
         return None

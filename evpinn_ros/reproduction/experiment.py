@@ -19,7 +19,7 @@ import numpy as np
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.drive_log import DriveLog
-from evpinn_ros.reproduction.energy_network import EnergyTraining, step_data
+from evpinn_ros.reproduction.energy_network import EnergyTraining, StepData, step_data
 from evpinn_ros.reproduction.energy_network import Losses as EnergyLosses
 from evpinn_ros.reproduction.optimizers import INPUTS, OptimizerName
 from evpinn_ros.reproduction.parameter_fit import laplace_covariance
@@ -49,7 +49,8 @@ from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm
 
-CHECKPOINT_EVERY = 500  # epochs
+CHECKPOINT_EVERY = 100  # epochs
+CHECKPOINT_VERSION = 1  # of what a file holds and of the constants it was trained with
 PROGRESS_EVERY = 10  # epochs
 RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
 NETWORK = "network"
@@ -148,14 +149,15 @@ class Experiment:
         """Train what is not yet trained and score it.
 
         Raises:
-            InputError: a training diverged.
+            InputError: a training diverged, or its folder cannot be written.
         """
         log, settings = self._log, self._settings
+        steps = step_data(log.time, log.power)  # first: what it refuses is refused at once
         count = len(log.time)
         split = random_split(count, settings.seed)
         training = self._power("power network", split, on_progress)
         later = self._power("chronological split", chronological_split(count), on_progress)
-        energy = self._energy(on_progress)
+        energy = self._energy(steps, on_progress)
         problem, optimizer = training.problem, training.optimizer
         covariance = drift_included(
             self._vehicle,
@@ -205,26 +207,29 @@ class Experiment:
             device=settings.device,
         )
         training = PowerTraining(settings.optimizer, problem, settings.epochs, settings.seed)
-        self._train(title, training, settings.epochs, on_progress)
+        made_of = (settings.optimizer.value, settings.form.value, settings.seed, settings.epochs)
+        self._train(title, training, made_of, on_progress)
         return training
 
-    def _energy(self, on_progress: OnProgress) -> EnergyTraining:
+    def _energy(self, steps: StepData, on_progress: OnProgress) -> EnergyTraining:
         settings = self._settings
-        steps = step_data(self._log.time, self._log.power)
         training = EnergyTraining(steps, seed=settings.seed, device=settings.device)
-        self._train("energy networks", training, settings.energy_epochs, on_progress)
+        made_of = (settings.seed, settings.energy_epochs)
+        self._train("energy networks", training, made_of, on_progress)
         return training
 
     def _train(
         self,
         title: str,
         training: PowerTraining | EnergyTraining,
-        epochs: int,
+        settings: tuple[object, ...],
         on_progress: OnProgress,
     ) -> None:
-        """Run a training to its end from where its file left it."""
-        path = self._folder / f"{title.replace(' ', '_')}.npz"
-        key = self._key(title)
+        """Run a training to its end from where its file left it; its last setting is the end."""
+        epochs = int(str(settings[-1]))
+        key = self._key(title, settings)
+        name = hashlib.sha256(key.encode()).hexdigest()[:12]
+        path = self._folder / f"{title.replace(' ', '_')}-{name}.npz"
         saved = load_checkpoint(path, key)
         if saved is not None:
             training.load_state(saved)
@@ -237,12 +242,11 @@ class Experiment:
             training.run_to(min(training.epoch + CHECKPOINT_EVERY, epochs), show)
             save_checkpoint(path, key, training.state())
 
-    def _key(self, title: str) -> str:
-        """What a file of this training must have been made from to be gone on with."""
+    def _key(self, title: str, settings: tuple[object, ...]) -> str:
+        """All that a training was made from; each key has a file of its own."""
         data = hashlib.sha256(b"".join(column.tobytes() for column in self._log)).hexdigest()
-        settings = {name: str(getattr(self._settings, name)) for name in self._settings.__slots__}
         vehicle = hashlib.sha256(repr(self._vehicle).encode()).hexdigest()
-        return json.dumps([title, data, vehicle, settings])
+        return json.dumps([CHECKPOINT_VERSION, title, data, vehicle, *map(str, settings)])
 
     def _whole_drive(self) -> list[Scored]:
         """Parameters that were not fitted to this log, on all of it."""
