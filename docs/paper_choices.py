@@ -99,7 +99,7 @@ def row(title: str, adam: Adam, epochs: int) -> str:
     score = power_score(own.predicted_power(adam.network, held), held.power, own.scale)
     losses = own.losses(own.validation, adam.network, adam.log_scale.detach())
     values = own.values(adam.log_scale)
-    found = combinations(values, own.vehicle.frontal_area)
+    found = combinations(values, own.vehicle.frontal_area, RegenForm.RECOVERY)
     return (
         f"| {title} | {losses.total:.4f} | {losses.data:.4f} | {score.r2:.3f} | "
         f"{found['mass_over_eta']:.0f} | {values.mu:.3f} | {values.c_rr:.4f} |"
@@ -113,7 +113,7 @@ def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
         one = Problem(log, vehicle, random_split(len(log.time), 0), form=form, dtype=torch.float64)
         fit = fit_parameters(one, one.training, one.training.power)
         values = one.values(fit.log_scale)
-        found = combinations(values, vehicle.frontal_area)
+        found = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
         held = log.part(one.split.validation)
         score = power_score(least_squares_power(one)[0], held.power, one.scale)
         rows.append(
@@ -127,7 +127,7 @@ def main(path: str, vehicle_name: str, epochs: str = "1000") -> None:
     """Print both tables."""
     one_thread()
     vehicle = load_vehicle(vehicle_name)
-    log = read_drive_log(Path(path), vehicle)
+    log = read_drive_log(Path(path), vehicle).drive
     print("| least squares | RMSE, W | R\u00b2 | m/eta | mu | C_rr |\n|---|---|---|---|---|---|")
     print("\n".join(fit_rows(log, vehicle)))
     print(f"\n| choice, {epochs} epochs of Adam | total | data | R\u00b2 | m/eta | mu | C_rr |")
@@ -138,7 +138,7 @@ def main(path: str, vehicle_name: str, epochs: str = "1000") -> None:
         optimizers.NETWORK_RATE = rate
         print(row(f"learning rate {rate:g}", published(log, vehicle), int(epochs)), flush=True)
     optimizers.NETWORK_RATE = 1e-3
-    problem.PHYSICS_LOSS = 1.0
+    problem.PHYSICS_LOSS = 1.0  # `Problem.terms` looks it up there
     print(row("lambda = 1", published(log, vehicle), int(epochs)), flush=True)
 
 

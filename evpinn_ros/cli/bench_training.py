@@ -38,7 +38,7 @@ def training(
     """
     one_thread()
     car = load_vehicle(vehicle)
-    drive = read_drive_log(log, car)
+    drive = read_drive_log(log, car).drive
     if deepxde_version() is None:
         note("DeepXDE is not installed and takes no part: pip install 'evpinn_ros[bench]'")
     with training_progress() as on_epoch:

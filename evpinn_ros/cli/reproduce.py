@@ -22,7 +22,7 @@ from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.report.reproduction_page import write_reproduction
-from evpinn_ros.reproduction.drive_log import read_drive_log
+from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
 from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, Settings
 from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.reproduction.results import results_of
@@ -31,7 +31,7 @@ from evpinn_ros.reproduction.tables import Table, all_tables
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.physics import RegenForm
 
-ENERGY_EPOCHS = 10_000
+ENERGY_EPOCHS = PUBLISHED_EPOCHS = 10_000
 QUICK_EPOCHS = {
     OptimizerName.ADAM: 300,
     OptimizerName.ADAM_LBFGS: 1200,
@@ -84,7 +84,9 @@ def reproduce(
     # One thread: small matrices gain nothing from two, and the same run gives the same bits.
     one_thread()
     car = load_vehicle(vehicle)
-    drive = read_drive_log(log, car, can_profile)
+    read = read_drive_log(log, car, can_profile)
+    folder = _new_folder(out or Path("out") / "reproduce" / log.stem)
+    note(_what_was_read(read))
     settings = Settings(
         optimizer=optimizer,
         epochs=epochs or (QUICK_EPOCHS if quick else DEFAULT_EPOCHS)[optimizer],
@@ -93,16 +95,31 @@ def reproduce(
         device=device.value,
         form=regen_form,
     )
-    folder = out or Path("out") / "reproduce" / log.stem
     label = _label(settings, quick)
     begin = time.perf_counter()
     with training_progress() as on_progress:
-        outcome = Experiment(drive, car, settings, folder).run(on_progress)
+        outcome = Experiment(read.drive, car, settings, folder).run(on_progress)
     note(f"trained and scored in {time.perf_counter() - begin:.0f} s")
     results.print(label, markup=False)
     for table in all_tables(outcome):
         _print(table)
-    _write(outcome, folder, log, label)
+    _write(outcome, read, folder, log, label)
+
+
+def _new_folder(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+    return folder
+
+
+def _what_was_read(read: ReadLog) -> str:
+    dropped = ", ".join(f"{count} {reason}" for reason, count in read.dropped.items())
+    return (
+        f"{len(read.drive.time)} samples, {read.drive.time[-1]:.0f} s; speed "
+        f"{1000 * read.delay:.0f} ms behind power, taken out; dropped: {dropped or 'nothing'}"
+    )
 
 
 def _label(settings: Settings, quick: bool) -> str:
@@ -110,7 +127,10 @@ def _label(settings: Settings, quick: bool) -> str:
         f"{settings.optimizer.value}, {settings.epochs} epochs (energy networks "
         f"{settings.energy_epochs}), seed {settings.seed}, eq. 21 as {settings.form.value}"
     )
-    return f"QUICK LOOK, not the paper's number of epochs: {text}" if quick else text
+    published = settings.optimizer is OptimizerName.ADAM and settings.epochs == PUBLISHED_EPOCHS
+    if quick:
+        return f"QUICK LOOK: {text}"
+    return f"as published: {text}" if published else f"not as published: {text}"
 
 
 @contextmanager
@@ -144,15 +164,19 @@ def _print(table: Table) -> None:
     results.print()
 
 
-def _write(outcome: Outcome, folder: Path, log: Path, label: str) -> None:
+def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str) -> None:
     """Report, results and what was found, each in the folder."""
     command = shlex.join(["evpinn", *sys.argv[1:]])
     report, numbers = folder / "report.html", folder / "results.json"
     state, vehicle = folder / "state.json", folder / "vehicle.yaml"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         write_reproduction(report, outcome, command, label)
-        text = json.dumps({"command": command, **results_of(outcome)}, indent=1, allow_nan=False)
+        found = {
+            "command": command,
+            "log": {"path": str(log), "delay_s": read.delay, "dropped": dict(read.dropped)},
+            **results_of(outcome),
+        }
+        text = json.dumps(found, indent=1, allow_nan=False)
         numbers.write_text(text + "\n", encoding="utf-8")
         write_estimator_state(state, outcome)
         write_vehicle_file(vehicle, outcome, log.name)

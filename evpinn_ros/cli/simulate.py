@@ -65,6 +65,8 @@ def simulate(
 
     Example: evpinn simulate drive --kind mixed --duration 900 --seed 7 --true mass=2050
     """
+    if equation is not None and hills != 100 * RMS_GRADE and hills != 0:
+        raise InputError("--hills: a car that obeys eq. 21 drives on a flat road")
     drive = simulate_drive(
         kind,
         load_vehicle(vehicle),

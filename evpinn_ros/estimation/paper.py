@@ -202,10 +202,15 @@ class PaperLearner:
             "covariance": self._trained.covariance.tolist(),
             "variance": self._variance,
             "fresh": self._fresh,
+            "regen_form": self._form.value,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take a saved state; Adam's memory starts anew."""
+        if state["regen_form"] != self._form.value:
+            raise ValueError(
+                f"saved with regen_form {state['regen_form']}, not {self._form.value}"
+            )
         network = deepcopy(self._trained.network)
         weights = torch.tensor(state["network"], dtype=torch.float32)
         log_scale = torch.tensor(state["log_scale"], dtype=torch.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.signals.road import GradeSource
-from evpinn_ros.signals.sample import MeasuredSample
+from evpinn_ros.signals.sample import MeasuredSample, TimeJump
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -21,7 +22,8 @@ MIN_SAMPLES = 100
 # causal. The paper differentiates an input and does not say how.
 SMOOTHING_AHEAD = 0.3  # s
 DELAYS = np.linspace(-0.4, 0.4, 41)  # s, candidates
-LEAST_GAIN = 0.01  # share of the residual that a delay must take away to be believed
+LEAST_GAIN = 0.01  # share of what is unexplained that a delay must take away to be believed
+MOST_UNEXPLAINED = 0.5  # share of the variance of power
 
 
 class DriveLog(NamedTuple):
@@ -44,38 +46,58 @@ class DriveLog(NamedTuple):
         return DriveLog(*(column[rows] for column in self))
 
 
-def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None) -> DriveLog:
+class ReadLog(NamedTuple):
+    """A log as it was read.
+
+    Attributes:
+        drive: its samples.
+        delay: of speed behind power, s, taken out.
+        dropped: what was not used, by reason.
+    """
+
+    drive: DriveLog
+    delay: float
+    dropped: Mapping[str, int]
+
+
+def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None) -> ReadLog:
     """Read a CSV, bag or CAN log; what is not finite or impossible is left out as on the road.
 
     Speed and power reach a log with different delays, and 50 ms more or less move C_rr by several
     percent. So the log is read twice: once to find the delay of speed, once without it.
 
     Raises:
-        InputError: no such log, or fewer than `MIN_SAMPLES` samples with speed and power.
+        InputError: no such log, fewer than `MIN_SAMPLES` samples with speed and power, or time
+            goes back.
     """
-    delay = speed_delay(_read(path, vehicle, can_profile, 0.0), vehicle)
-    return _read(path, vehicle, can_profile, delay)
+    drive, dropped = _read(path, vehicle, can_profile, 0.0)
+    delay = speed_delay(drive, vehicle)
+    if delay != 0.0:
+        drive, dropped = _read(path, vehicle, can_profile, delay)
+    return ReadLog(drive, delay, dropped)
 
 
 def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
-    """How much later than power speed was stamped, s: where eq. 21 leaves the least residual.
+    """How much later than power speed was stamped, s: where eq. 21 explains most of the power.
 
     Eq. 21 is linear in its combinations, so each candidate is one least squares. Zero where the
-    drive does not tell: the residual is as good without a delay, or least beyond the candidates.
+    drive does not tell: eq. 21 explains little of it, hardly more than without a delay, or most
+    beyond the candidates.
     """
-    left = np.array([_residual(log, vehicle, delay) for delay in DELAYS])
+    left = np.array([_unexplained(log, vehicle, delay) for delay in DELAYS])
     best = int(np.argmin(left))
     without = float(np.interp(0.0, DELAYS, left))
-    if best in (0, len(DELAYS) - 1) or left[best] > (1.0 - LEAST_GAIN) * without:
+    told = left[best] < MOST_UNEXPLAINED and left[best] < (1.0 - LEAST_GAIN) * without
+    if best in (0, len(DELAYS) - 1) or not told:
         return 0.0
     before, least, after = left[best - 1 : best + 2]
     bend = before - 2.0 * least + after
     offset = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
-    return float(DELAYS[best] + offset * (DELAYS[1] - DELAYS[0]))
+    return round(float(DELAYS[best] + offset * (DELAYS[1] - DELAYS[0])), 3)  # to the millisecond
 
 
-def _residual(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
-    """Mean square of what eq. 21 leaves, W^2, of power `delay` before each sample of speed."""
+def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
+    """Share of the variance of power, `delay` before each sample of speed, that eq. 21 leaves."""
     known = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
     _, speed, acceleration, _ = log.part(known)
     power = np.interp(log.time[known] - delay, log.time, log.power)
@@ -84,22 +106,27 @@ def _residual(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
     terms = (np.ones_like(speed), speed, speed**3, kinetic * braking, kinetic * ~braking)
     columns = np.stack(terms, axis=1)
     found, *_ = np.linalg.lstsq(columns, power, rcond=None)
-    return float(np.mean((power - columns @ found) ** 2))
+    variance = float(np.var(power))
+    return float(np.mean((power - columns @ found) ** 2)) / variance if variance > 0.0 else 1.0
 
 
-def _read(path: Path, vehicle: Vehicle, can_profile: str | None, delay: float) -> DriveLog:
+def _read(
+    path: Path, vehicle: Vehicle, can_profile: str | None, delay: float
+) -> tuple[DriveLog, dict[str, int]]:
     settings = StreamSettings(smoothing_lag=SMOOTHING_AHEAD, grade_source=GradeSource.NONE)
     stream = SampleStream(settings, vehicle.air_density)
     source = open_source(path, vehicle, can_profile)
     earlier_ns = round(delay * NANOSECONDS)
-    rows = [
-        (event.sample.stamp_ns, event.sample.speed, event.sample.acceleration, event.power)
-        for reading in source.readings()
-        for event in stream.push(_earlier(reading, earlier_ns))
-        if isinstance(event, MeasuredSample)
-    ]
+    rows = []
+    for reading in source.readings():
+        for event in stream.push(_earlier(reading, earlier_ns)):
+            if isinstance(event, TimeJump):
+                raise InputError(f"{path}: time goes back within the log; cut it there")
+            if isinstance(event, MeasuredSample):
+                sample = event.sample
+                rows.append((sample.stamp_ns, sample.speed, sample.acceleration, event.power))
+    dropped = {**source.dropped, **stream.dropped}
     if len(rows) < MIN_SAMPLES:
-        dropped = {**source.dropped, **stream.dropped}
         why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
         raise InputError(
             f"{path}: {len(rows)} samples with speed and power, the experiment needs "
@@ -107,9 +134,7 @@ def _read(path: Path, vehicle: Vehicle, can_profile: str | None, delay: float) -
         )
     stamps, speed, acceleration, power = zip(*rows, strict=True)
     time = (np.array(stamps) - stamps[0]) / NANOSECONDS
-    if not (np.diff(time) > 0).all():
-        raise InputError(f"{path}: time goes back within the log; cut it there")
-    return DriveLog(time, np.array(speed), np.array(acceleration), np.array(power))
+    return DriveLog(time, np.array(speed), np.array(acceleration), np.array(power)), dropped
 
 
 def _earlier(reading: Reading, shift_ns: int) -> Reading:

@@ -35,6 +35,7 @@ from torch import Tensor, nn
 
 from evpinn_ros.energy.rknn import ARGUMENTS, HIDDEN, energy_step, slopes
 from evpinn_ros.errors import InputError
+from evpinn_ros.reproduction.published import EnergyRow
 
 # For Fig. 8, 50 per decade as far as whole numbers go; the epochs of the table are among them.
 CURVE_EPOCHS = frozenset(round(10 ** (i / 50)) for i in range(201))
@@ -66,16 +67,6 @@ class StepData(NamedTuple):
     dt: np.ndarray
     energy: np.ndarray
     step_energy: np.ndarray
-
-
-class Losses(NamedTuple):
-    """Eq. 30 at one epoch, as means in units of the mean square energy of a step."""
-
-    epoch: int
-    rknn_train: float
-    rknn_val: float
-    dnn_train: float
-    dnn_val: float
 
 
 def step_data(
@@ -202,7 +193,7 @@ class EnergyTraining:
 
     def __init__(self, data: StepData, *, seed: int, device: str = "cpu") -> None:
         """Untrained networks on a device of torch; the seed draws their weights and the split."""
-        self.losses: list[Losses] = []
+        self.losses: list[EnergyRow] = []
         self._epoch, self._seed = 0, seed
         self._units = _Units(float(data.dt.mean()), float((data.step_energy**2).mean() ** 0.5))
         steps = self._units.scaled(data, torch.float32)
@@ -241,7 +232,7 @@ class EnergyTraining:
             if number in CURVE_EPOCHS:
                 with torch.no_grad():
                     rknn_val, dnn_val = self._networks.losses(self._validation).tolist()
-                self.losses.append(Losses(number, rknn, rknn_val, dnn, dnn_val))
+                self.losses.append(EnergyRow(number, rknn, rknn_val, dnn, dnn_val))
             self._adam.zero_grad()
             losses.sum().backward()  # type: ignore[no-untyped-call]
             self._adam.step()
@@ -263,7 +254,7 @@ class EnergyTraining:
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a `state` of the same data and seed."""
         self._epoch = int(state["epoch"])
-        self.losses = [Losses(int(row[0]), *row[1:]) for row in state["losses"].tolist()]
+        self.losses = [EnergyRow(int(row[0]), *row[1:]) for row in state["losses"].tolist()]
         own = self._networks.state_dict()
         self._networks.load_state_dict({name: state[f"networks_{name}"] for name in own})
         for index, weight in enumerate(self._networks.parameters()):

@@ -16,11 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.energy_network import EnergyTraining, StepData, step_data
-from evpinn_ros.reproduction.energy_network import Losses as EnergyLosses
 from evpinn_ros.reproduction.optimizers import INPUTS, OptimizerName
 from evpinn_ros.reproduction.parameter_fit import laplace_covariance
 from evpinn_ros.reproduction.power_training import PowerTraining
@@ -32,7 +30,7 @@ from evpinn_ros.reproduction.problem import (
     random_split,
     standstill_power,
 )
-from evpinn_ros.reproduction.published import PREDICTED, LossRow
+from evpinn_ros.reproduction.published import PREDICTED, EnergyRow, LossRow
 from evpinn_ros.reproduction.scores import (
     ParameterRow,
     PowerScore,
@@ -54,7 +52,7 @@ CHECKPOINT_VERSION = 1  # of what a file holds and of the constants it was train
 PROGRESS_EVERY = 10  # epochs
 RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
 NETWORK = "network"
-NULL = "null: line in time"
+NULLS = {RANDOM: "null: line in time", CHRONOLOGICAL: "null: last power held"}
 REGRESSION = "eq. 21, least squares"
 
 # Takes the title of a training, its epoch, its last epoch and the newest loss.
@@ -115,7 +113,7 @@ class Outcome:
     settings: Settings
     training: PowerTraining
     chronological: PowerTraining
-    energy_rows: list[EnergyLosses]
+    energy_rows: list[EnergyRow]
     scores: list[Scored]
     parameters: list[ParameterRow]
     combinations: list[ParameterRow]
@@ -159,17 +157,15 @@ class Experiment:
         later = self._power("chronological split", chronological_split(count), on_progress)
         energy = self._energy(steps, on_progress)
         problem, optimizer = training.problem, training.optimizer
-        covariance = drift_included(
-            self._vehicle,
-            optimizer.log_scale,
-            laplace_covariance(
-                problem, problem.training, problem.training.power, optimizer.log_scale.detach()
-            ),
+        covariance = laplace_covariance(
+            problem, problem.training, problem.training.power, optimizer.log_scale.detach()
         )
+        if settings.optimizer is not OptimizerName.GAUSS_NEWTON:
+            covariance = drift_included(self._vehicle, optimizer.log_scale, covariance)
         values = problem.values(optimizer.log_scale)
         predicted = problem.predicted_power(optimizer.network, log)
         rknn, dnn = energy.integrate(log.time, log.power)
-        rows = (self._vehicle, values, covariance, UNOBSERVABLE_ABOVE)
+        rows = (self._vehicle, values, covariance, settings.form)
         return Outcome(
             log=log,
             vehicle=self._vehicle,
@@ -278,7 +274,7 @@ def _scores(training: PowerTraining, split: str) -> list[Scored]:
     powers = {
         NETWORK: problem.predicted_power(training.optimizer.network, held),
         REGRESSION: least_squares_power(problem)[0],
-        NULL: interpolated_power(log.part(rows.training), held),
+        NULLS[split]: interpolated_power(log.part(rows.training), held),
     }
     return [
         Scored(method, split, power_score(power, held.power, problem.scale))

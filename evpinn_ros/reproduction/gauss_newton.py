@@ -58,7 +58,8 @@ def gauss_newton_step(
         factor, failed = torch.linalg.cholesky_ex(system)
         if not failed:
             dual = torch.cholesky_solve((target - output)[:, None], factor)
-            return _weights(activations, derivatives, dual)
+            step = _weights(activations, derivatives, dual)
+            return step if torch.isfinite(step).all() else torch.zeros_like(step)
         damping *= 10.0
     return torch.zeros_like(network.vector())
 

@@ -21,7 +21,7 @@ from evpinn_ros.estimation.paper import CORRELATED_SAMPLES, LEARNED, LEAST_NOISE
 from evpinn_ros.reproduction.problem import Problem, Samples
 from evpinn_ros.vehicle.files import Vehicle
 
-ITERATIONS = 20
+ITERATIONS = 20  # at most
 CONVERGED = 1e-5  # of z: far below any 1-sigma, and within reach of single precision
 LONGEST_STEP = 0.5  # of z: a Gauss-Newton step further than this leaves where it is valid
 
@@ -51,7 +51,6 @@ def fit_parameters(
     samples: Samples,
     power: torch.Tensor,
     start: torch.Tensor | None = None,
-    iterations: int = ITERATIONS,
 ) -> ParameterFit:
     """Gauss-Newton on z.
 
@@ -60,14 +59,13 @@ def fit_parameters(
         samples: where `power` holds.
         power: normalised, shape (n,): measured, or what a network says.
         start: z to begin at, the initial values if None.
-        iterations: at most.
     """
     log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
     if start is not None:
         log_scale = start.detach().clone()
     precision = np.diag(prior_std(problem.vehicle) ** -2.0)
     converged = False
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         curvature, slope = _normal_equations(problem, samples, power, log_scale)
         z = log_scale.double().cpu().numpy()
         step = np.linalg.solve(curvature + precision, slope - precision @ z)

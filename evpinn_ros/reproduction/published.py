@@ -31,7 +31,10 @@ class LossRow(NamedTuple):
 
 
 class EnergyRow(NamedTuple):
-    """Losses of eq. 30 at one epoch, as a row pair of Table IV."""
+    """Losses of eq. 30 at one epoch, as a row pair of Table IV.
+
+    Ours are means in units of the mean square energy of a step.
+    """
 
     epoch: int
     rknn_training: float

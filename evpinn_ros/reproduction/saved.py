@@ -16,9 +16,11 @@ from evpinn_ros.estimation.paper import LEARNED, POWER_SCALE, SPEED_SCALE, WINDO
 from evpinn_ros.estimation.state_file import write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.reproduction.experiment import Outcome
+from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem
 from evpinn_ros.vehicle.files import CONSTANTS, OPTIONAL_CONSTANTS, load_vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+from evpinn_ros.vehicle.physics import RegenForm
 
 LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one day to the next
 
@@ -62,6 +64,7 @@ def write_estimator_state(path: Path, outcome: Outcome) -> None:
         "covariance": outcome.covariance.tolist(),
         "variance": float(np.mean(residual**2)),
         "fresh": False,
+        "regen_form": outcome.settings.form.value,
     }
     state = {**estimator.export(), "learner": learner}
     estimator.restore(state)
@@ -71,15 +74,24 @@ def write_estimator_state(path: Path, outcome: Outcome) -> None:
 def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
     """Write the vehicle with what was found as its priors, and read it back.
 
+    A vehicle file's mu is that of the form `wheel_power`, which `hybrid` and simulation use; the
+    paper's is another quantity. So mu comes from a fit of that form to the same samples.
+
     Raises:
         OSError: the file cannot be written.
         InputError: it would not be a valid vehicle file.
     """
     vehicle = outcome.vehicle
     source = f"evpinn reproduce {log_name}, from vehicle file {vehicle.key}"
-    values = possible(outcome.values)
-    relative_std = np.sqrt(np.diag(outcome.covariance))
-    relative = dict(zip(LEARNED, relative_std.tolist(), strict=True))
+    problem = Problem(
+        outcome.log, vehicle, outcome.training.problem.split, form=RegenForm.WHEEL_POWER
+    )
+    fit = fit_parameters(problem, problem.training, problem.training.power)
+    found = outcome.values._replace(mu=problem.values(fit.log_scale).mu)
+    values = possible(found, outcome.settings.form)
+    variance = np.diag(outcome.covariance).copy()
+    variance[LEARNED.index("mu")] = np.diag(fit.covariance)[LEARNED.index("mu")]
+    relative = dict(zip(LEARNED, np.sqrt(variance).tolist(), strict=True))
     document: dict[str, Any] = {"name": vehicle.name}
     if vehicle.can_profile is not None:
         document["can_profile"] = vehicle.can_profile
@@ -102,15 +114,18 @@ def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
     load_vehicle(path)
 
 
-def possible(values: Parameters) -> Parameters:
+def possible(values: Parameters, form: RegenForm) -> Parameters:
     """The nearest possible car: eta <= 1 and everything within its limits.
 
     Descent may carry (eta, mass, C_d) along the direction no data determine, past eta = 1. Sliding
-    all three back together changes no power.
+    all three back together changes no power; in the form `wheel_power` mu slides the other way.
     """
     excess = max(1.0, values.eta / LIMITS["eta"].upper)
     slid = values._replace(
-        eta=values.eta / excess, mass=values.mass / excess, c_d=values.c_d / excess
+        eta=values.eta / excess,
+        mu=values.mu * (excess if form is RegenForm.WHEEL_POWER else 1.0),
+        mass=values.mass / excess,
+        c_d=values.c_d / excess,
     )
     return Parameters(
         *(float(np.clip(getattr(slid, name), *LIMITS[name])) for name in PARAMETER_NAMES)

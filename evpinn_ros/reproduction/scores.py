@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,13 +11,17 @@ import torch
 
 from evpinn_ros.energy.quadrature import CompensatedSum
 from evpinn_ros.estimation.paper import LEARNED
+from evpinn_ros.estimation.parameter_set import VALID_BELOW
 from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.reproduction.energy_network import MAX_GAP
 from evpinn_ros.reproduction.parameter_fit import fit_parameters, prior_std
 from evpinn_ros.reproduction.problem import PowerScale, Problem
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
+GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
+TOLD_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
 # The combinations that enter eq. 21, as exponents of the parameters.
 COMBINATIONS = {
     "mass_over_eta": {"mass": 1.0, "eta": -1.0},
@@ -23,7 +29,11 @@ COMBINATIONS = {
     "c_rr": {"c_rr": 1.0},
     "mu": {"mu": 1.0},
 }
-MAX_STEP = 2.5  # s: samples further apart are not joined by a line
+# In the form `wheel_power` braking comes back by eta mu.
+WHEEL_POWER_COMBINATIONS = {
+    **{name: COMBINATIONS[name] for name in ("mass_over_eta", "drag_area_over_eta", "c_rr")},
+    "regeneration": {"eta": 1.0, "mu": 1.0},
+}
 
 
 class PowerScore(NamedTuple):
@@ -60,7 +70,10 @@ def power_score(predicted: np.ndarray, measured: np.ndarray, scale: PowerScale) 
 
 
 def interpolated_power(training: DriveLog, validation: DriveLog) -> np.ndarray:
-    """The null of a random split: a line in time between the neighbours trained on, W."""
+    """The null: a line in time between the neighbours trained on, W.
+
+    After the last of them, as under a chronological split, its power is held.
+    """
     return np.asarray(np.interp(validation.time, training.time, training.power))
 
 
@@ -100,7 +113,7 @@ def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
     With P(t + dt/2) between two samples on their line, RK4 is this very sum.
     """
     steps = np.diff(time)
-    parts = np.where(steps <= MAX_STEP, 0.5 * (power[1:] + power[:-1]) * steps, 0.0)
+    parts = np.where(steps <= MAX_GAP, 0.5 * (power[1:] + power[:-1]) * steps, 0.0)
     total = CompensatedSum()
     energy = [0.0]
     for part in parts:
@@ -114,10 +127,11 @@ def drift_included(
 ) -> np.ndarray:
     """Covariance of z plus how far it drifted without the data's support, shape (5, 5).
 
-    No prior holds the paper's parameters: where the data say nothing, descent lets them go.
+    No prior holds the paper's parameters: where the data say nothing, descent lets them go. The
+    part of z that the priors alone would pull back is C S^-1 z, with S the priors' covariance.
     """
-    share = np.minimum(1.0, np.diag(covariance) / prior_std(vehicle) ** 2)
-    drift = share * log_scale.detach().double().cpu().numpy()
+    z = log_scale.detach().double().cpu().numpy()
+    drift = covariance @ (z / prior_std(vehicle) ** 2)
     return covariance + np.outer(drift, drift)
 
 
@@ -142,53 +156,51 @@ class ParameterRow(NamedTuple):
 
 
 def parameter_rows(
-    vehicle: Vehicle, values: Parameters, covariance: np.ndarray, undetermined_above: float
+    vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
 ) -> list[ParameterRow]:
-    """Rows of Table V from the covariance of the log parameters, shape (5, 5)."""
+    """Rows of Table V from the covariance of the log parameters, shape (5, 5).
+
+    eta, mass and C_d scale together without changing any power, so no data determine them alone.
+    """
+    free = GAUGE_FREE if form is not RegenForm.WHEEL_POWER else ("c_rr",)
     rows = []
     for index, name in enumerate(LEARNED):
         prior = vehicle.priors[name]
         variance = float(covariance[index, index])
         share = min(1.0, variance / (prior.std / prior.value) ** 2)
         value = float(getattr(values, name))
-        rows.append(
-            ParameterRow(
-                name, prior.value, value, variance**0.5 * value, share, share < undetermined_above
-            )
-        )
+        told = name in free and share < TOLD_BELOW
+        rows.append(ParameterRow(name, prior.value, value, variance**0.5 * value, share, told))
     return rows
 
 
 def combination_rows(
-    vehicle: Vehicle, values: Parameters, covariance: np.ndarray, undetermined_above: float
+    vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
 ) -> list[ParameterRow]:
-    """The combinations that enter eq. 21: m/eta, A C_d/eta, C_rr and mu, likewise."""
+    """The combinations that enter eq. 21, likewise."""
     prior_covariance = np.diag(prior_std(vehicle) ** 2)
-    before, after = (combinations(p, vehicle.frontal_area) for p in (vehicle.initial, values))
+    area = vehicle.frontal_area
+    before, after = (combinations(p, area, form) for p in (vehicle.initial, values))
     rows = []
-    for name, weights in COMBINATIONS.items():
+    for name, weights in _exponents(form).items():
         vector = np.array([weights.get(parameter, 0.0) for parameter in LEARNED])
         variance = float(vector @ covariance @ vector)
         share = min(1.0, variance / float(vector @ prior_covariance @ vector))
-        rows.append(
-            ParameterRow(
-                name,
-                before[name],
-                after[name],
-                variance**0.5 * after[name],
-                share,
-                share < undetermined_above,
-            )
-        )
+        std = variance**0.5 * after[name]
+        rows.append(ParameterRow(name, before[name], after[name], std, share, share < TOLD_BELOW))
     return rows
 
 
-def combinations(parameters: Parameters, area: float) -> dict[str, float]:
-    """Values of `COMBINATIONS`; area in m^2."""
-    values = {
-        "mass_over_eta": parameters.mass / parameters.eta,
-        "drag_area_over_eta": area * parameters.c_d / parameters.eta,
-        "c_rr": parameters.c_rr,
-        "mu": parameters.mu,
+def combinations(parameters: Parameters, area: float, form: RegenForm) -> dict[str, float]:
+    """Values of the combinations that enter eq. 21 in a form; area in m^2."""
+    values = parameters._asdict()
+    found = {
+        name: math.prod(float(values[p]) ** power for p, power in weights.items())
+        for name, weights in _exponents(form).items()
     }
-    return {name: float(value) for name, value in values.items()}
+    found["drag_area_over_eta"] *= area
+    return found
+
+
+def _exponents(form: RegenForm) -> Mapping[str, Mapping[str, float]]:
+    return WHEEL_POWER_COMBINATIONS if form is RegenForm.WHEEL_POWER else COMBINATIONS

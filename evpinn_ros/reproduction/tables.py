@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from evpinn_ros.errors import InputError
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.published import (
     COMPARED,
@@ -22,6 +21,7 @@ from evpinn_ros.vehicle.parameters import Parameters
 
 JOULES_PER_WH = 3600.0
 UNKNOWN = "-"
+FOUR = ("eta", "mass", "c_rr", "c_d")
 DIGITS = {
     "eta": 4,
     "mu": 4,
@@ -30,6 +30,7 @@ DIGITS = {
     "c_d": 4,
     "mass_over_eta": 0,
     "drag_area_over_eta": 4,
+    "regeneration": 4,
 }
 TITLES = {
     "mass": "mass, kg",
@@ -74,7 +75,8 @@ def power_loss_table(outcome: Outcome) -> Table:
     columns = ["epoch", *Losses._fields, *(f"paper: {name}" for name in Losses._fields)]
     note = (
         "T training, V validation, under the paper's random split. Power normalised to [-1, 1]; "
-        "physics holds lambda = 0.1. The paper does not state its normalisation."
+        "physics holds lambda = 0.1. The paper does not state its normalisation. Epoch n is after "
+        "the n-th step."
     )
     title = f"Table {number}: loss of the power network ({outcome.settings.optimizer.value})"
     return Table(title, columns, rows, note)
@@ -94,7 +96,9 @@ def energy_loss_table(outcome: Outcome) -> Table:
         "Table IV: loss of the energy networks",
         ["epoch", "RKNN", "DNN", "paper RKNN", "paper DNN"],
         rows,
-        "Energy of a step over its RMS. P(t + dt/2) is the mean of both ends.",
+        "Energy of a step over its RMS. P(t + dt/2) is the mean of both ends. Epoch n is before "
+        "the n-th step. One epoch's value is luck: at a constant rate late losses jump a "
+        "hundredfold, see Fig. 8.",
     )
 
 
@@ -119,13 +123,15 @@ def parameter_table(outcome: Outcome) -> Table:
         rows,
         "The paper calls the distance from the initial guess an error; no truth is known. "
         "Prior: share of the variance that the data did not take away; told: whether the data "
-        "determine it. Fit: eq. 21 by least squares, without a network.",
+        "determine it, which they cannot for eta, mass and C_d alone. Fit: eq. 21 by least "
+        "squares, without a network.",
     )
 
 
 def combination_table(outcome: Outcome) -> Table:
     """What eq. 21 lets data determine at all."""
-    fitted = combinations(outcome.regression, outcome.vehicle.frontal_area)
+    area, form = outcome.vehicle.frontal_area, outcome.settings.form
+    fitted = combinations(outcome.regression, area, form)
     rows = [
         [
             _title(row.name),
@@ -141,7 +147,8 @@ def combination_table(outcome: Outcome) -> Table:
         "What the data can determine",
         ["", "guess", "found, 1-sigma", "prior", "told", "paper", "fit"],
         rows,
-        "(eta, mass, C_d) scaled together change no power: only these combinations enter eq. 21.",
+        "(eta, mass, C_d) scaled together, and in the form wheel_power mu the other way, change "
+        "no power: only these combinations enter eq. 21.",
     )
 
 
@@ -149,16 +156,8 @@ def vehicle_table(outcome: Outcome) -> Table:
     """Table VI, the values of the vehicle files beside the paper's."""
     rows = []
     for compared in COMPARED:
-        try:
-            known = load_vehicle(compared.vehicle).initial
-        except InputError:
-            known = None
-        cells = [
-            _number(name, getattr(compared, name))
-            + ("" if known is None else f" ({_number(name, getattr(known, name))})")
-            for name in ("eta", "mass", "c_rr", "c_d")
-        ]
-        rows.append([compared.title, *cells])
+        rows.append([compared.title, *(_number(n, getattr(compared, n)) for n in FOUR)])
+        rows.append(["  our vehicle file", *_four(load_vehicle(compared.vehicle).initial)])
     for key, title in (("tesla_model_3_lr", "Model 3 LR"), ("tesla_model_s", "Model S")):
         rows.append([f"paper, {title}", *_four(PREDICTED[key])])
     rows.append([f"found here, {outcome.vehicle.name}", *_four(outcome.values)])
@@ -166,7 +165,7 @@ def vehicle_table(outcome: Outcome) -> Table:
         "Table VI: compared with other vehicles",
         ["vehicle", "eta", "mass, kg", "C_rr", "C_d"],
         rows,
-        "As the paper prints it; in brackets the prior of our vehicle file.",
+        "As the paper prints it, and the priors of the vehicle file that comes with this package.",
     )
 
 
@@ -236,7 +235,10 @@ def _published_combination(outcome: Outcome, row: ParameterRow) -> str:
     published = PREDICTED.get(outcome.vehicle.key)
     if published is None:
         return UNKNOWN
-    return _number(row.name, combinations(published, outcome.vehicle.frontal_area)[row.name])
+    return _number(
+        row.name,
+        combinations(published, outcome.vehicle.frontal_area, outcome.settings.form)[row.name],
+    )
 
 
 def _knowledge(row: ParameterRow) -> list[str]:
@@ -244,7 +246,7 @@ def _knowledge(row: ParameterRow) -> list[str]:
 
 
 def _four(values: Parameters) -> list[str]:
-    return [_number(name, getattr(values, name)) for name in ("eta", "mass", "c_rr", "c_d")]
+    return [_number(name, getattr(values, name)) for name in FOUR]
 
 
 def _title(name: str) -> str:

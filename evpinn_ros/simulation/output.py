@@ -42,12 +42,18 @@ def truth_document(drive: SimulatedDrive) -> dict[str, Any]:
     `hidden` says how the car departs from the five-parameter model; no estimator may read it.
     """
     truth = drive.truth
-    return {
+    drive_of = {
         "vehicle": drive.vehicle.key,
         "kind": drive.kind.value,
         "duration_s": drive.duration_s,
         "seed": drive.seed,
         "parameters": _plain(truth.parameters._asdict()),
+    }
+    if drive.equation is not None:
+        # What data tell of these parameters depends on the form; they are the definition.
+        return {**drive_of, "definitions": f"eq. 21, regen_form {drive.equation.value}"}
+    return {
+        **drive_of,
         "identifiable": _plain(truth.identifiable._asdict()),
         "definitions": dict(DEFINITIONS),
         "hidden": _plain(_hidden(drive)),

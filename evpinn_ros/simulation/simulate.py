@@ -44,6 +44,7 @@ class SimulatedDrive:
         car: the car that was driven; give it to `simulate` to drive it again.
         trace: every true signal at 100 Hz.
         truth: the true parameters, as `truth` defines them.
+        equation: the form of eq. 21 that the car obeys, None for a car with a map of losses.
     """
 
     vehicle: Vehicle
@@ -54,6 +55,7 @@ class SimulatedDrive:
     car: Car
     trace: Trace
     truth: Truth
+    equation: RegenForm | None = None
 
     @property
     def duration_s(self) -> float:
@@ -106,7 +108,9 @@ def simulate(
     steepness = rms_grade if equation is None else 0.0
     motion = motion_on(hilly_road(steepness, hills), drive_speed(kind, duration_s, route))
     around = draw_surroundings(motion.time, weather)
-    if equation is not None and not isinstance(car, Car):
+    if equation is not None:
+        if isinstance(car, Car):
+            raise InputError("a car that was driven before has a map of losses, not eq. 21")
         parameters = _wish(vehicle, car or {}, factory)
         car = equation_car(vehicle, parameters, factory)
         trace = drive_equation_car(car, parameters, motion, equation, vehicle.beta)
@@ -122,7 +126,9 @@ def simulate(
     if temperature:
         extra += temperatures(trace, ambient_celsius(car.air_density), start_ns, sensors)
     readings = sorted((*told.readings, *extra), key=attrgetter("stamp_ns"))
-    return SimulatedDrive(vehicle, kind, seed, told.frames, tuple(readings), car, trace, truth)
+    return SimulatedDrive(
+        vehicle, kind, seed, told.frames, tuple(readings), car, trace, truth, equation
+    )
 
 
 def _wish(vehicle: Vehicle, named: Mapping[str, float], rng: np.random.Generator) -> Parameters:

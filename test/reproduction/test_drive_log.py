@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 import torch
 
+from evpinn_ros.can.logs import write_log
 from evpinn_ros.errors import InputError
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log, speed_delay
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.reproduction.scores import combinations
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import Vehicle
 from test.reproduction.conftest import TRUE
 
@@ -29,12 +32,12 @@ def test_log_is_read_with_its_acceleration(
     tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
     log = make_log(noise=0.0)
-    read = read_drive_log(write_csv(tmp_path / "a.csv", log), vehicle)
+    read = read_drive_log(write_csv(tmp_path / "a.csv", log), vehicle).drive
     assert len(read.time) > 380
     problem = Problem(read, vehicle, random_split(len(read.time), 0), dtype=torch.float64)
     fit = fit_parameters(problem, problem.training, problem.training.power)
-    found = combinations(problem.values(fit.log_scale), vehicle.frontal_area)
-    truth = combinations(TRUE, vehicle.frontal_area)
+    found = combinations(problem.values(fit.log_scale), vehicle.frontal_area, problem.form)
+    truth = combinations(TRUE, vehicle.frontal_area, problem.form)
     assert found["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.02)
     assert found["mu"] == pytest.approx(truth["mu"], rel=0.02)
     assert all(np.isfinite(column).all() for column in read)
@@ -68,9 +71,18 @@ def test_cells_that_are_no_numbers_are_left_out(
     lines[50] = "4.900,nan,inf"
     lines[120] = "11.900,,"
     path.write_text("\n".join(lines))
-    log = read_drive_log(path, vehicle)
-    assert len(log.time) > 370
-    assert all(np.isfinite(column).all() for column in log)
+    read = read_drive_log(path, vehicle)
+    assert len(read.drive.time) > 370
+    assert all(np.isfinite(column).all() for column in read.drive)
+    assert sum(read.dropped.values()) >= 2
+
+
+def test_time_that_goes_back_is_refused(tmp_path: Path, vehicle: Vehicle) -> None:
+    """Two drives in one CAN log, the second with the stamps of the first."""
+    frames = simulate(DriveKind.URBAN, vehicle, 30.0, 1).frames
+    write_log(tmp_path / "twice.log", [*frames, *frames])
+    with pytest.raises(InputError, match=r"twice\.log: time goes back"):
+        read_drive_log(tmp_path / "twice.log", vehicle)
 
 
 def test_only_bad_cells_are_named(
@@ -86,7 +98,9 @@ def test_only_bad_cells_are_named(
 def test_constant_speed_is_read_without_a_delay(
     tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
-    path = write_csv(tmp_path / "flat.csv", make_log(np.full(400, 20.0), noise=0.0))
-    log = read_drive_log(path, vehicle)
+    made = make_log(np.full(400, 20.0))
+    log = read_drive_log(write_csv(tmp_path / "flat.csv", made), vehicle).drive
     assert log.speed == pytest.approx(20.0)
     assert np.abs(log.acceleration).max() < 1e-6
+    assert speed_delay(made, vehicle) == 0.0
+    assert speed_delay(make_log(np.zeros(400)), vehicle) == 0.0

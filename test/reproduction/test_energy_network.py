@@ -157,7 +157,7 @@ def test_losses_are_eq_30_over_the_mean_square_step():
         torch.nn.init.zeros_(weights)
     run.run_to(1)
     losses = run.losses[0]
-    for train, validation in ((losses.rknn_train, losses.rknn_val), losses[3:]):
+    for train, validation in ((losses.rknn_training, losses.rknn_validation), losses[3:]):
         assert 0.8 * train + 0.2 * validation == pytest.approx(1.0, rel=1e-5)
 
 
@@ -195,7 +195,7 @@ def test_every_epoch_is_told(trained):
     run = training()
     run.run_to(4, lambda *heard: told.append(heard))
     run.run_to(2, lambda *heard: told.append(heard))
-    assert told == [(row.epoch, row.rknn_train) for row in trained.losses[:4]]
+    assert told == [(row.epoch, row.rknn_training) for row in trained.losses[:4]]
 
 
 def test_the_seed_leaves_the_random_numbers_of_the_caller_alone():

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,6 +15,7 @@ from evpinn_ros.reproduction.power_training import PowerTraining, curve_epochs
 from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.reproduction.scores import combinations
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.physics import RegenForm
 from test.reproduction.conftest import TRUE
 
 
@@ -75,8 +77,8 @@ def test_ours_finds_the_true_combinations(
     training = begin(OptimizerName.GAUSS_NEWTON, 60)
     training.run_to(60)
     values = training.problem.values(training.optimizer.log_scale)
-    found = combinations(values, vehicle.frontal_area)
-    truth = combinations(TRUE, vehicle.frontal_area)
+    found = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
+    truth = combinations(TRUE, vehicle.frontal_area, RegenForm.RECOVERY)
     for name in ("mass_over_eta", "mu", "c_rr"):
         assert found[name] == pytest.approx(truth[name], rel=0.05)
 
@@ -107,5 +109,16 @@ def test_checkpoint_of_other_settings_or_broken_is_none(tmp_path) -> None:
     assert load_checkpoint(path, "y") is None
     kept = load_checkpoint(path, "x")
     assert kept is not None and torch.equal(kept["weights"], torch.arange(4.0))
-    path.write_bytes(path.read_bytes()[:100])
+    np.savez(path, settings=np.array("x"), names=np.array(["state/gone"]))
     assert load_checkpoint(path, "x") is None
+    with path.open("wb") as file:
+        np.save(file, np.arange(3))
+    assert load_checkpoint(path, "x") is None
+    path.write_bytes(path.read_bytes()[:10])
+    assert load_checkpoint(path, "x") is None
+
+
+def test_a_folder_that_is_a_file_is_said(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        save_checkpoint(tmp_path / "file" / "a.npz", "x", {"weights": torch.zeros(1)})

@@ -75,16 +75,19 @@ def test_vehicle_file_is_valid_and_holds_what_was_found(outcome: Outcome, tmp_pa
     path = tmp_path / "found.yaml"
     write_vehicle_file(path, outcome, "drive.csv")
     read = load_vehicle(path)
-    values = possible(outcome.values)
-    assert read.initial == pytest.approx(values, rel=1e-6)
+    values = possible(outcome.values, outcome.settings.form)
+    for name in ("eta", "mass", "c_rr", "c_d", "p_aux"):
+        assert getattr(read.initial, name) == pytest.approx(getattr(values, name), rel=1e-6)
+    assert 0.7 < read.initial.mu <= 1.0  # that of `wheel_power`, whatever the experiment's form
     assert read.frontal_area == outcome.vehicle.frontal_area
     assert read.can_profile == outcome.vehicle.can_profile
     assert "drive.csv" in read.priors["eta"].source
 
 
-def test_an_impossible_eta_slides_back_without_changing_power(vehicle: Vehicle) -> None:
+@pytest.mark.parametrize("form", RegenForm)
+def test_an_impossible_eta_slides_back_without_changing_power(form: RegenForm) -> None:
     found = Parameters(eta=1.25, mu=0.6, mass=1500.0, c_rr=0.01, c_d=0.3, p_aux=800.0)
-    slid = possible(found)
+    slid = possible(found, form)
     assert slid.eta == 1.0
     speed, acceleration = np.array([5.0, 20.0, 30.0]), np.array([1.0, -1.0, 0.0])
     powers = [
@@ -94,7 +97,7 @@ def test_an_impossible_eta_slides_back_without_changing_power(vehicle: Vehicle) 
             parameters,
             area=2.2,
             air_density=1.2,
-            form=RegenForm.RECOVERY,
+            form=form,
             beta=-0.045,
         )
         for parameters in (found, slid)
@@ -102,9 +105,18 @@ def test_an_impossible_eta_slides_back_without_changing_power(vehicle: Vehicle) 
     assert powers[0] == pytest.approx(powers[1])
 
 
+def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    write_estimator_state(path, outcome)
+    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=RegenForm.PRINTED)
+    estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
+    with pytest.raises(ValueError, match="regen_form recovery, not printed"):
+        estimator.restore(read_state(path))
+
+
 def test_what_lies_outside_the_limits_is_brought_in() -> None:
     wild = Parameters(eta=0.5, mu=1.7, mass=1e6, c_rr=1e-9, c_d=0.2, p_aux=500.0)
-    for name, value in possible(wild)._asdict().items():
+    for name, value in possible(wild, RegenForm.RECOVERY)._asdict().items():
         assert LIMITS[name].lower <= value <= LIMITS[name].upper
 
 
@@ -128,6 +140,7 @@ def test_finished_trainings_are_not_run_again(
 ) -> None:
     settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=12, energy_epochs=12)
     first = Experiment(make_log(), vehicle, settings, tmp_path).run(lambda *_: None)
+    kept = sorted(path.name for path in tmp_path.iterdir())
     told: list[str] = []
     again = Experiment(make_log(), vehicle, settings, tmp_path).run(
         lambda title, *_: told.append(title)
@@ -137,3 +150,4 @@ def test_finished_trainings_are_not_run_again(
     other = replace(settings, seed=1)
     Experiment(make_log(), vehicle, other, tmp_path).run(lambda title, *_: told.append(title))
     assert set(told) == {"power network", "chronological split", "energy networks"}
+    assert set(kept) < {path.name for path in tmp_path.iterdir()}  # nothing was thrown away

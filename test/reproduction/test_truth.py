@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem, random_split
@@ -24,7 +23,7 @@ def driven(kind: DriveKind, vehicle: Vehicle, folder: Path) -> tuple[DriveLog, P
     write(drive, folder)
     truth = read_truth(folder)
     assert truth is not None
-    return read_drive_log(folder, vehicle), truth
+    return read_drive_log(folder, vehicle).drive, truth
 
 
 @pytest.mark.parametrize("kind", [DriveKind.URBAN, DriveKind.MIXED])
@@ -33,11 +32,11 @@ def test_eq_21_finds_the_truth(kind: DriveKind, vehicle: Vehicle, tmp_path: Path
     log, truth = driven(kind, vehicle, tmp_path / "drive")
     problem = Problem(log, vehicle, random_split(len(log.time), 0), dtype=torch.float64)
     z, covariance, _ = fit_parameters(problem, problem.training, problem.training.power)
-    found = combinations(problem.values(z), vehicle.frontal_area)
-    expected = combinations(truth, vehicle.frontal_area)
+    found = combinations(problem.values(z), vehicle.frontal_area, problem.form)
+    expected = combinations(truth, vehicle.frontal_area, problem.form)
     for name in ("mass_over_eta", "c_rr", "mu"):
         assert found[name] == pytest.approx(expected[name], rel=0.02), name
-    arguments = (vehicle, problem.values(z), covariance, UNOBSERVABLE_ABOVE)
+    arguments = (vehicle, problem.values(z), covariance, problem.form)
     told = {row.name: row.prior_share for row in combination_rows(*arguments)}
     alone = {row.name: row.prior_share for row in parameter_rows(*arguments)}
     assert max(told[name] for name in ("mass_over_eta", "mu")) < 0.05
