@@ -232,7 +232,7 @@ def test_all_in_one_plays_a_log_and_records_everything(bench, urban, tmp_path):
     values = {
         "vehicle": "tesla_model_3_lr",
         "log_file": str(tmp_path / "drive.log"),
-        "log_rate": 10.0,
+        "log_rate": 5.0,
     }
     with process("-c", ALL_IN_ONE, json.dumps(values), tmp_path / "bag"):
         bench.listen(topics.DIAGNOSTICS)
