@@ -33,6 +33,7 @@ from evpinn_ros.reproduction.problem import InputForm, Problem
 
 ADAM_EPOCHS_BEFORE_LBFGS = 1000
 LBFGS_MEMORY = 50
+LBFGS_EVALUATIONS = 25  # of the loss in one line search
 
 BATCH = 1000  # samples of a Gauss-Newton step: the unknowns of its system
 STEP = 0.5  # share of the Gauss-Newton step taken: a batch is not the drive
@@ -174,7 +175,11 @@ class AdamThenLbfgs(Adam):
         super().__init__(problem, seed)
         self._epoch = 0
         self._lbfgs = torch.optim.LBFGS(
-            self.trained(), max_iter=1, history_size=LBFGS_MEMORY, line_search_fn="strong_wolfe"
+            self.trained(),
+            max_iter=1,
+            max_eval=LBFGS_EVALUATIONS,  # PyTorch's default for one iteration is one: no step
+            history_size=LBFGS_MEMORY,
+            line_search_fn="strong_wolfe",
         )
 
     def step(self) -> None:
