@@ -71,7 +71,25 @@ class Terms:
         return np.array(row[: self._count]) * self.spread
 
 
-class RecursiveLeastSquares:
+class _Regression:
+    """Power that is linear in its terms; how the coefficients are found is the heirs' matter."""
+
+    def __init__(self, vehicle: Vehicle, count: int) -> None:
+        self._terms = Terms(vehicle, count)
+        self._weights = self._terms.start.copy()
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """Present coefficients of the module's text, SI, shape (count,)."""
+        return self._weights * self._terms.spread
+
+    def predict(self, sample: Sample) -> PowerPrediction:
+        """Power of the present coefficients, W."""
+        power = float(self._terms.row(sample) @ self._weights)
+        return PowerPrediction(power + sample.known_auxiliary, math.nan)
+
+
+class RecursiveLeastSquares(_Regression):
     """Recursive least squares with exponential forgetting and Huber's weight.
 
     Haykin, Adaptive Filter Theory, ch. 10. While the data say nothing, as at standstill, nothing
@@ -87,21 +105,10 @@ class RecursiveLeastSquares:
         huber: float = HUBER,
     ) -> None:
         """Start from the vehicle's priors, with this many terms."""
-        self._terms = Terms(vehicle, count)
+        super().__init__(vehicle, count)
         self._forgetting, self._huber = forgetting, huber
-        self._weights = self._terms.start.copy()
         self._covariance = np.eye(count)
         self._variance = NOISE**2
-
-    @property
-    def coefficients(self) -> np.ndarray:
-        """Present coefficients of the module's text, SI, shape (count,)."""
-        return self._weights * self._terms.spread
-
-    def predict(self, sample: Sample) -> PowerPrediction:
-        """Power of the present coefficients, W."""
-        power = float(self._terms.row(sample) @ self._weights)
-        return PowerPrediction(power + sample.known_auxiliary, math.nan)
 
     def observe(self, sample: Sample, power: float) -> None:
         """One step."""
@@ -120,7 +127,7 @@ class RecursiveLeastSquares:
         self._covariance = 0.5 * (covariance + covariance.T)
 
 
-class BatchLeastSquares:
+class BatchLeastSquares(_Regression):
     """Least squares on all samples so far, solved anew each minute.
 
     All samples stay in the sums of the normal equations, which are kept with the start as one
@@ -129,21 +136,10 @@ class BatchLeastSquares:
 
     def __init__(self, vehicle: Vehicle, count: int) -> None:
         """Start from the vehicle's priors, with this many terms."""
-        self._terms = Terms(vehicle, count)
-        self._weights = self._terms.start.copy()
+        super().__init__(vehicle, count)
         self._information = np.eye(count)
         self._target = self._terms.start.copy()
         self._fitted_ns: int | None = None
-
-    @property
-    def coefficients(self) -> np.ndarray:
-        """Coefficients of the last fit, SI, shape (count,)."""
-        return self._weights * self._terms.spread
-
-    def predict(self, sample: Sample) -> PowerPrediction:
-        """Power of the last fit, W."""
-        power = float(self._terms.row(sample) @ self._weights)
-        return PowerPrediction(power + sample.known_auxiliary, math.nan)
 
     def observe(self, sample: Sample, power: float) -> None:
         """Add a sample, and fit when a minute has passed."""

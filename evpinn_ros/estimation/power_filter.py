@@ -111,7 +111,7 @@ class PowerFilter(ParameterFilter):
         self._prior_variance[SLOPE] = hilliness**2
         try:
             super().restore(state)
-        except BaseException:
+        except (KeyError, TypeError, ValueError):  # a state that does not fit changes nothing
             self._prior_variance[SLOPE] = before
             raise
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+import json
 from pathlib import Path
 
 import numpy as np
@@ -151,3 +152,27 @@ def test_finished_trainings_are_not_run_again(
     Experiment(make_log(), vehicle, other, tmp_path).run(lambda title, *_: told.append(title))
     assert set(told) == {"power network", "chronological split", "energy networks"}
     assert set(kept) < {path.name for path in tmp_path.iterdir()}  # nothing was thrown away
+
+
+@pytest.mark.parametrize(
+    ("speed", "untold"),
+    [
+        (np.full(300, 20.0), {"mass_over_eta", "drag_area_over_eta", "c_rr", "mu"}),
+        (np.linspace(1.0, 30.0, 300), {"mu"}),
+    ],
+    ids=["constant speed", "no braking"],
+)
+def test_what_a_poor_drive_does_not_tell_is_said(
+    speed: np.ndarray,
+    untold: set[str],
+    make_log: Callable[..., DriveLog],
+    vehicle: Vehicle,
+    tmp_path: Path,
+) -> None:
+    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=12, energy_epochs=5)
+    found = results_of(
+        Experiment(make_log(speed), vehicle, settings, tmp_path).run(lambda *_: None)
+    )
+    json.dumps(found, allow_nan=False)
+    rows = found["combinations"]
+    assert not any(rows[name]["determined"] for name in untold)
