@@ -13,7 +13,7 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
-STATE_VERSION = 2
+STATE_VERSION = 3
 
 
 class PowerPrediction(NamedTuple):

@@ -254,7 +254,16 @@ class ParameterFilter:
 
     def _model(self, sample: Sample | Batch, slope: Any) -> tuple[Any, np.ndarray]:
         """Battery power, W, shape (...), and its gradient, shape (..., 8), at samples."""
-        eta, mu, mass, c_rr, c_d, p_aux = self.parameters()
+        return self._physics(self.mean, sample, slope)
+
+    def _physics(
+        self, state: np.ndarray, sample: Sample | Batch, slope: Any
+    ) -> tuple[Any, np.ndarray]:
+        """Battery power and gradient, as `_model`, of a car whose parameters are those of `state`.
+
+        Only the slope is given apart, for a batch has one at each sample.
+        """
+        eta, mu, mass, c_rr, c_d = np.exp(state[LOGARITHMIC])
         v, a = sample.speed, sample.acceleration
         angle = sample.grade + slope
         weight = mass * GRAVITY * v
@@ -281,8 +290,8 @@ class ParameterFilter:
             ),
             axis=-1,
         )
-        loss = self.mean[COPPER] * np.square(a)
-        return share * wheel + p_aux + sample.known_auxiliary + loss, gradient
+        rest = state[P_AUX] + sample.known_auxiliary + state[COPPER] * np.square(a)
+        return share * wheel + rest, gradient
 
     def _residual_variance(self, sample: Sample) -> float:
         moving = (FORCE_NOISE * sample.speed) ** 2

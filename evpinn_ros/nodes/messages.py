@@ -28,6 +28,7 @@ from evpinn_ros.signals.readings import (
 )
 
 VEHICLE_FRAME = "base_link"
+HEATING = "heating"
 FLOAT32_MAX = 3.4028234663852886e38
 UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an unset quaternion not
 
@@ -169,8 +170,9 @@ def temperature_message(new: NewMessage, reading: TemperatureReading) -> Any:
 
 
 def auxiliary_message(new: NewMessage, reading: AuxiliaryReading) -> Any:
-    """Named vector with the one load `auxiliary`, W."""
-    return named_vector(new, reading.stamp_ns, ["auxiliary"], [reading.power])
+    """Named vector of the loads `heating` and `others`, W."""
+    loads = [reading.heating, reading.others]
+    return named_vector(new, reading.stamp_ns, [HEATING, "others"], loads)
 
 
 def reading_message(new: NewMessage, reading: Reading) -> Any:
@@ -348,11 +350,12 @@ def temperature_reading(message: Any) -> TemperatureReading:
 
 
 def auxiliary_reading(message: Any) -> AuxiliaryReading:
-    """The sum of the named loads, W."""
+    """The named loads, W: what is named after heating, and the sum of all others."""
     vector = read_named_vector(message)
     if not vector.values:
         raise BadMessage("nothing_measured")
-    return AuxiliaryReading(vector.stamp_ns, sum(vector.values.values()))
+    heating = sum(load for name, load in vector.values.items() if HEATING in name.lower())
+    return AuxiliaryReading(vector.stamp_ns, heating, sum(vector.values.values()) - heating)
 
 
 def read_named_vector(message: Any) -> NamedVector:

@@ -124,7 +124,7 @@ AUXILIARY_POWER = Topic(
     NAMED_VECTOR_TYPE,
     "can_bridge",
     False,
-    "optional: known heating, air conditioning; the loads add up",
+    "optional: known loads by name, heating and others; heating counts below 20 degrees outside",
     "W",
 )
 INPUTS = (

@@ -68,10 +68,11 @@ class TemperatureReading:
 
 @dataclass(frozen=True, slots=True)
 class AuxiliaryReading:
-    """Electric power of known auxiliary loads (heating, air conditioning), W."""
+    """Electric power of known auxiliary loads, W: of the heating, and of all others together."""
 
     stamp_ns: int
-    power: float
+    heating: float
+    others: float = 0.0
 
 
 Reading: TypeAlias = (

@@ -23,6 +23,7 @@ GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
 ALTITUDES = (-500.0, 9000.0)  # m, where roads are
 TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
 MAX_AUXILIARY = 50_000.0  # W
+HEATED_BELOW = 20.0  # degrees Celsius outside; that of the room in degree days (VDI 3807)
 GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
 STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
 REFERENCE_CELSIUS = 20.0  # at which vehicle files state air density
@@ -37,7 +38,8 @@ def why_impossible(reading: RoadReading) -> str | None:
         case TemperatureReading():
             possible, what = TEMPERATURES[0] <= reading.celsius <= TEMPERATURES[1], "temperature"
         case AuxiliaryReading():
-            possible, what = 0.0 <= reading.power <= MAX_AUXILIARY, "auxiliary"
+            load, what = reading.heating + reading.others, "auxiliary"
+            possible = reading.heating >= 0.0 and 0.0 <= load <= MAX_AUXILIARY
         case GradeReading():
             possible, what = abs(reading.grade) <= GRADE_LIMIT, "grade"
         case AltitudeReading():
@@ -62,7 +64,7 @@ class Road:
         self._source = grade_source
         self._reference_density = reference_density
         self._celsius: float | None = None
-        self._auxiliary: tuple[int, float] | None = None
+        self._auxiliary: AuxiliaryReading | None = None
         self._pitch: deque[tuple[int, float]] = deque()
         self._profile: deque[tuple[float, float]] = deque()
         self._distance = 0.0
@@ -74,7 +76,7 @@ class Road:
             case TemperatureReading():
                 self._celsius = reading.celsius
             case AuxiliaryReading():
-                self._auxiliary = (reading.stamp_ns, reading.power)
+                self._auxiliary = reading
             case GradeReading():
                 self._pitch.append((reading.stamp_ns, reading.grade))
                 oldest = reading.stamp_ns - int(GRADE_WINDOW * NANOSECONDS)
@@ -110,10 +112,16 @@ class Road:
         return self._reference_density * (REFERENCE_CELSIUS + KELVIN) / (self._celsius + KELVIN)
 
     def known_auxiliary(self, stamp_ns: int) -> float:
-        """Power of the auxiliary loads the car reports, W, 0 while unknown."""
-        if self._auxiliary is None or _age(stamp_ns, self._auxiliary[0]) > STALE_AFTER:
+        """Power of the auxiliary loads the car reports, W, 0 while unknown.
+
+        A heater that reports kilowatts on a warm day is not believed: on five of six real drives
+        above 20 degrees none of it was drawn, below all of it.
+        """
+        loads = self._auxiliary
+        if loads is None or _age(stamp_ns, loads.stamp_ns) > STALE_AFTER:
             return 0.0
-        return self._auxiliary[1]
+        cold = self._celsius is None or self._celsius < HEATED_BELOW
+        return max(0.0, loads.others + (loads.heating if cold else 0.0))
 
     def _add_altitude(self, altitude: float) -> None:
         if self._profile and self._distance - self._profile[-1][0] < GRADE_STEP:

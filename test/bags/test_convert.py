@@ -33,7 +33,7 @@ READINGS = st.one_of(
     st.builds(GradeReading, STAMPS, st.floats(-0.5, 0.5)),
     st.builds(AltitudeReading, STAMPS, NUMBERS),
     st.builds(TemperatureReading, STAMPS, NUMBERS),
-    st.builds(AuxiliaryReading, STAMPS, NUMBERS),
+    st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
 )
 
 

@@ -58,16 +58,16 @@ def test_before_anything_the_network_says_zero(vehicle, sample):
 
 @given(samples, st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
-def test_the_gradient_by_the_states_of_the_network(vehicle, sample, seed):
-    """These are linear: a finite difference of any size is exact."""
+def test_the_gradient_by_the_states(vehicle, sample, seed):
+    """All is linear, physics and network: a finite difference of any size is exact."""
     found = PowerFilter(vehicle)
     rng = np.random.default_rng(seed)
     found.mean = found.mean + 0.1 * rng.standard_normal(found.mean.size)
     before = found.predict(sample)
-    for index in rng.integers(len(STATES), found.mean.size, 10):
+    for index in rng.integers(0, found.mean.size, 20):
         found.mean[index] += 7.0
         change = (found.predict(sample).power - before.power) / 7.0
-        assert change == pytest.approx(before.gradient[index], rel=1e-6, abs=1e-6)
+        assert change == pytest.approx(before.gradient[index], rel=1e-6, abs=1e-5)
         found.mean[index] -= 7.0
 
 

@@ -40,7 +40,7 @@ READINGS = st.one_of(
     st.builds(BatteryReading, STAMPS, NUMBERS, st.just(math.nan)),
     st.builds(AltitudeReading, STAMPS, NUMBERS),
     st.builds(TemperatureReading, STAMPS, NUMBERS),
-    st.builds(AuxiliaryReading, STAMPS, NUMBERS),
+    st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
 )
 
 
@@ -158,9 +158,10 @@ def test_a_bad_message_says_why(reason, make):
     assert caught.value.reason == reason
 
 
-def test_auxiliary_power_is_the_sum_of_the_named_loads():
-    vector = messages.named_vector(new_message, NOW, ["heating", "aircon"], [1500.0, 250.0])
-    assert messages.auxiliary_reading(vector) == AuxiliaryReading(NOW, 1750.0)
+def test_auxiliary_power_is_heating_by_its_name_and_the_sum_of_all_else():
+    names = ["Cabin_Heating", "aircon", "lights"]
+    vector = messages.named_vector(new_message, NOW, names, [1500.0, 250.0, 100.0])
+    assert messages.auxiliary_reading(vector) == AuxiliaryReading(NOW, 1500.0, 350.0)
 
 
 def test_a_percentage_that_counts_to_hundred_is_unknown():
@@ -230,7 +231,7 @@ def every_message(new: messages.NewMessage) -> list[tuple[str, Any]]:
         GradeReading(NOW, 0.05),
         AltitudeReading(NOW, 570.0),
         TemperatureReading(NOW, 21.5),
-        AuxiliaryReading(NOW, 1750.0),
+        AuxiliaryReading(NOW, 1500.0, 250.0),
     ]
     built = [
         ("geometry_msgs/msg/TwistWithCovarianceStamped", 0),

@@ -110,6 +110,17 @@ def test_known_loads_count_while_they_are_fresh():
     assert road.known_auxiliary(at(0)) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("celsius", "known"), [(None, 1750.0), (-5.0, 1750.0), (19.5, 1750.0), (25.0, 250.0)]
+)
+def test_a_heater_is_not_believed_on_a_warm_day(celsius, known):
+    road = Road(GradeSource.NONE, 1.2)
+    if celsius is not None:
+        road.push(TemperatureReading(at(0), celsius))
+    road.push(AuxiliaryReading(at(0), 1500.0, 250.0))
+    assert road.known_auxiliary(at(1)) == known
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -1e9])
 @pytest.mark.parametrize(
     ("kind", "what"),
