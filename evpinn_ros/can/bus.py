@@ -12,9 +12,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 import errno
+import os
+import socket
 import threading
 from typing import Any
 
@@ -29,6 +32,7 @@ SILENT_AFTER_S = 1.0
 FIRST_BACKOFF_S = 0.5
 LAST_BACKOFF_S = 10.0
 GARBLED_PAUSE_S = 0.01
+SOCKET_QUEUE = 1 << 22  # bytes; a frame takes up to a thousand of them
 MANY_GARBLED = 100  # in a row: the driver does not recover by itself
 MANY_ERRORS = 100  # error frames in a row: there is no traffic that this adapter can read
 SOCKETCAN_BUS_OFF = 0x40  # class bit in the id of an error frame (linux/can/error.h)
@@ -126,6 +130,7 @@ class BusReader:
             # has its own way to refuse, and all of them mean that there is no bus now.
             self._problem = _explain(error, self._interface, self._channel)
             raise InputError(self._problem) from error
+        _deepen_queue(self._bus)
         self._state = BusState.OPEN
         self._counters["opened"] += 1
         self._begin()
@@ -268,6 +273,15 @@ class BusReader:
     @property
     def _name(self) -> str:
         return f"{self._interface} {self._channel}"
+
+
+def _deepen_queue(bus: Any) -> None:
+    """Let the system keep a second of a full bus while we are busy; it keeps 0.1 s by default.
+
+    It gives what net.core.rmem_max allows; an adapter that is no socket has no such queue.
+    """
+    with suppress(OSError, NotImplementedError), socket.socket(fileno=os.dup(bus.fileno())) as own:
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_QUEUE)
 
 
 def _explain(error: BaseException, interface: str, channel: str | int) -> str:

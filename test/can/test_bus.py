@@ -174,6 +174,9 @@ class FakeBus:
 
     state = can.BusState.ACTIVE
 
+    def fileno(self):
+        raise NotImplementedError
+
     def __init__(self, script):
         self.script = list(script)
 
