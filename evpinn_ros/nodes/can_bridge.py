@@ -21,6 +21,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.messages import reading_message, scalar
 from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import BatteryReading, Reading
@@ -33,14 +34,19 @@ LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the p
 class CanBridgeNode(GuardedNode):
     """Decodes one bus, in one thread that owns it, and survives its unplugging."""
 
-    def __init__(self, **kwargs: Any) -> None:
-        """Start to read; `kwargs` go to rclpy's Node.
+    def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
+        """Start to read.
+
+        Args:
+            record: takes every frame beside, with the time of its arrival.
+            kwargs: go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong, or the log is not there.
         """
         super().__init__("can_bridge", **kwargs)
         self._bridge = CanBridge(self._profile())
+        self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
@@ -81,6 +87,8 @@ class CanBridgeNode(GuardedNode):
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
 
     def _on_frame(self, frame: CanFrame) -> None:
+        if self._record is not None:
+            self._record.append((self.now_ns(), frame))
         with self._lock:
             readings = self._bridge.push(frame)
         for reading in readings:

@@ -201,7 +201,9 @@ CAN_BRIDGE = (
         "More options of the driver, as 'name=value name=value', for example 'listen_only=true'.",
         verify=lambda text: bus_options(text),
     ),
-    Parameter("log_file", "", "Replay this CAN log, with its stamps, instead of a bus."),
+    Parameter(
+        "log_file", "", "Replay this CAN log, or a bag's raw frames, with its stamps, not a bus."
+    ),
     Parameter(
         "log_rate",
         1.0,
