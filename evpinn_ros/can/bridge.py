@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 
+from evpinn_ros.can.control_unit import Send
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -64,15 +67,28 @@ class CanBridge:
     """Decodes the frames of one bus and watches over them; for one thread at a time.
 
     A reading is made of one frame and told once: when a signal falls silent, nothing follows.
+
+    Attributes:
+        poller: asks for what the profile says is not broadcast, or None when all of it is.
     """
 
-    def __init__(self, profile: CanProfile) -> None:
+    def __init__(self, profile: CanProfile, send: Send | None = None) -> None:
+        """Start with nothing heard; `send` allows to ask, as the thread of `poller.run` does."""
         self._decoder = Decoder(profile)
-        self._arrivals = {name: _Arrivals() for name in _KINDS if name in profile.messages}
+        told = {*profile.messages, *profile.asked}
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in told}
+        self.poller = Poller(profile, send) if profile.requests else None
+        self._answers = 0
 
     def push(self, frame: CanFrame) -> tuple[Reading, ...]:
-        """The readings in a frame (see `Decoder.push`); never raises."""
-        readings = self._decoder.push(frame)
+        """The readings in a frame (see `Decoder.push`), or completed by it; never raises."""
+        if self.poller is not None and self.poller.hears(frame):
+            self._answers += 1
+            readings = self.poller.push(frame)
+        else:
+            readings = self._decoder.push(frame)
+            if self.poller is not None:
+                self.poller.note(readings)
         for reading in readings:
             for name, arrivals in self._arrivals.items():
                 if isinstance(reading, _KINDS[name]):
@@ -87,23 +103,28 @@ class CanBridge:
         return BridgeStatus(
             ok=not text and not stale,
             text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
-            frames=self._decoder.known,
+            frames=self._decoder.known + self._answers,
             unknown_frames=self._decoder.unknown.total(),
             unknown_ids=len(self._decoder.unknown),
-            dropped=dict(self._decoder.dropped),
+            dropped=dict(self._dropped),
             signals=signals,
         )
 
     def _suspicion(self, signals: Mapping[str, SignalStatus]) -> str | None:
         """What is wrong with the whole bus, most telling first."""
         decoder = self._decoder
-        if not decoder.known:
+        if not decoder.known and not self._answers:
             return (
                 "no frame of this profile: another bus or car?" if decoder.unknown else "waiting"
             )
-        if decoder.dropped.total() > sum(signal.count for signal in signals.values()):
+        if self._dropped.total() > sum(signal.count for signal in signals.values()):
             return "most values are implausible: wrong profile?"
         return None
+
+    @property
+    def _dropped(self) -> Counter[str]:
+        asked = self.poller.dropped if self.poller is not None else Counter[str]()
+        return self._decoder.dropped + asked
 
 
 class _Arrivals:
