@@ -51,7 +51,8 @@ class AnswerDecoder:
             readings.append(SpeedReading(stamp_ns, speed, step**2 / 12))
         for part in ("voltage", "current"):
             if part in values:
-                self.dropped["not_together"] += part in self._waiting
+                if part in self._waiting:
+                    self.dropped["not_together"] += 1
                 self._waiting[part] = stamp_ns, values[part][0]
         battery = self._battery()
         if battery is not None:

@@ -27,7 +27,7 @@ def check_params(
     if root.has("parameters"):
         kind = "vehicle file"
         load_vehicle(file)
-    elif root.has("dbc"):
+    elif root.has("dbc") or root.has("requests"):
         kind = "CAN profile"
         load_profile(file)
     else:

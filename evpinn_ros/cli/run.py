@@ -23,6 +23,14 @@ def run(
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
+    poll: Annotated[
+        bool,
+        typer.Option(
+            "--poll",
+            help="Send read requests for what the profile says must be asked for. Keeps the car "
+            "awake: see docs/can.md.",
+        ),
+    ] = False,
     mode: Annotated[Mode | None, typer.Option(help="How to learn.")] = None,
     record: Annotated[Path | None, typer.Option(help="Record every topic to this bag.")] = None,
     params: Annotated[
@@ -34,7 +42,7 @@ def run(
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
-    Listens only: nothing is ever sent to the car.
+    Listens only: nothing is sent to the car without --poll.
 
     Example: evpinn run --vehicle nissan_leaf --can-channel can0 --record out/today
     """
@@ -46,6 +54,7 @@ def run(
         "interface": can_interface,
         "channel": can_channel,
         "can_profile": can_profile,
+        "poll": poll or None,
         "mode": mode.value if mode is not None else None,
         "state_file": str(state) if state is not None else None,
     }

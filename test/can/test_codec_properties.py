@@ -12,7 +12,11 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile, profile_names
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
-PROFILES = {name: load_profile(name) for name in profile_names()}
+PROFILES = {
+    name: profile
+    for name, profile in ((name, load_profile(name)) for name in profile_names())
+    if {"speed", "battery"} <= profile.messages.keys()
+}
 
 
 @st.composite
