@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+import logging
 import math
 
 import isotp
@@ -27,8 +28,9 @@ LONGEST_WAIT_S = 10.0
 REFUSALS = 3
 """Refusals in a row after which a request is not made again."""
 
-PADDING = 0x00
-LINK_OPTIONS = {"tx_padding": PADDING, "blocksize": 0, "stmin": 0, "logger_name": "evpinn.isotp"}
+LOGGER = "evpinn_ros.isotp"
+LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
+logging.getLogger(LOGGER).disabled = True  # it warns of every damaged frame, which we count
 
 Send = Callable[[CanFrame], bool]
 """Puts a frame on the bus; False when there is no bus now. Its stamp means nothing."""

@@ -97,7 +97,7 @@ class Poller:
             self._changed.notify()
             return readings
 
-    def note(self, readings: Iterable[Reading] = ()) -> None:
+    def note(self, readings: Iterable[Reading]) -> None:
         """Something else came over the bus, with what it said."""
         with self._changed:
             now_s = self._clock()

@@ -98,5 +98,5 @@ def test_what_the_car_cannot_show_is_refused(speed):
 
 
 def test_missing_quantity_is_refused():
-    with pytest.raises(ValueError, match="profile tesla_model_s has no state_of_charge"):
+    with pytest.raises(ValueError, match="profile tesla_model_s broadcasts no state_of_charge"):
         Encoder(PROFILES["tesla_model_s"]).state_of_charge(BatteryReading(0, 380.0, 0.0, 0.5))

@@ -163,10 +163,10 @@ def test_an_answer_forgives_refusals(desk):
         (["100A620101000102", "2203040506AAAAAA"], "garbled"),  # the first continuation is lost
     ],
 )
-def test_wrong_answers_are_counted_and_never_read(desk, frames, reason):
+def test_wrong_answers_are_counted_and_never_read(desk, capfd, frames, reason):
     desk.wait()
     assert [desk.frame(data) for data in frames] == [None] * len(frames)
-    assert desk.unit.counters[reason] == 1
+    assert desk.unit.counters[reason] == 1 and capfd.readouterr().err == ""
     desk.wait(ANSWER_TIMEOUT_S)
     assert desk.frame("06620101AABBCC00") is not None
 
