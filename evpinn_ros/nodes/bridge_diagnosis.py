@@ -25,9 +25,11 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
             f"{name}.rate_hz": rounded(signal.rate),
             f"{name}.age_s": rounded(signal.age),
         }
-    if bus.state is BusState.LOST:
+    if bus.problem:
+        values["bus.last_problem"] = bus.problem
+    if bus.state in (BusState.LOST, BusState.OFF):
         verdict = Level.ERROR, bus.problem or bus.state.value
-    elif bus.state is BusState.SILENT:
+    elif bus.state in (BusState.SILENT, BusState.ERRORS):
         verdict = Level.WARN, bus.state.value
     elif bus.state is BusState.CLOSED:
         verdict = Level.WARN, bus.problem or "closed"

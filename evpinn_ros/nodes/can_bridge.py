@@ -21,6 +21,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.messages import reading_message, scalar
 from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import BatteryReading, Reading
@@ -36,8 +37,12 @@ class CanBridgeNode(GuardedNode):
     A second thread asks the car for what it does not broadcast, if `poll` allows that.
     """
 
-    def __init__(self, **kwargs: Any) -> None:
-        """Start to read; `kwargs` go to rclpy's Node.
+    def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
+        """Start to read.
+
+        Args:
+            record: takes every frame beside, with the time of its arrival.
+            kwargs: go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong, or the log is not there.
@@ -46,6 +51,7 @@ class CanBridgeNode(GuardedNode):
         self._profile = self._load_profile()
         self._refuse_idle_poll()
         self._bridge = CanBridge(self._profile, self._send if self.values["poll"] else None)
+        self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
@@ -114,6 +120,8 @@ class CanBridgeNode(GuardedNode):
         return isinstance(self._source, BusReader) and self._source.send(frame)
 
     def _on_frame(self, frame: CanFrame) -> None:
+        if self._record is not None:
+            self._record.append((self.now_ns(), frame))
         with self._lock:
             readings = self._bridge.push(frame)
         for reading in readings:

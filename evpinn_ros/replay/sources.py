@@ -8,6 +8,7 @@ import gzip
 from pathlib import Path
 from typing import Protocol
 
+from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.reader import BagReader
@@ -91,13 +92,13 @@ class CsvSource:
 
 
 class CanLogSource:
-    """A CAN log, decoded by a profile."""
+    """A CAN log, or the raw frames of a bag, decoded by a profile."""
 
-    def __init__(self, path: Path, profile: str) -> None:
-        """Open the log; InputError when log or profile are wrong."""
-        self.path = path
+    def __init__(self, log: CanLog, profile: str) -> None:
+        """Decode an open log; InputError when the profile is wrong."""
+        self.path = log.path
         self.dropped: Counter[str] = Counter()
-        self._log = LogFile(path)
+        self._log = log
         self._bridge = CanBridge(load_profile(profile))
         self._decoded = 0
 
@@ -133,20 +134,35 @@ def open_source(path: Path, vehicle: Vehicle, can_profile: str | None = None) ->
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    if path.is_dir() or path.suffix in (".mcap", ".db3"):
-        return BagSource(path)
+    if is_bag(path):
+        return _open_bag(path, vehicle, can_profile)
     suffix = Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
     if suffix == ".csv" and _is_drive(path):
         return CsvSource(path, vehicle)
     if suffix in LOG_SUFFIXES:
-        profile = can_profile or vehicle.can_profile
-        if profile is None:
-            raise InputError(
-                f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
-                "give the --vehicle of a car that does, or --can-profile"
-            )
-        return CanLogSource(path, profile)
+        return CanLogSource(LogFile(path), _profile(path, vehicle, can_profile))
     raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a CSV")
+
+
+def _open_bag(path: Path, vehicle: Vehicle, can_profile: str | None) -> Source:
+    """What was recorded of our topics; raw frames when asked by a profile, or if all there is."""
+    if can_profile is None or not holds_frames(path):
+        try:
+            return BagSource(path)
+        except InputError:
+            if not holds_frames(path):
+                raise
+    return CanLogSource(BagFrames(path), _profile(path, vehicle, can_profile))
+
+
+def _profile(path: Path, vehicle: Vehicle, can_profile: str | None) -> str:
+    profile = can_profile or vehicle.can_profile
+    if profile is None:
+        raise InputError(
+            f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
+            "give the --vehicle of a car that does, or --can-profile"
+        )
+    return profile
 
 
 def _is_drive(path: Path) -> bool:
