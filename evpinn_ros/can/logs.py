@@ -1,6 +1,6 @@
 """CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped.
 
-ASAM .mf4 needs the extra `mf4`. Another process reads it: a damaged one can crash asammdf's C code.
+ASAM .mf4 needs the extra `mf4`. Another process reads it: a damaged one can crash asammdf's code.
 """
 
 from __future__ import annotations
