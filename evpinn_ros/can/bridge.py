@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 
+from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.guard import FitGuard, Verdict
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -49,6 +51,8 @@ class BridgeStatus:
         unknown_ids: how many other ids.
         dropped: values not used, by reason (see `Decoder`).
         signals: `speed` and `battery`, as far as the profile has them.
+        refusal: why nothing is let out, None while the traffic does not contradict the profile.
+        suspicion: what the signals say of the sign of the current, None while all is well.
     """
 
     ok: bool
@@ -58,6 +62,8 @@ class BridgeStatus:
     unknown_ids: int
     dropped: Mapping[str, int]
     signals: Mapping[str, SignalStatus]
+    refusal: str | None = None
+    suspicion: str | None = None
 
 
 class CanBridge:
@@ -66,14 +72,47 @@ class CanBridge:
     A reading is made of one frame and told once: when a signal falls silent, nothing follows.
     """
 
-    def __init__(self, profile: CanProfile) -> None:
-        self._decoder = Decoder(profile)
+    def __init__(
+        self,
+        profile: CanProfile,
+        guard: FitGuard | None = None,
+        sign: CurrentSign | None = None,
+    ) -> None:
+        """Begin before the first frame.
+
+        Args:
+            profile: to decode by.
+            guard: of this profile, lets readings out; None trusts the profile.
+            sign: watches the sign of the current, where somebody wants to know.
+        """
+        self._key, self._guard, self._sign = profile.key, guard, sign
+        self._decoder = Decoder(profile, guard.evidence if guard is not None else None)
         self._arrivals = {name: _Arrivals() for name in _KINDS if name in profile.messages}
 
     def push(self, frame: CanFrame) -> tuple[Reading, ...]:
-        """The readings in a frame (see `Decoder.push`); never raises."""
+        """The readings a frame makes known, its own and those held back so far; never raises."""
         readings = self._decoder.push(frame)
+        if self._guard is not None:
+            readings = self._guard.pass_on(frame, readings)
+        return self._watched(readings)
+
+    def finish(self) -> tuple[Reading, ...]:
+        """The readings still held back when the frames end."""
+        return self._watched(self._guard.finish()) if self._guard is not None else ()
+
+    @property
+    def refusal(self) -> str | None:
+        """Why nothing is let out, and what would fit; None while the profile is not refused."""
+        found = self._guard.contradiction if self._guard is not None else None
+        if found is None:
+            return None
+        better = f"; '{found.better}' fits better" if found.better else ""
+        return f"profile '{self._key}' contradicts the traffic: {found.why}{better}"
+
+    def _watched(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
         for reading in readings:
+            if self._sign is not None:
+                self._sign.push(reading)
             for name, arrivals in self._arrivals.items():
                 if isinstance(reading, _KINDS[name]):
                     arrivals.push(reading.stamp_ns)
@@ -83,24 +122,34 @@ class CanBridge:
         """The state at `now_ns`, a time of the clock that stamped the frames."""
         signals = {name: arrivals.status(now_ns) for name, arrivals in self._arrivals.items()}
         stale = [name for name, signal in signals.items() if signal.stale]
-        text = self._suspicion(signals)
+        dropped = self._decoder.dropped
+        if self._guard is not None:
+            dropped = dropped + self._guard.dropped
+        suspicion = self._sign.suspicion if self._sign is not None else None
+        text = self.refusal or self._fault(signals) or suspicion
         return BridgeStatus(
             ok=not text and not stale,
             text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
             frames=self._decoder.known,
             unknown_frames=self._decoder.unknown.total(),
             unknown_ids=len(self._decoder.unknown),
-            dropped=dict(self._decoder.dropped),
+            dropped=dict(dropped),
             signals=signals,
+            refusal=self.refusal,
+            suspicion=suspicion,
         )
 
-    def _suspicion(self, signals: Mapping[str, SignalStatus]) -> str | None:
+    def _fault(self, signals: Mapping[str, SignalStatus]) -> str | None:
         """What is wrong with the whole bus, most telling first."""
-        decoder = self._decoder
+        decoder, guard = self._decoder, self._guard
         if not decoder.known:
-            return (
-                "no frame of this profile: another bus or car?" if decoder.unknown else "waiting"
-            )
+            if not decoder.unknown:
+                return "waiting"
+            advice = guard.advice() if guard is not None else None
+            better = f"; '{advice}' fits" if advice else ""
+            return f"no frame of this profile: another bus or car?{better}"
+        if guard is not None and guard.verdict is Verdict.UNDECIDED:
+            return f"{guard.verdict.value}: {guard.held} readings held back"
         if decoder.dropped.total() > sum(signal.count for signal in signals.values()):
             return "most values are implausible: wrong profile?"
         return None

@@ -109,6 +109,11 @@ def profile_names() -> list[str]:
     return sorted(path.stem for path in _profile_directory().glob("*.yaml"))
 
 
+def bundled_profiles() -> list[CanProfile]:
+    """The profiles that come with the package."""
+    return [load_profile(name) for name in profile_names()]
+
+
 def load_profile(name_or_path: str | Path) -> CanProfile:
     """Read a profile given by its name (`tesla_model_3`) or by the path of its YAML file.
 

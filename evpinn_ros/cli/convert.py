@@ -27,6 +27,9 @@ def convert(
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
+    trust_profile: Annotated[
+        bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
+    ] = False,
 ) -> None:
     """Convert a recorded drive into a rosbag2 MCAP bag.
 
@@ -36,7 +39,7 @@ def convert(
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
     """
     car = load_vehicle(vehicle)
-    source = open_source(source_path, car, can_profile)
+    source = open_source(source_path, car, can_profile, trust_profile=trust_profile)
     with BagWriter(out) as writer:
         dropped: Counter[str] = write_readings(source.readings(), writer)
     dropped.update(source.dropped)

@@ -9,12 +9,14 @@ import threading
 from typing import Any
 
 from evpinn_ros.can.bridge import BridgeStatus, CanBridge
-from evpinn_ros.can.bus import BusReader
+from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile, load_profile
+from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.base import REPORT_PERIOD, GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.factory import new_message
@@ -40,10 +42,13 @@ class CanBridgeNode(GuardedNode):
             InputError: a parameter is wrong, or the log is not there.
         """
         super().__init__("can_bridge", **kwargs)
-        self._bridge = CanBridge(self._profile())
+        self._bridge = self._make_bridge(self._profile())
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
+        self._said_state = BusState.CLOSED
+        self._said_refusal: str | None = None
+        self.every(REPORT_PERIOD, self._say_changes)
         self._thread = threading.Thread(target=self._source.run, name="can", daemon=True)
         self._thread.start()
 
@@ -68,6 +73,11 @@ class CanBridgeNode(GuardedNode):
             raise InputError(f"vehicle '{vehicle.key}' names no CAN profile; set can_profile")
         return load_profile(vehicle.can_profile)
 
+    def _make_bridge(self, profile: CanProfile) -> CanBridge:
+        trusted = self.values["trust_profile"]
+        guard = None if trusted else FitGuard(profile, bundled_profiles())
+        return CanBridge(profile, guard, CurrentSign())
+
     def _open_source(self) -> BusReader | LogPlayer:
         values = self.values
         on_frame = self.guarded(self._on_frame, "frame")
@@ -79,6 +89,23 @@ class CanBridgeNode(GuardedNode):
         if values["bitrate"]:
             options.setdefault("bitrate", values["bitrate"])
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
+
+    def _say_changes(self) -> None:
+        """Log what changed of the bus and of the profile: a state that lasts is said once."""
+        if isinstance(self._source, BusReader):
+            bus = self._source.status()
+            if bus.state is not self._said_state:
+                self._said_state = bus.state
+                lost = bus.state is BusState.LOST
+                self.get_logger().info(f"bus {bus.problem if lost else bus.state.value}")
+        refusal = self._refusal()
+        if (refusal is None) != (self._said_refusal is None):
+            self.get_logger().info(refusal or "the profile fits again")
+            self._said_refusal = refusal
+
+    def _refusal(self) -> str | None:
+        with self._lock:
+            return self._bridge.refusal
 
     def _on_frame(self, frame: CanFrame) -> None:
         with self._lock:
