@@ -7,14 +7,13 @@ values that mean "not available", and how the frame is protected. It is read str
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import cantools
+from typing import Any, NamedTuple
 
 from evpinn_ros.can.checksum import CHECKSUM_RULES, ChecksumRule
+from evpinn_ros.can.dbc import DbcFile, bits, find_signal, refuse_other_unit
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
 from evpinn_ros.yaml_section import Section, compose
@@ -138,7 +137,7 @@ def _profile_directory() -> Path:
 def _parse(path: Path) -> CanProfile:
     root = compose(path, "CAN profile")
     root.refuse_unknown(("name", "source", "verified_by", "dbc", *QUANTITIES))
-    database = _load_dbc(root, path.parent / root.text("dbc"))
+    database = DbcFile(root, path.parent / root.text("dbc"))
     messages = {
         quantity: _message_rule(root.section(quantity), quantity, database)
         for quantity in QUANTITIES
@@ -146,6 +145,7 @@ def _parse(path: Path) -> CanProfile:
     }
     if not {"speed", "battery"} & messages.keys():
         raise root.error("'speed' or 'battery' is missing: the profile would say nothing")
+    _refuse_shared_bits(root, messages)
     return CanProfile(
         key=path.stem,
         name=root.text("name"),
@@ -155,28 +155,47 @@ def _parse(path: Path) -> CanProfile:
     )
 
 
-def _load_dbc(root: Section, path: Path) -> Any:
-    """The database of a DBC file; not strict, because public files overlap and overhang."""
-    try:
-        return cantools.database.load_file(path, database_format="dbc", strict=False)
-    except OSError as error:
-        raise root.error_at("dbc", f"{path}: {error.strerror}") from error
-    except (cantools.database.Error, cantools.database.UnsupportedDatabaseFormatError) as error:
-        raise root.error_at("dbc", f"{path}: not a DBC file: {_one_line(error)}") from error
-    except (ValueError, KeyError) as error:
-        raise root.error_at("dbc", f"{path}: broken DBC file: {_one_line(error)}") from error
+class _Field(NamedTuple):
+    """What is read from a message: a value, or the counter or checksum that protects it."""
+
+    name: str
+    is_value: bool
+    pages: frozenset[int]
+    bits: frozenset[int]
+
+    def clashes(self, other: _Field) -> bool:
+        """Whether both claim one bit; two quantities of a message may share what protects it."""
+        if self.name == other.name and not (self.is_value and other.is_value):
+            return False
+        other_page = self.pages and other.pages and not self.pages & other.pages
+        return bool(self.bits & other.bits) and not other_page
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> None:
+    """Raise when two values, or a value and what protects it, are read from the same bits."""
+    taken: dict[str, list[_Field]] = {}
+    for quantity, rule in messages.items():
+        fields = taken.setdefault(rule.message.name, [])
+        for field in _fields(rule):
+            for other in filter(field.clashes, fields):
+                reason = f"'{field.name}' and '{other.name}' overlap in '{rule.message.name}'"
+                raise root.error_at(quantity, reason)
+            fields.append(field)
 
 
-def _message_rule(section: Section, quantity: str, database: Any) -> MessageRule:
-    name = section.text("message")
-    try:
-        message = database.get_message_by_name(name)
-    except KeyError:
-        raise section.error_at("message", f"the DBC file has no message '{name}'") from None
+def _fields(rule: MessageRule) -> Iterator[_Field]:
+    values = [signal.name for signal in rule.signals]
+    for name in (*values, *filter(None, (rule.counter,))):
+        signal = rule.message.get_signal_by_name(name)
+        pages = frozenset(signal.multiplexer_ids or ())
+        yield _Field(name, name in values, pages, bits(signal))
+    if rule.checksum is not None:
+        first = 8 * rule.checksum_byte
+        yield _Field("checksum", False, frozenset(), frozenset(range(first, first + 8)))
+
+
+def _message_rule(section: Section, quantity: str, database: DbcFile) -> MessageRule:
+    message = database.message(section)
     if quantity == "battery":
         section.refuse_unknown(("message", "voltage", "current", *PROTECTION_KEYS))
         voltage, current = section.section("voltage"), section.section("current")
@@ -192,16 +211,15 @@ def _message_rule(section: Section, quantity: str, database: Any) -> MessageRule
         units = SPEED_UNITS if quantity == "speed" else CHARGE_UNITS
         signals = (_signal_rule(section, message, units),)
     checksum, checksum_byte = _checksum(section, message)
-    counter = _signal(section, "counter", message).name if section.has("counter") else None
+    counter = find_signal(section, "counter", message).name if section.has("counter") else None
     return MessageRule(message, signals, checksum, checksum_byte, counter)
 
 
 def _signal_rule(
     section: Section, message: Any, units: Mapping[str, float], sign: float = 1.0
 ) -> SignalRule:
-    signal = _signal(section, "signal", message)
-    if signal.is_float:
-        raise section.error_at("signal", f"'{signal.name}' is a floating-point signal")
+    signal = find_signal(section, "signal", message)
+    refuse_other_unit(section, signal)
     si = sign * units[section.choice("unit", units)]
     bounds = section.numbers("valid", -1e6, 1e6)
     if len(bounds) != 2 or not bounds[0] < bounds[1]:
@@ -232,18 +250,9 @@ def _checksum(section: Section, message: Any) -> tuple[ChecksumRule | None, int]
         return None, 0
     checksum = section.section("checksum")
     checksum.refuse_unknown(("rule", "signal"))
-    signal = _signal(checksum, "signal", message)
+    signal = find_signal(checksum, "signal", message)
     # A Motorola byte starts at its highest bit, an Intel byte at its lowest.
     first = signal.start - 7 if signal.byte_order == "big_endian" else signal.start
     if signal.length != 8 or first % 8:
         raise checksum.error_at("signal", f"'{signal.name}' is not one whole byte")
     return CHECKSUM_RULES[checksum.choice("rule", CHECKSUM_RULES)], first // 8
-
-
-def _signal(section: Section, key: str, message: Any) -> Any:
-    name = section.text(key)
-    try:
-        return message.get_signal_by_name(name)
-    except KeyError:
-        reason = f"message '{message.name}' of the DBC file has no signal '{name}'"
-        raise section.error_at(key, reason) from None
