@@ -146,7 +146,7 @@ class CanBridge:
             if not decoder.unknown:
                 return "waiting"
             advice = guard.advice() if guard is not None else None
-            better = f"; '{advice}' fits" if advice else ""
+            better = f" '{advice}' fits" if advice else ""
             return f"no frame of this profile: another bus or car?{better}"
         if guard is not None and guard.verdict is Verdict.UNDECIDED:
             return f"{guard.verdict.value}: {guard.held} readings held back"

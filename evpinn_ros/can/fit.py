@@ -29,6 +29,7 @@ SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are n
 
 ENOUGH = 5  # frames before a message can be said to fail, or to have come right
 RIGHT = 0.9  # share of good frames that makes a message that failed believable again
+NEARLY_ALL = 0.99  # share that is called all
 ENOUGH_PROOF = 2  # checksums that hold
 MARGIN = 0.2  # of the score by which another profile is better
 HOLDS = 0.5  # mean share of the messages heard from which on a profile is worth naming
@@ -81,11 +82,11 @@ class MessageFit:
         what = f"{self.quantity} (0x{self.can_id:X})"
         if not self.frames:
             return f"{what} never came"
-        if not self.bad:
+        if self.share >= NEARLY_ALL:
             return f"{what} holds"
-        reason, count = max(self.bad.items(), key=lambda item: item[1])
+        reason, count = max(self.bad.items(), key=lambda item: item[1], default=("", 0))
         told = self.good + sum(self.bad.values())
-        return f"{what} is {reason} in {100 * count / told:.0f} %"
+        return f"{what}: {100 * count / told:.0f} % {reason}" if told else f"{what} says nothing"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,9 @@
 """Lets no reading out whose profile the traffic contradicts.
 
 Readings are held back until the frames so far speak for the profile: at once when each of its
-speed and battery messages came and held, a checksum among them; otherwise after `DECIDE_NS`. Then
-those held are let out with their own stamps, or dropped. From there on each second is judged
+speed and battery messages came and held, a checksum among them; otherwise after `DECIDE_NS`, and
+while some frames hold and others do not, `DECIDE_LAST_NS` at most. Then those held are let out
+with their own stamps, or dropped. From there on each second is judged
 anew, so that a wrong profile that shows itself later is stopped; one that was refused resumes
 after ten seconds in which all that spoke against it holds.
 """
@@ -21,6 +22,7 @@ from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
 DECIDE_NS = NANOSECONDS // 2
+DECIDE_LAST_NS = 5 * NANOSECONDS
 DECIDE_PATIENTLY_NS = 10 * NANOSECONDS
 REVIEW_NS = NANOSECONDS
 RESUME_NS = 10 * NANOSECONDS
@@ -118,7 +120,11 @@ class FitGuard:
         self, frame: CanFrame, readings: tuple[Reading, ...], due: bool
     ) -> tuple[Reading, ...]:
         self._held.extend(readings)
-        if not (due or len(self._held) >= MOST_HELD or (readings and self._is_plain())):
+        full = len(self._held) >= MOST_HELD
+        if not (due or full or (readings and self._is_plain())):
+            return ()
+        if not full and self._period_ns < DECIDE_LAST_NS and self._is_torn():
+            self._period_ns += DECIDE_NS
             return ()
         released = self._decide()
         if self.verdict is Verdict.UNDECIDED:  # nothing to let out yet: go on gathering
@@ -134,6 +140,11 @@ class FitGuard:
         messages = [each for each in self.evidence.fit().messages if each.quantity in LEADING]
         plain = all(message.good and not message.bad for message in messages)
         return plain and any(message.has_checksum for message in messages)
+
+    def _is_torn(self) -> bool:
+        """Whether some message neither holds nor fails."""
+        messages = self.evidence.fit().messages
+        return any(each.bad and not (each.came_right or each.fails) for each in messages)
 
     def _decide(self) -> tuple[Reading, ...]:
         found = self._judge(self.evidence.fit())

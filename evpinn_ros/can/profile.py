@@ -165,7 +165,7 @@ class _Field(NamedTuple):
 
     def clashes(self, other: _Field) -> bool:
         """Whether both claim one bit; two quantities of a message may share what protects it."""
-        if self.name == other.name and not (self.is_value and other.is_value):
+        if self.name == other.name and not (self.is_value or other.is_value):
             return False
         other_page = self.pages and other.pages and not self.pages & other.pages
         return bool(self.bits & other.bits) and not other_page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated
 
@@ -40,8 +41,11 @@ def convert(
     """
     car = load_vehicle(vehicle)
     source = open_source(source_path, car, can_profile, trust_profile=trust_profile)
+    readings = source.readings()
+    # What gives no reading at all is refused here, before there is an empty bag of it.
+    begun = list(islice(readings, 1))
     with BagWriter(out) as writer:
-        dropped: Counter[str] = write_readings(source.readings(), writer)
+        dropped: Counter[str] = write_readings(chain(begun, readings), writer)
     dropped.update(source.dropped)
     if isinstance(source, CsvSource):
         _explain_csv(source, car.nominal_voltage)
