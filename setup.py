@@ -64,6 +64,8 @@ setup(
         ],
         # Peers of `evpinn bench`.
         "bench": ["deepxde"],
+        # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
+        "mf4": ["asammdf"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",

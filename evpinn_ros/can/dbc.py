@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from itertools import combinations
 from pathlib import Path
 import re
 from typing import Any
@@ -61,6 +62,8 @@ class DbcFile:
             # cantools then reads every page as if it were the only one.
             reason = f"message '{name}' is multiplexed, but no signal of it is the multiplexer 'M'"
             raise section.error_at("message", reason)
+        if message.is_multiplexed() and (fault := _fault_of_pages(message)):
+            raise section.error_at("message", f"{fault}; mend the DBC file")
         return message
 
     def _has_pages(self, name: str) -> bool:
@@ -85,10 +88,34 @@ def find_signal(section: Section, key: str, message: Any) -> Any:
     signal = message.get_signal_by_name(name)
     if signal.is_float:
         raise section.error_at(key, f"'{name}' is a floating-point signal; only integers are read")
-    if max(bits(signal)) >= 8 * message.length:
-        reason = f"'{name}' hangs over the {message.length} bytes of message '{message.name}'"
-        raise section.error_at(key, f"{reason}; mend the DBC file")
+    if _hangs_over(signal, message):
+        raise section.error_at(key, f"{_overhang(signal, message)}; mend the DBC file")
     return signal
+
+
+def _fault_of_pages(message: Any) -> str | None:
+    """Why cantools, which reads a page as a whole, would misread a multiplexed message."""
+    for signal in message.signals:
+        if _hangs_over(signal, message):
+            return _overhang(signal, message)
+    for one, other in combinations(message.signals, 2):
+        if bits(one) & bits(other) and _share_page(one, other):
+            return f"'{one.name}' and '{other.name}' overlap in message '{message.name}'"
+    return None
+
+
+def _share_page(one: Any, other: Any) -> bool:
+    """Whether one frame can hold both of two signals of a message."""
+    pages, others = one.multiplexer_ids, other.multiplexer_ids
+    return not pages or not others or bool(set(pages) & set(others))
+
+
+def _hangs_over(signal: Any, message: Any) -> bool:
+    return max(bits(signal)) >= 8 * int(message.length)
+
+
+def _overhang(signal: Any, message: Any) -> str:
+    return f"'{signal.name}' hangs over the {message.length} bytes of message '{message.name}'"
 
 
 def refuse_other_unit(section: Section, signal: Any) -> None:

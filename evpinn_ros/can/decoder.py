@@ -9,6 +9,7 @@ from typing import Protocol
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile, MessageRule, SignalRule
+from evpinn_ros.can.unpack import unpacker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STUCK_AFTER = 5
@@ -110,6 +111,8 @@ class _Reader:
     def __init__(self, quantity: str, rule: MessageRule, make: _Maker) -> None:
         self.quantity, self.rule, self.make = quantity, rule, make
         self.key = (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
+        counter = () if rule.counter is None else (rule.counter,)
+        self._raw = unpacker(rule.message, {*(signal.name for signal in rule.signals), *counter})
         self._counter: int | None = None
         self._repeated = 0
 
@@ -129,18 +132,15 @@ class _Reader:
         return [_value(signal, raw[signal.name]) for signal in self.rule.signals]
 
     def _unpack(self, data: bytes) -> dict[str, int]:
-        """The raw bits of every signal the frame holds."""
+        """The raw bits of every wanted signal the frame holds."""
         try:
             # Cars shorten frames from one software version to the next: read what is there.
-            raw: dict[str, int] = self.rule.message.decode(
-                data, decode_choices=False, scaling=False, allow_truncated=True
-            )
+            return self._raw(data)
         except Exception:
             # cantools documents DecodeError alone, yet a multiplexer or a layout of a user's
             # file can fail in other ways, and a frame must never stop the bridge.
             paged = self.rule.message.is_multiplexed()
             raise _DroppedError("unknown_multiplexer" if paged else "undecodable") from None
-        return raw
 
     def _check_checksum(self, frame: CanFrame) -> None:
         checksum, position = self.rule.checksum, self.rule.checksum_byte

@@ -1,4 +1,7 @@
-"""CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped."""
+"""CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped.
+
+ASAM .mf4 needs the extra `mf4`.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import can
+from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, nanoseconds
 from evpinn_ros.errors import InputError
@@ -20,7 +24,9 @@ _READERS: dict[str, Callable[..., Any]] = {
     ".blf": can.BLFReader,
     ".trc": can.TRCReader,
     ".csv": can.CSVReader,
+    ".mf4": can.MF4Reader,
 }
+_BINARY = (".blf", ".mf4")
 LOG_SUFFIXES = tuple(_READERS)
 
 
@@ -53,6 +59,8 @@ class LogFile:
         if self._suffix not in _READERS:
             known = ", ".join(LOG_SUFFIXES)
             raise InputError(f"{self.path}: not a CAN log; known are {known}, also as .gz")
+        if self._suffix == ".mf4" and mf4.asammdf is None:
+            raise InputError(f"{self.path}: .mf4 needs asammdf; pip install 'evpinn_ros[mf4]'")
         try:
             empty = self.path.stat().st_size == 0
         except OSError as error:
@@ -67,7 +75,7 @@ class LogFile:
             InputError: the file cannot be opened, or there is no frame in it.
         """
         with self._open() as file:
-            lines = None if self._suffix == ".blf" else _Lines(file)
+            lines = None if self._suffix in _BINARY else _Lines(file)
             frames = self._read(lines or file)
             while True:
                 # The readers are foreign code over a damaged file: whatever they raise says the
@@ -88,7 +96,7 @@ class LogFile:
     def _open(self) -> IO[Any]:
         opener: Callable[..., IO[Any]] = gzip.open if self._gzipped else open
         try:
-            if self._suffix == ".blf":
+            if self._suffix in _BINARY:
                 return opener(self.path, "rb")
             return opener(self.path, "rt", encoding="utf-8", errors="replace")
         except OSError as error:
@@ -111,8 +119,10 @@ class LogFile:
         # These readers stop where the file stops and are content; gzip notices by itself.
         if isinstance(file, _Lines):
             cut_off = file.cut_off
-        else:
+        elif self._suffix == ".blf":
             cut_off = not self._gzipped and reader.file_size > self.path.stat().st_size
+        else:
+            cut_off = False
         if cut_off:
             self.problem = f"{self.path}: cut off after {self.count} frames"
 

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
+from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.inspection import BusReport, Inspection
-from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.cli.can_tables import as_json, show
 from evpinn_ros.cli.console import note
@@ -90,7 +90,7 @@ def inspect(
 
 def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | None:
     """Take the frames of a recorded bus; gives what could not be read."""
-    log = LogFile(path)
+    log = open_can_log(path)
     first_ns = None
     for frame in log.frames():
         first_ns = frame.stamp_ns if first_ns is None else first_ns

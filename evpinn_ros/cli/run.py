@@ -27,7 +27,9 @@ def run(
         bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
     ] = False,
     mode: Annotated[Mode | None, typer.Option(help="How to learn.")] = None,
-    record: Annotated[Path | None, typer.Option(help="Record every topic to this bag.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Record every topic and raw CAN frame to this bag.")
+    ] = None,
     params: Annotated[
         Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
     ] = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameter_table import TABLES, Value
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.nodes.recorder import RecorderNode
+from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
 from evpinn_ros.nodes.topics import NAMESPACE
 
 NODES = {"can_bridge": CanBridgeNode, "estimator": EstimatorNode, "energy": EnergyNode}
@@ -30,7 +31,7 @@ def run(
 
     Args:
         parameters: values by name; each node takes those of its table, over any file's.
-        record: folder of a bag to write.
+        record: folder of a bag to write, raw CAN frames beside the topics.
         namespace: of all topics.
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
 
@@ -38,12 +39,14 @@ def run(
         The exit code: 0 when told to stop, 1 with one line on stderr when input is wrong.
     """
     args = ["--ros-args", *ros_args] if ros_args else []
-    makers: list[running.MakeNode] = [
-        partial(make, **_options(name, namespace, parameters)) for name, make in NODES.items()
-    ]
+    options = {name: _options(name, namespace, parameters) for name in NODES}
+    recorder: list[running.MakeNode] = []
     if record is not None:
-        makers.append(partial(RecorderNode, record, namespace=namespace))
-    return running.run(*makers, args=args)
+        frames: RawFrames = deque()
+        options["can_bridge"]["record"] = frames
+        recorder.append(partial(RecorderNode, record, frames, namespace=namespace))
+    makers = [partial(make, **options[name]) for name, make in NODES.items()]
+    return running.run(*makers, *recorder, args=args)
 
 
 def _options(name: str, namespace: str, parameters: Mapping[str, Value]) -> dict[str, Any]:

@@ -26,9 +26,11 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
         }
     if bridge.suspicion:
         values["suspicion"] = bridge.suspicion
-    if bus.state is BusState.LOST:
+    if bus.problem:
+        values["bus.last_problem"] = bus.problem
+    if bus.state in (BusState.LOST, BusState.OFF):
         verdict = Level.ERROR, bus.problem or bus.state.value
-    elif bus.state is BusState.SILENT:
+    elif bus.state in (BusState.SILENT, BusState.ERRORS):
         verdict = Level.WARN, bus.state.value
     elif bus.state is BusState.CLOSED:
         verdict = Level.WARN, bus.problem or "closed"

@@ -23,6 +23,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.messages import reading_message, scalar
 from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import BatteryReading, Reading
@@ -35,14 +36,19 @@ LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the p
 class CanBridgeNode(GuardedNode):
     """Decodes one bus, in one thread that owns it, and survives its unplugging."""
 
-    def __init__(self, **kwargs: Any) -> None:
-        """Start to read; `kwargs` go to rclpy's Node.
+    def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
+        """Start to read.
+
+        Args:
+            record: takes every frame beside, with the time of its arrival.
+            kwargs: go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong, or the log is not there.
         """
         super().__init__("can_bridge", **kwargs)
         self._bridge = self._make_bridge(self._profile())
+        self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
@@ -96,8 +102,9 @@ class CanBridgeNode(GuardedNode):
             bus = self._source.status()
             if bus.state is not self._said_state:
                 self._said_state = bus.state
-                lost = bus.state is BusState.LOST
-                self.get_logger().info(f"bus {bus.problem if lost else bus.state.value}")
+                lost = bus.state in (BusState.LOST, BusState.OFF)
+                text = (bus.problem if lost else None) or f"bus {bus.state.value}"
+                self.get_logger().info(text)
         refusal = self._refusal()
         if (refusal is None) != (self._said_refusal is None):
             self.get_logger().info(refusal or "the profile fits again")
@@ -108,6 +115,8 @@ class CanBridgeNode(GuardedNode):
             return self._bridge.refusal
 
     def _on_frame(self, frame: CanFrame) -> None:
+        if self._record is not None:
+            self._record.append((self.now_ns(), frame))
         with self._lock:
             readings = self._bridge.push(frame)
         for reading in readings:

@@ -8,13 +8,14 @@ import gzip
 from pathlib import Path
 from typing import Protocol
 
+from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.logs import LOG_SUFFIXES, LogFile
-from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
+from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
@@ -92,14 +93,13 @@ class CsvSource:
 
 
 class CanLogSource:
-    """A CAN log, decoded by a profile."""
+    """A CAN log, or the raw frames of a bag, decoded by a profile."""
 
-    def __init__(self, path: Path, profile: str, trust_profile: bool) -> None:
-        """Open the log; InputError when log or profile are wrong."""
-        self.path = path
+    def __init__(self, log: CanLog, bridge: CanBridge) -> None:
+        """Decode an open log by a fresh bridge."""
+        self.path = log.path
         self.dropped: Counter[str] = Counter()
-        self._log = LogFile(path)
-        self._bridge = _bridge(load_profile(profile), trust_profile)
+        self._log, self._bridge = log, bridge
         self._decoded = 0
 
     @property
@@ -133,11 +133,6 @@ class CanLogSource:
             raise InputError(self.problem or f"{self.path}: {status.text}")
 
 
-def _bridge(profile: CanProfile, trusted: bool) -> CanBridge:
-    guard = None if trusted else FitGuard(profile, bundled_profiles(), patient=True)
-    return CanBridge(profile, guard)
-
-
 def open_source(
     path: Path, vehicle: Vehicle, can_profile: str | None = None, *, trust_profile: bool = False
 ) -> Source:
@@ -154,20 +149,41 @@ def open_source(
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    if path.is_dir() or path.suffix in (".mcap", ".db3"):
-        return BagSource(path)
+    if is_bag(path):
+        return _open_bag(path, vehicle, can_profile, trust_profile)
     suffix = Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
     if suffix == ".csv" and _is_drive(path):
         return CsvSource(path, vehicle)
     if suffix in LOG_SUFFIXES:
-        profile = can_profile or vehicle.can_profile
-        if profile is None:
-            raise InputError(
-                f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
-                "give the --vehicle of a car that does, or --can-profile"
-            )
-        return CanLogSource(path, profile, trust_profile)
+        return CanLogSource(LogFile(path), _bridge(path, vehicle, can_profile, trust_profile))
     raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a CSV")
+
+
+def _open_bag(
+    path: Path, vehicle: Vehicle, can_profile: str | None, trust_profile: bool
+) -> Source:
+    """What was recorded of our topics; raw frames when asked by a profile, or if all there is."""
+    if can_profile is None or not holds_frames(path):
+        try:
+            return BagSource(path)
+        except InputError:
+            if not holds_frames(path):
+                raise
+    return CanLogSource(BagFrames(path), _bridge(path, vehicle, can_profile, trust_profile))
+
+
+def _bridge(
+    path: Path, vehicle: Vehicle, can_profile: str | None, trust_profile: bool
+) -> CanBridge:
+    name = can_profile or vehicle.can_profile
+    if name is None:
+        raise InputError(
+            f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
+            "give the --vehicle of a car that does, or --can-profile"
+        )
+    profile = load_profile(name)
+    guard = None if trust_profile else FitGuard(profile, bundled_profiles(), patient=True)
+    return CanBridge(profile, guard)
 
 
 def _is_drive(path: Path) -> bool:

@@ -97,6 +97,8 @@ def test_states_of_planning():
         (BusState.OPEN, True, Level.OK, "receiving"),
         (BusState.OPEN, False, Level.WARN, "receiving"),
         (BusState.SILENT, True, Level.WARN, "silent"),
+        (BusState.ERRORS, True, Level.WARN, "wrong bit rate"),
+        (BusState.OFF, True, Level.ERROR, "check bit rate and wiring"),
         (BusState.LOST, True, Level.ERROR, "is the adapter plugged in"),
     ],
 )
