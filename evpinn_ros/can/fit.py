@@ -31,7 +31,7 @@ ENOUGH = 5  # frames before a message can be said to fail, or to have come right
 RIGHT = 0.9  # share of good frames that makes a message that failed believable again
 NEARLY_ALL = 0.99  # share that is called all
 ENOUGH_PROOF = 2  # checksums that hold
-MARGIN = 0.2  # of the score by which another profile is better
+MARGIN = 0.1  # of the score by which another profile is better
 HOLDS = 0.5  # mean share of the messages heard from which on a profile is worth naming
 
 
@@ -247,19 +247,18 @@ def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradictio
     profile). And it is contradicted when it has checksums to show and none came, while another
     profile shows its own: ids of one car mean something else in the next.
     """
-    best = max(others, key=lambda fit: fit.order, default=None)
-    if best is not None and not (best.holds and best.score >= own.score + MARGIN):
-        best = None
+    holding = sorted((each for each in others if each.holds), key=lambda fit: fit.order)
+    better = [each for each in holding if each.score >= own.score + MARGIN]
     wrong = [message for message in own.messages if message.fails]
-    if wrong and (best is not None or not own.proven):
-        return _contradiction(wrong, best)
-    mute = own.frames and own.provable and not own.proven
-    if mute and best is not None and best.proven:
-        return _contradiction([each for each in own.messages if not each.proven], best)
+    if wrong and (better or not own.proven):
+        return _contradiction(wrong, better)
+    proven = [each for each in holding if each.proven]
+    if proven and own.frames and own.provable and not own.proven:
+        return _contradiction([each for each in own.messages if not each.proven], proven)
     return None
 
 
-def _contradiction(wrong: Sequence[MessageFit], better: ProfileFit | None) -> Contradiction:
+def _contradiction(wrong: Sequence[MessageFit], better: Sequence[ProfileFit]) -> Contradiction:
     quantities = frozenset(message.quantity for message in wrong)
-    key = better.profile if better is not None else None
+    key = better[-1].profile if better else None
     return Contradiction(quantities, "; ".join(map(str, wrong)), key)

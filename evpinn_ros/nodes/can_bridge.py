@@ -53,7 +53,7 @@ class CanBridgeNode(GuardedNode):
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
         self._said_state = BusState.CLOSED
-        self._said_refusal: str | None = None
+        self._said_refusal = False
         self.every(REPORT_PERIOD, self._say_changes)
         self._thread = threading.Thread(target=self._source.run, name="can", daemon=True)
         self._thread.start()
@@ -105,14 +105,13 @@ class CanBridgeNode(GuardedNode):
                 lost = bus.state in (BusState.LOST, BusState.OFF)
                 text = (bus.problem if lost else None) or f"bus {bus.state.value}"
                 self.get_logger().info(text)
-        refusal = self._refusal()
-        if (refusal is None) != (self._said_refusal is None):
-            self.get_logger().info(refusal or "the profile fits again")
-            self._said_refusal = refusal
-
-    def _refusal(self) -> str | None:
         with self._lock:
-            return self._bridge.refusal
+            refusal = self._bridge.refusal
+        if refusal is not None and not self._said_refusal:
+            self.get_logger().error(refusal)
+        elif refusal is None and self._said_refusal:
+            self.get_logger().info("the profile fits again")
+        self._said_refusal = refusal is not None
 
     def _on_frame(self, frame: CanFrame) -> None:
         if self._record is not None:

@@ -87,6 +87,8 @@ def test_model_s_on_the_bus_of_a_model_3(moving, bus):
     chance = random.Random(1)
     frames = []
     for frame in bus("tesla_model_3"):
+        if frame.can_id == 0x292:
+            continue  # the charge comes once a second: the verdict must not need it
         low = chance.randrange(0x2500, 0x2900) if moving else 0x2600
         frames += [frame, door_status(frame, low.to_bytes(2, "little"))]
     doors = [frame for frame in frames if frame.can_id == 0x102]
