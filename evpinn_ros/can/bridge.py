@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 
+from evpinn_ros.can.control_unit import Send
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard, Verdict
+from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -70,11 +73,16 @@ class CanBridge:
     """Decodes the frames of one bus and watches over them; for one thread at a time.
 
     A reading is made of one frame and told once: when a signal falls silent, nothing follows.
+
+    Attributes:
+        poller: asks for what the profile says is not broadcast, or None when all of it is.
     """
 
     def __init__(
         self,
         profile: CanProfile,
+        send: Send | None = None,
+        *,
         guard: FitGuard | None = None,
         sign: CurrentSign | None = None,
     ) -> None:
@@ -82,18 +90,30 @@ class CanBridge:
 
         Args:
             profile: to decode by.
+            send: allows to ask, as the thread of `poller.run` does; None listens alone.
             guard: of this profile, lets readings out; None trusts the profile.
             sign: watches the sign of the current, where somebody wants to know.
         """
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.evidence if guard is not None else None)
-        self._arrivals = {name: _Arrivals() for name in _KINDS if name in profile.messages}
+        told = {*profile.messages, *profile.asked}
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in told}
+        self.poller = Poller(profile, send) if profile.requests else None
+        self._answers = 0
 
     def push(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings a frame makes known, its own and those held back so far; never raises."""
-        readings = self._decoder.push(frame)
-        if self._guard is not None:
-            readings = self._guard.pass_on(frame, readings)
+        if self.poller is not None and self.poller.hears(frame):
+            self._answers += 1
+            readings = self.poller.push(frame)
+            if self._guard is not None:
+                readings = self._guard.pass_answer(readings)
+        else:
+            readings = self._decoder.push(frame)
+            if self.poller is not None:
+                self.poller.note(readings)
+            if self._guard is not None:
+                readings = self._guard.pass_on(frame, readings)
         return self._watched(readings)
 
     def finish(self) -> tuple[Reading, ...]:
@@ -122,18 +142,15 @@ class CanBridge:
         """The state at `now_ns`, a time of the clock that stamped the frames."""
         signals = {name: arrivals.status(now_ns) for name, arrivals in self._arrivals.items()}
         stale = [name for name, signal in signals.items() if signal.stale]
-        dropped = self._decoder.dropped
-        if self._guard is not None:
-            dropped = dropped + self._guard.dropped
         suspicion = self._sign.suspicion if self._sign is not None else None
         text = self.refusal or self._fault(signals) or suspicion
         return BridgeStatus(
             ok=not text and not stale,
             text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
-            frames=self._decoder.known,
+            frames=self._decoder.known + self._answers,
             unknown_frames=self._decoder.unknown.total(),
             unknown_ids=len(self._decoder.unknown),
-            dropped=dict(dropped),
+            dropped=dict(self._dropped),
             signals=signals,
             refusal=self.refusal,
             suspicion=suspicion,
@@ -142,7 +159,7 @@ class CanBridge:
     def _fault(self, signals: Mapping[str, SignalStatus]) -> str | None:
         """What is wrong with the whole bus, most telling first."""
         decoder, guard = self._decoder, self._guard
-        if not decoder.known:
+        if not decoder.known and not self._answers:
             if not decoder.unknown:
                 return "waiting"
             advice = guard.advice() if guard is not None else None
@@ -150,9 +167,16 @@ class CanBridge:
             return f"no frame of this profile: another bus or car?{better}"
         if guard is not None and guard.verdict is Verdict.UNDECIDED:
             return f"{guard.verdict.value}: {guard.held} readings held back"
-        if decoder.dropped.total() > sum(signal.count for signal in signals.values()):
+        if self._dropped.total() > sum(signal.count for signal in signals.values()):
             return "most values are implausible: wrong profile?"
         return None
+
+    @property
+    def _dropped(self) -> Counter[str]:
+        dropped = self._decoder.dropped
+        if self.poller is not None:
+            dropped = dropped + self.poller.dropped
+        return dropped + self._guard.dropped if self._guard is not None else dropped
 
 
 class _Arrivals:

@@ -8,7 +8,8 @@ import math
 from typing import Protocol
 
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile, MessageRule, SignalRule
+from evpinn_ros.can.profile import CanProfile, MessageRule
+from evpinn_ros.can.signal_rule import SignalRule
 from evpinn_ros.can.unpack import unpacker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -163,9 +164,6 @@ class _Reader:
 
 
 def _value(signal: SignalRule, raw: int) -> float:
-    if raw in signal.not_available:
-        raise _DroppedError("not_available")
-    value = signal.value(raw)
-    if not signal.lower <= value <= signal.upper:
-        raise _DroppedError("out_of_range")
-    return value
+    if reason := signal.refusal(raw):
+        raise _DroppedError(reason)
+    return signal.value(raw)

@@ -134,7 +134,7 @@ class ProfileFit:
     def order(self) -> tuple[float, ...]:
         """To sort by, best last: score, then proof, then how much of the traffic it explains."""
         good = sum(message.good for message in self.messages)
-        return self.score, float(self.proven), len(self.messages), good
+        return self.score, float(self.proven), len(self.messages) if good else 0, good
 
 
 @dataclass(frozen=True, slots=True)

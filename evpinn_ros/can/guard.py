@@ -87,6 +87,10 @@ class FitGuard:
             return self._weigh(frame, readings, due)
         if due and self.evidence.frames >= REVIEW_FRAMES:
             self._review(frame)
+        return self.pass_answer(readings)
+
+    def pass_answer(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+        """What may be published of an answer: it echoes the question, so it is not weighed."""
         if self.verdict is Verdict.REFUSED:
             self.dropped["contradicted"] += len(readings)
             return ()

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 import math
 
 from evpinn_ros.can.bus_load import frame_bits
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
-from evpinn_ros.can.fit import Evidence, ProfileFit, contradiction, ranked
+from evpinn_ros.can.fit import Evidence, MessageFit, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.can.poller import Poller
+from evpinn_ros.can.profile import QUANTITIES, CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
+NO_ANSWER = "no_answer"
 MOST_IDS = 4096  # twice what 11 bits can tell; a damaged log of 29 bits could hold millions
 
 
@@ -65,6 +67,8 @@ class ProfileReport:
         contradicted: why it cannot be the right one, None while nothing says so.
         values: `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came.
         dropped: values not used, by reason.
+        asks: some of its quantities must be asked for; only what others ask for is heard here.
+        experimental: its sources disagree, so it is never the best.
         sign: what is wrong with the sign of the current, None while nothing is.
         sign_told: whether the car pulled away, braked or charged enough to judge that.
     """
@@ -73,6 +77,8 @@ class ProfileReport:
     contradicted: str | None
     values: Mapping[str, ValueStatus]
     dropped: Mapping[str, int]
+    asks: bool
+    experimental: bool
     sign: str | None
     sign_told: bool
 
@@ -101,7 +107,7 @@ class BusReport:
     @property
     def best(self) -> ProfileReport | None:
         """The profile that fits; None when none does."""
-        first = self.profiles[0] if self.profiles else None
+        first = next((each for each in self.profiles if not each.experimental), None)
         fits = first is not None and first.fit.holds and first.contradicted is None
         return first if fits else None
 
@@ -142,7 +148,7 @@ class Inspection:
         duration = (end_ns - first_ns) / NANOSECONDS
         possible = self._bitrate * duration
         low, high = (bits / possible if possible > 0 else math.nan for bits in self._bits)
-        fits = [candidate.evidence.fit() for candidate in self._candidates]
+        fits = [candidate.fit() for candidate in self._candidates]
         by_key = {candidate.key: candidate for candidate in self._candidates}
         return BusReport(
             duration=duration,
@@ -190,23 +196,35 @@ class _Candidate:
     """One profile, decoding the whole bus."""
 
     def __init__(self, profile: CanProfile) -> None:
-        self.key = profile.key
+        self.key, self._experimental = profile.key, profile.experimental
         self.evidence = Evidence(profile)
         self._keys = {
             (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
             for rule in profile.messages.values()
         }
         self._decoder = Decoder(profile, self.evidence)
+        self._asked = _Asked(profile) if profile.asked else None
         self._values: dict[str, _Values] = {}
         self._sign = CurrentSign()
 
     def push(self, frame: CanFrame) -> None:
-        if (frame.can_id, frame.extended) not in self._keys:
-            return
-        for reading in self._decoder.push(frame):
+        for reading in self._readings(frame):
             self._sign.push(reading)
             for name, value in _named_values(reading):
                 self._values.setdefault(name, _Values()).push(value)
+
+    def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
+        if self._asked is not None and self._asked.hears(frame):
+            return self._asked.push(frame)
+        if (frame.can_id, frame.extended) in self._keys:
+            return self._decoder.push(frame)
+        return ()
+
+    def fit(self) -> ProfileFit:
+        fit = self.evidence.fit()
+        if self._asked is None:
+            return fit
+        return replace(fit, messages=(*fit.messages, *self._asked.fits()))
 
     def report(self, fit: ProfileFit, fits: Iterable[ProfileFit]) -> ProfileReport:
         found = contradiction(fit, [each for each in fits if each.profile != fit.profile])
@@ -214,10 +232,54 @@ class _Candidate:
             fit=fit,
             contradicted=found.why if found is not None else None,
             values={name: values.status() for name, values in self._values.items()},
-            dropped=dict(self._decoder.dropped),
+            dropped=dict(self._decoder.dropped + self._asked.dropped)
+            if self._asked is not None
+            else dict(self._decoder.dropped),
+            asks=self._asked is not None,
+            experimental=self._experimental,
             sign=self._sign.suspicion,
             sign_told=self._sign.told,
         )
+
+
+class _Asked:
+    """The quantities of a profile that a tester asked for while we listened."""
+
+    def __init__(self, profile: CanProfile) -> None:
+        self._poller = Poller(profile)
+        self._units = {
+            quantity: fields[-1].request.address.answers_from
+            for quantity, fields in profile.asked.items()
+            if quantity in QUANTITIES
+        }
+        self._frames: Counter[tuple[int, bool]] = Counter()
+        self._good: Counter[str] = Counter()
+
+    @property
+    def dropped(self) -> Counter[str]:
+        return self._poller.dropped
+
+    def hears(self, frame: CanFrame) -> bool:
+        return self._poller.hears(frame)
+
+    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+        self._frames[frame.can_id, frame.extended] += 1
+        readings = self._poller.push(frame)
+        for reading in readings:
+            self._good.update(name for name, _ in _named_values(reading))
+        return readings
+
+    def fits(self) -> Iterator[MessageFit]:
+        """An answer takes many frames: what counts against a quantity are values dropped.
+
+        Ids of answers are the same in many cars. Frames that answer nothing we know speak of
+        another one.
+        """
+        for quantity, unit in self._units.items():
+            frames = self._frames[unit]
+            good = self._good["voltage" if quantity == "battery" else quantity]
+            bad = dict(self.dropped) if good else {NO_ANSWER: frames} if frames else {}
+            yield MessageFit(quantity, unit[0], frames, good, bad, has_checksum=False)
 
 
 class _Values:

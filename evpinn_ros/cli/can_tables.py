@@ -48,13 +48,11 @@ def as_json(report: BusReport) -> dict[str, Any]:
 
 
 def verdict(profile: ProfileReport) -> str:
-    """One of `fits`, `contradicted`, `does not fit`, `not heard`, `only asks`."""
-    if not profile.fit.messages:
-        return "only asks"
+    """One of `fits`, `contradicted`, `does not fit`, `not heard`, `must ask`."""
     if profile.contradicted is not None:
         return "contradicted"
     if not profile.fit.frames:
-        return "not heard"
+        return "must ask" if profile.asks else "not heard"
     return "fits" if profile.fit.holds else "does not fit"
 
 
@@ -89,7 +87,7 @@ def _profile_table(profiles: tuple[ProfileReport, ...]) -> Table:
     table.add_column("why")
     for profile in profiles:
         why = "; ".join(map(str, profile.fit.messages)) if profile.fit.frames else ""
-        score = f"{100 * profile.fit.score:.0f} %" if profile.fit.messages else "-"
+        score = f"{100 * profile.fit.score:.0f} %"
         table.add_row(profile.fit.profile, score, verdict(profile), why)
     return table
 

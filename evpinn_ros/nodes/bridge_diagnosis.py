@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from evpinn_ros.can.bridge import BridgeStatus
 from evpinn_ros.can.bus import BusState, BusStatus
+from evpinn_ros.can.poller import PollStatus
 from evpinn_ros.nodes.diagnosis import Health, Status, flat, rounded, with_health
 from evpinn_ros.nodes.messages import Level
 
@@ -37,6 +38,13 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
     else:
         verdict = _level(bridge), bridge.text
     return with_health(Status("bus", *verdict, values), health)
+
+
+def poll_status(poll: PollStatus, experimental: bool) -> Status:
+    """Whether the car is asked, and why not."""
+    text = f"experimental profile: {poll.text}" if experimental else poll.text
+    level = Level.OK if poll.ok and not experimental else Level.WARN
+    return Status("polling", level, text, dict(poll.counters))
 
 
 def log_status(text: str, problem: str | None, bridge: BridgeStatus, health: Health) -> Status:

@@ -206,6 +206,12 @@ CAN_BRIDGE = (
         "More options of the driver, as 'name=value name=value', for example 'listen_only=true'.",
         verify=lambda text: bus_options(text),
     ),
+    Parameter(
+        "poll",
+        False,
+        "Allow to send read requests, for what the profile says the car must be asked for. A car "
+        "that is asked stays awake, at the cost of its 12 V battery: see docs/can.md.",
+    ),
     Parameter("log_file", "", "Replay this CAN log, with its stamps, instead of a bus."),
     Parameter(
         "log_rate",

@@ -183,7 +183,7 @@ def _bridge(
         )
     profile = load_profile(name)
     guard = None if trust_profile else FitGuard(profile, bundled_profiles(), patient=True)
-    return CanBridge(profile, guard)
+    return CanBridge(profile, guard=guard)
 
 
 def _is_drive(path: Path) -> bool:

@@ -130,7 +130,7 @@ def test_the_guard_lets_out_the_right_profile_alone(right, log, patient):
     frames = list(LogFile(log).frames())
     for profile in bundled_profiles():
         plain = CanBridge(profile)
-        bridge = CanBridge(profile, FitGuard(profile, bundled_profiles(), patient=patient))
+        bridge = CanBridge(profile, guard=FitGuard(profile, bundled_profiles(), patient=patient))
         got = [reading for frame in frames for reading in bridge.push(frame)]
         got += bridge.finish()
         if profile.key == right:

@@ -20,7 +20,7 @@ SECOND = 10**9
 def guarded(name, **kwargs):
     profile = PROFILES[name]
     guard = FitGuard(profile, ALL, **kwargs)
-    return guard, CanBridge(profile, guard)
+    return guard, CanBridge(profile, guard=guard)
 
 
 def run(bridge, frames):
@@ -181,7 +181,7 @@ def test_noise_under_a_profile_without_checksums_is_refused_before_it_speaks(min
     for seed in range(20):
         chance = random.Random(seed)
         guard = FitGuard(mine, ALL)
-        bridge = CanBridge(mine, guard)
+        bridge = CanBridge(mine, guard=guard)
         frames = [CanFrame(i * SECOND // 10, 80, chance.randbytes(8)) for i in range(300)]
         assert decoded_by(mine, frames) and run(bridge, frames) == []
         assert guard.verdict is Verdict.REFUSED and guard.contradiction.better is None
@@ -197,12 +197,12 @@ def test_a_car_that_stands_still_and_never_changes_is_believed(mine):
     frame = encoder.battery(BatteryReading(0, 380.0, -1.0))
     frames = [CanFrame(i * SECOND // 10, 80, frame.data) for i in range(20)]
     guard = FitGuard(mine, ALL)
-    assert len(run(CanBridge(mine, guard), frames)) == 40
+    assert len(run(CanBridge(mine, guard=guard), frames)) == 40
 
 
 def test_the_end_of_a_short_log_lets_out_what_was_held(mine):
     frame = Encoder(mine).battery(BatteryReading(0, 380.0, -1.0))
-    bridge = CanBridge(mine, FitGuard(mine, ALL))
+    bridge = CanBridge(mine, guard=FitGuard(mine, ALL))
     assert bridge.push(frame) == ()
     assert "1 readings" in bridge.status(0).text or "2 readings" in bridge.status(0).text
     assert len(bridge.finish()) == 2 and bridge.finish() == ()

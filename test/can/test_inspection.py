@@ -24,10 +24,11 @@ def inspected(frames, bitrate=500_000):
 @pytest.mark.parametrize("name", sorted(PROFILES))
 def test_the_own_profile_of_every_simulated_bus_comes_first(name, bus):
     report = inspected(bus(name)).report()
-    first = report.profiles[0].fit
     own = next(each for each in report.profiles if each.fit.profile == name)
-    assert own.fit.score == first.score > 0.99 and own.contradicted is None
-    assert report.best is not None
+    assert own.fit.score == report.best.fit.score and own.contradicted is None
+    heard = [message for message in own.fit.messages if message.frames]
+    assert len(heard) == len(PROFILES[name].messages)
+    assert all(message.share > 0.99 for message in heard)
     assert own.sign is None
 
 
@@ -91,6 +92,34 @@ def flipped(frame):
     raw = int.from_bytes(frame.data[2:4], "little") & 0x7FFF
     opposite = (-raw & 0x7FFF).to_bytes(2, "little")
     return CanFrame(frame.stamp_ns, 0x132, frame.data[:2] + opposite + frame.data[4:])
+
+
+# The published answer of a Kona to 22 01 01 (test_request.py).
+KONA = """
+103E620101FFF7E7 21FFBC16AE430800 2200000FCF090808 2308080900000ACE 2430CE4A00007800
+250015B2000012F4 2600000840000006 27D10005F7060900 28030000000003E8
+"""
+
+
+def test_what_another_tester_asks_for_is_told():
+    inspection = Inspection(bundled_profiles(), 500_000)
+    for stamp, data in enumerate(KONA.split() * 3):
+        inspection.push(CanFrame(stamp * 10 * MS, 0x7EC, bytes.fromhex(data)))
+    best = inspection.report().best
+    assert best.fit.profile == "hyundai_kia" and best.asks
+    assert best.values["voltage"].newest == pytest.approx(404.7)
+    speed, battery, charge = best.fit.messages
+    assert (speed.frames, battery.frames, battery.good, charge.good) == (0, 27, 3, 3)
+
+
+def test_answers_of_another_car_fit_nothing():
+    inspection = Inspection(bundled_profiles(), 500_000)
+    for stamp in range(50):
+        inspection.push(CanFrame(stamp * 10 * MS, 0x7BB, bytes.fromhex("0361010000000000")))
+    report = inspection.report()
+    assert report.best is None
+    own = next(each for each in report.profiles if each.fit.profile == "hyundai_kia")
+    assert "no_answer" in own.contradicted
 
 
 def test_firmware_is_told_apart(bus):

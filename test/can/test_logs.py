@@ -165,3 +165,11 @@ def test_gzip_of_an_absolute_asc_keeps_the_date(tmp_path):
     (tmp_path / "drive2.asc.gz").write_bytes(gzip.compress(plain.read_bytes()))
     frames = LogFile(plain).frames()
     assert next(LogFile(tmp_path / "drive2.asc.gz").frames()) == next(frames)
+
+
+def test_frames_that_no_bus_can_carry_are_skipped_and_counted(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text("(1.0) can0 932#01\n(1.1) can0 132#02\n")
+    log = LogFile(path)
+    assert [frame.data for frame in log.frames()] == [b"\x02"]
+    assert log.skipped == {"impossible_frame": 1}
