@@ -8,14 +8,13 @@ the raw values that mean "not available", and how the frame is protected. It is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import cantools
+from typing import Any, NamedTuple
 
 from evpinn_ros.can.checksum import CHECKSUM_RULES, ChecksumRule
+from evpinn_ros.can.dbc import DbcFile, bits, find_signal, refuse_other_unit
 from evpinn_ros.can.request import (
     AnswerField,
     RequestRule,
@@ -88,6 +87,11 @@ def profile_names() -> list[str]:
     return sorted(path.stem for path in _profile_directory().glob("*.yaml"))
 
 
+def bundled_profiles() -> list[CanProfile]:
+    """The profiles that come with the package."""
+    return [load_profile(name) for name in profile_names()]
+
+
 def load_profile(name_or_path: str | Path) -> CanProfile:
     """Read a profile given by its name (`tesla_model_3`) or by the path of its YAML file.
 
@@ -117,12 +121,13 @@ def _parse(path: Path) -> CanProfile:
     broadcast = [name for name in QUANTITIES if root.has(name) and name not in asked]
     messages = {}
     if broadcast or root.has("dbc"):
-        database = _load_dbc(root, path.parent / root.text("dbc"))
+        database = DbcFile(root, path.parent / root.text("dbc"))
         messages = {name: _message_rule(root.section(name), name, database) for name in broadcast}
     if not {"speed", "battery"} & {*messages, *asked}:
         raise root.error("'speed' or 'battery' is missing: the profile would say nothing")
     if "state_of_charge" in messages and "battery" in asked:
         raise root.error_at("state_of_charge", "must be asked for, as the battery is")
+    _refuse_shared_bits(root, messages)
     return CanProfile(
         key=path.stem,
         name=root.text("name"),
@@ -159,28 +164,47 @@ def _asked(root: Section) -> dict[str, tuple[AnswerField, ...]]:
     return asked
 
 
-def _load_dbc(root: Section, path: Path) -> Any:
-    """The database of a DBC file; not strict, because public files overlap and overhang."""
-    try:
-        return cantools.database.load_file(path, database_format="dbc", strict=False)
-    except OSError as error:
-        raise root.error_at("dbc", f"{path}: {error.strerror}") from error
-    except (cantools.database.Error, cantools.database.UnsupportedDatabaseFormatError) as error:
-        raise root.error_at("dbc", f"{path}: not a DBC file: {_one_line(error)}") from error
-    except (ValueError, KeyError) as error:
-        raise root.error_at("dbc", f"{path}: broken DBC file: {_one_line(error)}") from error
+class _Field(NamedTuple):
+    """What is read from a message: a value, or the counter or checksum that protects it."""
+
+    name: str
+    is_value: bool
+    pages: frozenset[int]
+    bits: frozenset[int]
+
+    def clashes(self, other: _Field) -> bool:
+        """Whether both claim one bit; two quantities of a message may share what protects it."""
+        if self.name == other.name and not (self.is_value or other.is_value):
+            return False
+        other_page = self.pages and other.pages and not self.pages & other.pages
+        return bool(self.bits & other.bits) and not other_page
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> None:
+    """Raise when two values, or a value and what protects it, are read from the same bits."""
+    taken: dict[str, list[_Field]] = {}
+    for quantity, rule in messages.items():
+        fields = taken.setdefault(rule.message.name, [])
+        for field in _fields(rule):
+            for other in filter(field.clashes, fields):
+                reason = f"'{field.name}' and '{other.name}' overlap in '{rule.message.name}'"
+                raise root.error_at(quantity, reason)
+            fields.append(field)
 
 
-def _message_rule(section: Section, quantity: str, database: Any) -> MessageRule:
-    name = section.text("message")
-    try:
-        message = database.get_message_by_name(name)
-    except KeyError:
-        raise section.error_at("message", f"the DBC file has no message '{name}'") from None
+def _fields(rule: MessageRule) -> Iterator[_Field]:
+    values = [signal.name for signal in rule.signals]
+    for name in (*values, *filter(None, (rule.counter,))):
+        signal = rule.message.get_signal_by_name(name)
+        pages = frozenset(signal.multiplexer_ids or ())
+        yield _Field(name, name in values, pages, bits(signal))
+    if rule.checksum is not None:
+        first = 8 * rule.checksum_byte
+        yield _Field("checksum", False, frozenset(), frozenset(range(first, first + 8)))
+
+
+def _message_rule(section: Section, quantity: str, database: DbcFile) -> MessageRule:
+    message = database.message(section)
     if quantity == "battery":
         section.refuse_unknown(("message", "voltage", "current", *PROTECTION_KEYS))
         voltage, current = section.section("voltage"), section.section("current")
@@ -194,14 +218,13 @@ def _message_rule(section: Section, quantity: str, database: Any) -> MessageRule
         section.refuse_unknown(("message", *SIGNAL_KEYS, *PROTECTION_KEYS))
         signals = (_signal_rule(section, message, quantity),)
     checksum, checksum_byte = _checksum(section, message)
-    counter = _signal(section, "counter", message).name if section.has("counter") else None
+    counter = find_signal(section, "counter", message).name if section.has("counter") else None
     return MessageRule(message, signals, checksum, checksum_byte, counter)
 
 
 def _signal_rule(section: Section, message: Any, quantity: str) -> SignalRule:
-    signal = _signal(section, "signal", message)
-    if signal.is_float:
-        raise section.error_at("signal", f"'{signal.name}' is a floating-point signal")
+    signal = find_signal(section, "signal", message)
+    refuse_other_unit(section, signal)
     return signal_rule(section, signal.name, quantity, float(signal.scale), float(signal.offset))
 
 
@@ -210,18 +233,9 @@ def _checksum(section: Section, message: Any) -> tuple[ChecksumRule | None, int]
         return None, 0
     checksum = section.section("checksum")
     checksum.refuse_unknown(("rule", "signal"))
-    signal = _signal(checksum, "signal", message)
+    signal = find_signal(checksum, "signal", message)
     # A Motorola byte starts at its highest bit, an Intel byte at its lowest.
     first = signal.start - 7 if signal.byte_order == "big_endian" else signal.start
     if signal.length != 8 or first % 8:
         raise checksum.error_at("signal", f"'{signal.name}' is not one whole byte")
     return CHECKSUM_RULES[checksum.choice("rule", CHECKSUM_RULES)], first // 8
-
-
-def _signal(section: Section, key: str, message: Any) -> Any:
-    name = section.text(key)
-    try:
-        return message.get_signal_by_name(name)
-    except KeyError:
-        reason = f"message '{message.name}' of the DBC file has no signal '{name}'"
-        raise section.error_at(key, reason) from None

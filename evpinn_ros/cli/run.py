@@ -23,6 +23,9 @@ def run(
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
+    trust_profile: Annotated[
+        bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
+    ] = False,
     poll: Annotated[
         bool,
         typer.Option(
@@ -56,6 +59,7 @@ def run(
         "interface": can_interface,
         "channel": can_channel,
         "can_profile": can_profile,
+        "trust_profile": trust_profile or None,
         "poll": poll or None,
         "mode": mode.value if mode is not None else None,
         "state_file": str(state) if state is not None else None,

@@ -9,12 +9,14 @@ import threading
 from typing import Any
 
 from evpinn_ros.can.bridge import BridgeStatus, CanBridge
-from evpinn_ros.can.bus import BusReader
+from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile, load_profile
+from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.base import REPORT_PERIOD, GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.factory import new_message
@@ -50,11 +52,14 @@ class CanBridgeNode(GuardedNode):
         super().__init__("can_bridge", **kwargs)
         self._profile = self._load_profile()
         self._refuse_idle_poll()
-        self._bridge = CanBridge(self._profile, self._send if self.values["poll"] else None)
+        self._bridge = self._make_bridge()
         self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
+        self._said_state = BusState.CLOSED
+        self._said_refusal = False
+        self.every(REPORT_PERIOD, self._say_changes)
         self._threads = [self._start(self._source.run, "can")]
         if self._bridge.poller is not None and self.values["poll"]:
             self._threads.append(self._start(self._bridge.poller.run, "can poll"))
@@ -104,6 +109,15 @@ class CanBridgeNode(GuardedNode):
         if bus_options(values["bus_options"]).get("listen_only"):
             raise InputError("poll: cannot send with listen_only in bus_options; leave one out")
 
+    def _make_bridge(self) -> CanBridge:
+        trusted, poll = self.values["trust_profile"], self.values["poll"]
+        return CanBridge(
+            self._profile,
+            self._send if poll else None,
+            guard=None if trusted else FitGuard(self._profile, bundled_profiles()),
+            sign=CurrentSign(),
+        )
+
     def _open_source(self) -> BusReader | LogPlayer:
         values = self.values
         on_frame = self.guarded(self._on_frame, "frame")
@@ -115,6 +129,23 @@ class CanBridgeNode(GuardedNode):
         if values["bitrate"]:
             options.setdefault("bitrate", values["bitrate"])
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
+
+    def _say_changes(self) -> None:
+        """Log what changed of the bus and of the profile: a state that lasts is said once."""
+        if isinstance(self._source, BusReader):
+            bus = self._source.status()
+            if bus.state is not self._said_state:
+                self._said_state = bus.state
+                lost = bus.state in (BusState.LOST, BusState.OFF)
+                text = (bus.problem if lost else None) or f"bus {bus.state.value}"
+                self.get_logger().info(text)
+        with self._lock:
+            refusal = self._bridge.refusal
+        if refusal is not None and not self._said_refusal:
+            self.get_logger().error(refusal)
+        elif refusal is None and self._said_refusal:
+            self.get_logger().info("the profile fits again")
+        self._said_refusal = refusal is not None
 
     def _send(self, frame: CanFrame) -> bool:
         return isinstance(self._source, BusReader) and self._source.send(frame)

@@ -188,6 +188,11 @@ CAN_BRIDGE = (
         verify=load_profile,
     ),
     Parameter(
+        "trust_profile",
+        False,
+        "Publish also what the traffic of the bus contradicts.",
+    ),
+    Parameter(
         "interface",
         "socketcan",
         "Driver of the CAN adapter, as python-can calls it.",
