@@ -116,7 +116,8 @@ class LogFile:
                     self.count += 1
                     yield frame
         if done.returncode:
-            reason = (done.stderr.split("\n")[-2:-1] or ["asammdf crashed"])[0]
+            said = done.stderr.splitlines()
+            reason = said[-1] if said else "asammdf crashed"
             self.problem = f"{self.path}: broken after {self.count} frames: {reason}"
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN frame in it")
