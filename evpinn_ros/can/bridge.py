@@ -11,7 +11,7 @@ from evpinn_ros.can.control_unit import Send
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.guard import FitGuard, Verdict
+from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -165,7 +165,7 @@ class CanBridge:
             advice = guard.advice() if guard is not None else None
             better = f" '{advice}' fits" if advice else ""
             return f"no frame of this profile: another bus or car?{better}"
-        if decoder.known and guard is not None and guard.verdict is Verdict.UNDECIDED:
+        if guard is not None and guard.held:
             return f"{guard.verdict.value}: {guard.held} readings held back"
         if self._dropped.total() > sum(signal.count for signal in signals.values()):
             return "most values are implausible: wrong profile?"

@@ -120,7 +120,7 @@ def _summary(name: str, report: BusReport, bitrate: int) -> list[str]:
 def _verdict(best: ProfileReport | None) -> list[str]:
     if best is None:
         return ["No profile fits this traffic."]
-    lines = [f"Fits: {best.fit.profile} ({best.fit.name})"]
+    lines = [f"Fits: {best.fit.profile}"]
     dropped = ", ".join(f"{count} {reason}" for reason, count in sorted(best.dropped.items()))
     if dropped:
         lines.append(f"Dropped: {dropped}")

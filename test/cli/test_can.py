@@ -11,6 +11,9 @@ import time
 import can
 import pytest
 
+from evpinn_ros.bags.can_frames import encode_frame
+from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
@@ -57,7 +60,7 @@ def test_a_log_for_people(folder):
     assert done.returncode == 0, done.stderr
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert done.stdout.rstrip().splitlines()[-2:] == [
-        "Fits: tesla_model_3 (Tesla Model 3, firmware of 2020 and later)",
+        "Fits: tesla_model_3",
         "Sign of the current: too little driving to tell",
     ]
     assert "1800 frames of 2 ids in 12.0 s" in done.stdout
@@ -79,6 +82,14 @@ def test_a_log_for_scripts(folder):
     assert first["verdict"] == "fits" and first["proven"]
     assert first["values"]["voltage"]["highest"] == pytest.approx(380.0)
     assert first["current_sign"] == {"told": False, "suspicion": None}
+
+
+def test_a_bag_of_raw_frames(folder):
+    with BagWriter(folder / "raw") as writer:
+        for frame in frames("tesla_model_3", 2.0):
+            writer.write_raw("/ev/can/frames", FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
+    done = evpinn("can", "inspect", "raw", cwd=folder)
+    assert done.returncode == 0 and "Fits: tesla_model_3" in done.stdout, done.stderr
 
 
 def test_a_profile_of_ones_own_is_ranked(folder):
