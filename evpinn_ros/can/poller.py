@@ -90,7 +90,7 @@ class Poller:
             answer = unit.push(frame, now_s)
             readings = () if answer is None else self._decoder.push(answer)
             self._observe(readings, now_s)
-            if not math.isnan(self._decoder.auxiliary_voltage):
+            if answer is not None and not math.isnan(self._decoder.auxiliary_voltage):
                 self._restraint.auxiliary(self._decoder.auxiliary_voltage, now_s)
             # The next question goes out at once, so that voltage and current are of one moment.
             unit.step(now_s, self._may_ask)
