@@ -6,7 +6,7 @@ A classic frame of 8 bytes takes about 125 bits, so 500 kbit/s carry 4000 frames
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-import itertools
+from itertools import cycle, islice
 import multiprocessing
 from multiprocessing.connection import Connection
 import os
@@ -67,7 +67,7 @@ def traffic(seconds: float) -> Iterator[list[CanFrame]]:
     Battery, speed and charge of a Model 3 among `OTHER_IDS` ids of no interest.
     """
     encoder = Encoder(load_profile(PROFILE))
-    others = itertools.cycle(_other_frames())
+    others = cycle(_other_frames())
     for tick in range(round(seconds * TICKS)):
         stamp_ns = tick * NANOSECONDS // TICKS
         frames = []
@@ -79,7 +79,7 @@ def traffic(seconds: float) -> Iterator[list[CanFrame]]:
         if tick % CHARGE_EVERY == 7:
             charge = BatteryReading(stamp_ns, LOWEST_VOLTAGE, 0.0, 0.5)
             frames.append(encoder.state_of_charge(charge))
-        rest = itertools.islice(others, FRAMES_PER_TICK - len(frames))
+        rest = islice(others, FRAMES_PER_TICK - len(frames))
         yield frames + [CanFrame(stamp_ns, each.can_id, each.data) for each in rest]
 
 
@@ -109,11 +109,11 @@ def send_traffic(port: int, seconds: float) -> list[int]:
 def send_log(port: int, path: Path) -> int:
     """Send the frames of a log, faster than they came; gives how many."""
     frames = LogFile(path).frames()
-    batches = iter(lambda: list(itertools.islice(frames, LOG_FRAMES_PER_TICK)), [])
     count = 0
     with open_bus(port) as bus:
-        for count, frame in enumerate(paced(batches), 1):  # noqa: B007
+        for frame in paced(iter(lambda: list(islice(frames, LOG_FRAMES_PER_TICK)), [])):
             _send(bus, frame)
+            count += 1
     return count
 
 

@@ -17,7 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 import errno
-import os
 import socket
 import threading
 from typing import Any
@@ -198,7 +197,7 @@ class BusReader:
             if off:
                 self._counters["bus_off"] += 1
                 self._was_off = True
-                self._lose(_explain_bus_off(self._interface, self._channel))
+                self._lose(_explain_bus_off(self._interface, self._channel), BusState.OFF)
             elif message is None:
                 self._silence()
             else:
@@ -210,10 +209,10 @@ class BusReader:
             return bool(message.arbitration_id & SOCKETCAN_BUS_OFF)
         return self._bus.state is can.BusState.ERROR
 
-    def _lose(self, problem: str) -> None:
+    def _lose(self, problem: str, state: BusState = BusState.LOST) -> None:
         self._counters["lost"] += 1
         self._problem = problem
-        self._close(BusState.OFF if self._was_off else BusState.LOST)
+        self._close(state)
         self._back_off()
 
     def _stumble(self, error: Exception) -> None:
@@ -291,10 +290,15 @@ class BusReader:
 def _deepen_queue(bus: Any) -> None:
     """Let the system keep a second of a full bus while we are busy; it keeps 0.1 s by default.
 
-    It gives what net.core.rmem_max allows; an adapter that is no socket has no such queue.
+    It gives what net.core.rmem_max allows. An adapter that is no socket has no such queue, and
+    says so in a way of its own: an OSError, NotImplementedError, a file number of -1...
     """
-    with suppress(OSError, NotImplementedError), socket.socket(fileno=os.dup(bus.fileno())) as own:
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_QUEUE)
+    with suppress(Exception):
+        own = socket.socket(fileno=bus.fileno())
+        try:
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_QUEUE)
+        finally:
+            own.detach()  # it stays the driver's
 
 
 def _explain(error: BaseException, interface: str, channel: str | int) -> str:

@@ -1,6 +1,6 @@
 """CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped.
 
-ASAM .mf4 needs the extra `mf4`. Another process reads it: a damaged one can crash asammdf's C code.
+ASAM .mf4 needs the extra `mf4`. Another process reads it: a damaged one can crash asammdf's code.
 """
 
 from __future__ import annotations
@@ -116,7 +116,8 @@ class LogFile:
                     self.count += 1
                     yield frame
         if done.returncode:
-            reason = (done.stderr.split("\n")[-2:-1] or ["asammdf crashed"])[0]
+            said = done.stderr.splitlines()
+            reason = said[-1] if said else "asammdf crashed"
             self.problem = f"{self.path}: broken after {self.count} frames: {reason}"
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN frame in it")

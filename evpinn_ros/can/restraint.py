@@ -55,7 +55,7 @@ class Restraint:
 
     def heard(self, now_s: float) -> bool:
         """A frame of whatever id came; True when it ends a stop."""
-        silent = self._heard_s is not None and now_s - self._heard_s >= QUIET_S
+        silent = self._heard_s is None or now_s - self._heard_s >= QUIET_S
         self._heard_s = now_s
         if self.reason is None or not silent:
             return False

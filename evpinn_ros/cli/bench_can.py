@@ -115,13 +115,17 @@ def _show_captures(agreements: list[Agreement]) -> None:
         table.add_row(
             each.log.rpartition("/")[2].partition(".")[0],
             str(each.frames),
-            f"{each.battery_equal}/{each.battery_frames}",
-            f"{each.rows_equal}/{each.rows}",
+            _all_of(each.battery_equal, each.battery_frames),
+            _all_of(each.rows_equal, each.rows),
             _number(each.wheel_speed, ".3f"),
             _number(each.wheel_speed_within_2_percent, ".1%"),
             "equal" if each.live_equal else "differs",
         )
     results.print(table)
+
+
+def _all_of(count: int, total: int) -> str:
+    return f"all {total}" if count == total else f"{count} of {total}"
 
 
 def _number(value: float | None, form: str) -> str:

@@ -19,7 +19,10 @@ from evpinn_ros.vehicle.files import load_vehicle
 
 def convert(
     source_path: Annotated[
-        Path, typer.Argument(metavar="IN", help="CSV, CAN log (.log, .asc, ...), .db3 or .mcap.")
+        Path,
+        typer.Argument(
+            metavar="IN", help="CSV, CAN log (.log, .asc, ...), bag of topics or of CAN frames."
+        ),
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     vehicle: Annotated[

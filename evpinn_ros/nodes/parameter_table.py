@@ -212,7 +212,9 @@ CAN_BRIDGE = (
         "Allow to send read requests, for what the profile says the car must be asked for. A car "
         "that is asked stays awake, at the cost of its 12 V battery: see docs/can.md.",
     ),
-    Parameter("log_file", "", "Replay this CAN log, with its stamps, instead of a bus."),
+    Parameter(
+        "log_file", "", "Replay this CAN log, or a bag's raw frames, with its stamps, not a bus."
+    ),
     Parameter(
         "log_rate",
         1.0,

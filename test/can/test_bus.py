@@ -3,6 +3,8 @@
 from contextlib import contextmanager
 import errno
 import os
+from pathlib import Path
+import socket
 import struct
 import subprocess
 import sys
@@ -154,6 +156,32 @@ def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path):
     assert counters["frames"] == len(received) >= 200
     assert {frame.data for frame in received} == {bytes.fromhex("989467000000")}
     adapter.unplug()
+
+
+def test_opening_again_and_again_keeps_no_file_open(tmp_path, quick):
+    adapter = Adapter(tmp_path / "adapter")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(5):
+        reader = serial_reader(adapter.link, print)
+        reader.open()
+        reader.stop()
+        reader.run()  # closes
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    adapter.unplug()
+
+
+def test_a_socket_is_given_a_deep_queue():
+    reader = BusReader("udp_multicast", GROUP, print, lambda: NOW, port=20_001, hop_limit=0)
+    try:
+        reader.open()
+    except InputError as error:
+        pytest.skip(f"no multicast here: {error}")
+    allowed = int(Path("/proc/sys/net/core/rmem_max").read_text())
+    with socket.socket(fileno=os.dup(reader._bus.fileno())) as own:
+        deep = own.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    reader.stop()
+    reader.run()
+    assert deep >= min(allowed, bus_module.SOCKET_QUEUE)
 
 
 def test_garbled_serial_line_is_no_loss(tmp_path, quick):

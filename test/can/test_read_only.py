@@ -97,7 +97,7 @@ def test_every_request_of_every_profile_passes():
 
 
 def test_a_bus_is_sent_to_in_one_place_alone():
-    """A bus has `send`, of python-can; only the bus reader may call it, and benchmarks on theirs."""
+    """Only the bus reader may call the `send` of python-can, and benchmarks on a bus of theirs."""
     package, callers = Path(evpinn_ros.__file__).parent, set()
     for path in set(package.rglob("*.py")) - set(package.glob("bench/*.py")):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -46,6 +46,12 @@ def test_only_a_bus_that_wakes_ends_a_stop(restraint):
     assert restraint.reason is None
 
 
+def test_the_first_frame_of_all_wakes(restraint):
+    restraint.asked(0.0, sent=True)
+    restraint.asked(UNANSWERED_S, sent=True)
+    assert restraint.heard(1000.0) and restraint.reason is None
+
+
 def test_low_12_v_stops_a_standing_car(restraint):
     restraint.auxiliary(11.9, 0.0)
     restraint.auxiliary(12.1, 5.0)
