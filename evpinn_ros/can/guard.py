@@ -3,9 +3,9 @@
 Readings are held back until the frames so far speak for the profile: at once when each of its
 speed and battery messages came and held, a checksum among them; otherwise after `DECIDE_NS`, and
 while some frames hold and others do not, `DECIDE_LAST_NS` at most. Then those held are let out
-with their own stamps, or dropped. From there on each second is judged
-anew, so that a wrong profile that shows itself later is stopped; one that was refused resumes
-after ten seconds in which all that spoke against it holds.
+with their own stamps, or dropped. From there on each second is judged anew, so that a wrong
+profile that shows itself later is stopped; one that was refused resumes after ten seconds in
+which all that spoke against it holds.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DECIDE_PATIENTLY_NS = 10 * NANOSECONDS
 REVIEW_NS = NANOSECONDS
 RESUME_NS = 10 * NANOSECONDS
 REVIEW_FRAMES = 10  # of the profile; with fewer a review waits
-LEADING = ("speed", "battery")
+LEADING = ("speed", "battery")  # without them a profile has nothing to let out
 MOST_HELD = 10_000  # readings, should all frames bear one stamp
 
 

@@ -203,7 +203,7 @@ class _Candidate:
             for rule in profile.messages.values()
         }
         self._decoder = Decoder(profile, self.evidence)
-        self._asked = _Asked(profile) if profile.asked else None
+        self._asks, self._asked = bool(profile.asked), _Asked(profile)
         self._values: dict[str, _Values] = {}
         self._sign = CurrentSign()
 
@@ -214,7 +214,7 @@ class _Candidate:
                 self._values.setdefault(name, _Values()).push(value)
 
     def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
-        if self._asked is not None and self._asked.hears(frame):
+        if self._asked.hears(frame):
             return self._asked.push(frame)
         if (frame.can_id, frame.extended) in self._keys:
             return self._decoder.push(frame)
@@ -222,8 +222,6 @@ class _Candidate:
 
     def fit(self) -> ProfileFit:
         fit = self.evidence.fit()
-        if self._asked is None:
-            return fit
         return replace(fit, messages=(*fit.messages, *self._asked.fits()))
 
     def report(self, fit: ProfileFit, fits: Iterable[ProfileFit]) -> ProfileReport:
@@ -232,10 +230,8 @@ class _Candidate:
             fit=fit,
             contradicted=found.why if found is not None else None,
             values={name: values.status() for name, values in self._values.items()},
-            dropped=dict(self._decoder.dropped + self._asked.dropped)
-            if self._asked is not None
-            else dict(self._decoder.dropped),
-            asks=self._asked is not None,
+            dropped=dict(self._decoder.dropped + self._asked.dropped),
+            asks=self._asks,
             experimental=self._experimental,
             sign=self._sign.suspicion,
             sign_told=self._sign.told,
