@@ -29,7 +29,6 @@ from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReadin
 PROFILE = "tesla_model_3"
 TICKS = 1000  # a second; the frames of one go out together
 FRAMES_PER_TICK = 4
-LOG_FRAMES_PER_TICK = 8
 BATTERY_EVERY, SPEED_EVERY, CHARGE_EVERY = 10, 20, 100  # ticks, as a Model 3 sends them
 OTHER_IDS = 90
 
@@ -107,11 +106,11 @@ def send_traffic(port: int, seconds: float) -> list[int]:
 
 
 def send_log(port: int, path: Path) -> int:
-    """Send the frames of a log, faster than they came; gives how many."""
+    """Send the frames of a log as a full bus; gives how many."""
     frames = LogFile(path).frames()
     count = 0
     with open_bus(port) as bus:
-        for frame in paced(iter(lambda: list(islice(frames, LOG_FRAMES_PER_TICK)), [])):
+        for frame in paced(iter(lambda: list(islice(frames, FRAMES_PER_TICK)), [])):
             _send(bus, frame)
             count += 1
     return count

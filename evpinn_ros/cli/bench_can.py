@@ -17,6 +17,7 @@ from evpinn_ros.bench.can_decoding import (
     Agreement,
     Throughput,
     compare,
+    equal_live,
     measure_throughput,
 )
 from evpinn_ros.bench.can_traffic import Idle, measure_idle
@@ -57,8 +58,8 @@ def can(
     else:
         found["live"] = _measure_live(60 * minutes)
     if data is not None:
-        agreements = [compare(capture, data) for capture in CAPTURES]
-        found["captures"] = [asdict(each) for each in agreements]
+        agreements = [(compare(each, data), equal_live(each, data)) for each in CAPTURES]
+        found["captures"] = [asdict(each) | {"live_equal": live} for each, live in agreements]
         _show_captures(agreements)
     if json_file is not None:
         _write(json_file, found)
@@ -106,12 +107,12 @@ def _show_figures(title: str, rows: Iterator[tuple[str, str, str]]) -> None:
     results.print(table)
 
 
-def _show_captures(agreements: list[Agreement]) -> None:
+def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
     table = titled_table("Captures: battery frames and table rows that are equal, live to offline")
     table.add_column("log", no_wrap=True)
     for column in ("frames", "battery", "rows", "wheel speed", "within 2 %", "live"):
         table.add_column(column, justify="right")
-    for each in agreements:
+    for each, live in agreements:
         table.add_row(
             each.log.rpartition("/")[2].partition(".")[0],
             str(each.frames),
@@ -119,7 +120,7 @@ def _show_captures(agreements: list[Agreement]) -> None:
             _all_of(each.rows_equal, each.rows),
             _number(each.wheel_speed, ".3f"),
             _number(each.wheel_speed_within_2_percent, ".1%"),
-            "equal" if each.live_equal else "differs",
+            "equal" if live else "differs",
         )
     results.print(table)
 
