@@ -32,6 +32,7 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=[
+        "can-isotp",
         "cantools",
         "lz4",
         "matplotlib",
@@ -45,6 +46,7 @@ setup(
         "threadpoolctl",
         "torch",
         "typer",
+        "udsoncan",
         "zstandard",
     ],
     extras_require={

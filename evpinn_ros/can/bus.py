@@ -1,7 +1,8 @@
 """A CAN adapter, read in one thread, that survives silence, unplugging and a broken driver.
 
-Receive only: nothing here sends a frame. An adapter that takes `listen_only` (slcan does) should
-be given it, so that it does not even acknowledge the car's frames.
+Nothing is sent unless `send` is called, which the poller does through its gate, and only when
+polling is allowed. Otherwise an adapter that takes `listen_only` (slcan does) should be given it,
+so that it does not even acknowledge the car's frames.
 
 Stamps follow one rule, chosen at the first frame after every opening: a driver that stamps with
 the epoch (more than 1e9 s) is believed; any other counts from a zero of its own, and a `ClockMap`
@@ -31,6 +32,7 @@ SILENT_AFTER_S = 1.0
 FIRST_BACKOFF_S = 0.5
 LAST_BACKOFF_S = 10.0
 GARBLED_PAUSE_S = 0.01
+SEND_TIMEOUT_S = 0.1
 SOCKET_QUEUE = 1 << 22  # bytes; a frame takes up to a thousand of them
 MANY_GARBLED = 100  # in a row: the driver does not recover by itself
 MANY_ERRORS = 100  # error frames in a row: there is no traffic that this adapter can read
@@ -153,6 +155,17 @@ class BusReader:
     def stop(self) -> None:
         """Make `run` return, within about a tenth of a second plus the driver's own time."""
         self._stop.set()
+
+    def send(self, frame: CanFrame) -> bool:
+        """Send a frame; False when there is no bus now. Raises what the driver raises."""
+        bus = self._bus
+        if bus is None:
+            return False
+        message = can.Message(
+            arbitration_id=frame.can_id, data=frame.data, is_extended_id=frame.extended
+        )
+        bus.send(message, timeout=SEND_TIMEOUT_S)
+        return True
 
     def status(self) -> BusStatus:
         """The state, the last problem and the counters so far."""

@@ -27,12 +27,12 @@ from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME
 from evpinn_ros.estimation.parameter_set import StateKeeper, parameter_set
 from evpinn_ros.estimation.power_filter import PowerFilter
 from evpinn_ros.estimation.published_filter import PublishedFilter
-from evpinn_ros.estimation.suspicion import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.estimation.unknown_load import UnknownLoad
 from evpinn_ros.estimation.window import Observation, SampleStore, SlidingWindow, batch
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.stream import SAMPLE_PERIOD
+from evpinn_ros.signals.suspicion import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 
 WINDOW = 60.0  # s

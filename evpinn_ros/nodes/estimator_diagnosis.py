@@ -8,7 +8,6 @@ import statistics
 
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.estimation.suspicion import CURRENT_SIGN
 from evpinn_ros.nodes.diagnosis import (
     SILENT_AFTER,
     Health,
@@ -19,6 +18,7 @@ from evpinn_ros.nodes.diagnosis import (
 )
 from evpinn_ros.nodes.messages import Level
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.suspicion import CURRENT_SIGN
 
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
 RECENT = 60  # updates whose median duration is told
