@@ -152,12 +152,15 @@ class HybridLearner:
         return self._states.judge(found, told.deviation()._asdict(), suspected=suspected)
 
     def report(self) -> LearnerReport:
-        """Changes of payload, and a current of the wrong sign."""
+        """Changes of payload, a current of the wrong sign, and the lag of power."""
+        lag, lag_std = self.power_filter.lag
         return LearnerReport(
             self._payload.change,
             self._payload.found,
             self._payload.withdrawn,
             CURRENT_SIGN if self._suspicion.suspected else None,
+            lag,
+            lag_std,
         )
 
     def forget_window(self) -> None:

@@ -2,10 +2,11 @@
 
 State x (see `STATES`): the logarithms of eta, mu, mass, C_rr and C_d, the auxiliary power, the
 copper loss that the paper's constant efficiency leaves out, and the unknown slope of the road
-(grade that no sensor reports, and head wind, which acts alike). The measurement is battery power:
+(grade and wind that no sensor reports act alike). The measurement is battery power:
 
     P = s w + p_aux + known + copper a^2,    s = 1 if w > 0 else eta mu
-    w = v [rho A C_d v |v| / 2 + m g (+-C_rr cos(th) + sin(th)) + k m a] / eta,  th = grade + slope
+    w = v [rho A C_d u |u| / 2 + m g (+-C_rr cos(th) + sin(th)) + k m a] / eta,  th = grade + slope
+    u = v + head wind
 
 (eq. 12-19 in the `wheel_power` form; + C_rr forward, - in reverse.) In logarithms the products
 that data determine are sums, so the direction they cannot tell, (eta, 1/mu, mass, C_d) scaled
@@ -267,7 +268,8 @@ class ParameterFilter:
         v, a = sample.speed, sample.acceleration
         angle = sample.grade + slope
         weight = mass * GRAVITY * v
-        drag = drag_force(v, self._vehicle.frontal_area * c_d, sample.air_density) * v
+        area = self._vehicle.frontal_area * c_d
+        drag = drag_force(v + sample.head_wind, area, sample.air_density) * v
         rolling = np.abs(weight) * c_rr * np.cos(angle)
         climbing = weight * np.sin(angle)
         inertia = inertia_force(mass * self._vehicle.rotating_mass_factor, a) * v

@@ -53,6 +53,7 @@ def estimator_status(report: EstimatorReport) -> Status:
         "update_ms": _milliseconds(status.durations),
         "speed_age_s": rounded(report.speed_age),
         "time_jumps": report.jumps,
+        "not_told": ", ".join(status.unknown) or "nothing",
         **flat("rejected", status.rejected),
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),
@@ -86,6 +87,8 @@ def _noticed(report: LearnerReport) -> dict[str, object]:
     """What was noticed of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
+        "power_lag_s": rounded(report.lag),
+        "power_lag_std_s": rounded(report.lag_std),
         "load_changes": report.load_changes,
         "load_changes_withdrawn": report.load_changes_withdrawn,
     }
