@@ -180,8 +180,11 @@ def auxiliary_reading(message: Any) -> AuxiliaryReading:
     vector = read_named_vector(message)
     if not vector.values:
         raise BadMessage("nothing_measured")
-    heating = sum(load for name, load in vector.values.items() if HEATING in name.lower())
-    return AuxiliaryReading(vector.stamp_ns, heating, sum(vector.values.values()) - heating)
+    heating, others = (
+        sum(load for name, load in vector.values.items() if (HEATING in name.lower()) is wanted)
+        for wanted in (True, False)
+    )
+    return AuxiliaryReading(vector.stamp_ns, heating, others)
 
 
 _READERS: Mapping[str, Callable[[Any], Reading]] = {
