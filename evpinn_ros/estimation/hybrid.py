@@ -1,6 +1,7 @@
 """`mode: hybrid`: a filter at every sample, and once a second a windowed PINN update.
 
-Prediction is physics plus a network: P = P_physics(v, a, grade; x) + trust N(v, a, age). The
+Prediction is physics plus a network: P = P_physics(v, a, grade; x) + trust N(v, a, age), which
+fades once the battery is silent: the window shows what holds for a minute, not the car. The
 physics is learned by the filter at every sample. The network is trained jointly with the physics
 on the window and the store (`joint_step`), so it holds only what no parameters explain. A trained
 network is a candidate: it is adopted if it foretells the following second, which it has not seen,
@@ -62,7 +63,7 @@ class HybridLearner:
         self._network = deepcopy(self._start)
         self._candidate: PowerNetwork | None = None
         self._candidate_score = 0.0
-        self._merit = np.array([0.0, TRUST_PRIOR])
+        self._merit = _unproven()
         self._window = SlidingWindow(WINDOW)
         self._store = SampleStore()
         self._last_ns: int | None = None
@@ -85,7 +86,7 @@ class HybridLearner:
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of physics and network, W."""
         physics = self.power_filter.predict(sample)
-        power = physics.power + self.trust * self._said(self._network, sample)
+        power = physics.power + self._weight(sample) * self._said(self._network, sample)
         if not sample.course:
             # The newest moment: its acceleration is foretold, and what is wrong with it is larger
             # than the load; both together were worse on the drives measured.
@@ -164,8 +165,9 @@ class HybridLearner:
         )
 
     def forget_window(self) -> None:
-        """Drop recent samples after a jump of time."""
+        """Drop recent samples after a jump of time; on another road the network is unproven."""
         self._window.clear()
+        self._merit = _unproven()
         self._candidate = None
         self._last_ns = None
         self._payload.forget_time()
@@ -179,7 +181,6 @@ class HybridLearner:
             "parameter_filter": self.parameter_filter.export(),
             "power_filter": self.power_filter.export(),
             "network": self._network.vector().tolist(),
-            "merit": self._merit.tolist(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -187,15 +188,12 @@ class HybridLearner:
         weights = torch.tensor(state["network"], dtype=torch.float64)
         if weights.shape != self._network.vector().shape:
             raise ValueError("the saved network has another shape")
-        merit = np.array(state["merit"], dtype=float)
-        if merit.shape != self._merit.shape or not (np.isfinite(merit).all() and merit[1] > 0):
-            raise ValueError("the saved merit does not fit")
         if not torch.isfinite(weights).all():
             raise ValueError("the saved network is not finite")
         self.parameter_filter.restore(state["parameter_filter"])
         self.power_filter.restore(state["power_filter"])
         self._network.load_vector(weights)
-        self._merit = merit
+        self._merit = _unproven()
 
     def _follow_payload(self, sample: Sample, power: float, step: float) -> None:
         """Let what is published follow a change of payload, and power once the change stood."""
@@ -210,6 +208,13 @@ class HybridLearner:
         if last is None:
             return SAMPLE_PERIOD
         return min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
+
+    def _weight(self, sample: Sample) -> float:
+        """Of the network at a sample: what the window showed passes once nothing new is seen."""
+        if self._last_ns is None:
+            return 0.0
+        unseen = max(0, sample.stamp_ns - self._last_ns) / NANOSECONDS
+        return self.trust * math.exp(-unseen / WINDOW)
 
     def _said(self, network: PowerNetwork, sample: Sample) -> float:
         """What a network adds to the physics at a sample, W."""
@@ -244,6 +249,11 @@ class HybridLearner:
             physics_loss=PHYSICS_LOSS,
             ridge=RIDGE,
         )
+
+
+def _unproven() -> np.ndarray:
+    """The merit of a network that has not been held against anything, shape (2,)."""
+    return np.array([0.0, TRUST_PRIOR])
 
 
 _SCALES = np.array([SPEED_SCALE, ACCELERATION_SCALE, 1.0])
