@@ -186,7 +186,7 @@ class Step:
 
 
 def load_steps(
-    vehicles: Sequence[str], seeds: Iterable[int], *, before: int = 420, after: int = 240
+    vehicles: Sequence[str], seeds: Iterable[int], *, before: int = 900, after: int = 240
 ) -> Iterator[Step]:
     """Drive in town, stop, change the load by 150 kg, up or down in turn, and drive on."""
     for number, seed in enumerate(seeds):

@@ -4,9 +4,10 @@ Speed sets the pace. Each new speed gives a `NewestSample` at once; each moment 
 `smoothing_lag` back gives a `SmoothedSample` (at most one each `SAMPLE_PERIOD`), and a
 `MeasuredSample` once battery readings on both sides of it are known, not before the smoothed
 moments up to the later one, so that no prediction rests on a battery reading of its own moment or
-after, and not before `allowed_lateness` has passed since the later one: whatever order the battery
-readings come in until then, the samples are the same. What is late, doubled or impossible is dropped and counted by reason. When nothing but late
-readings come, time itself went back and the stream starts anew.
+after, and not before `allowed_lateness` has passed since the later one, so that the samples are
+the same in whatever order battery readings come until then. What is late, doubled or impossible is
+dropped and counted by reason. When nothing but late readings come, time itself went back and the
+stream starts anew.
 """
 
 from __future__ import annotations
