@@ -7,7 +7,7 @@ no model's. What real cars have beyond that, `bench.truth` tells.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 import math
 
@@ -26,7 +26,7 @@ from evpinn_ros.estimation.published_filter import PublishedFilter
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
@@ -36,9 +36,10 @@ ROUTES = 20  # different drives, which the cars share
 START_NS = 1_735_689_600 * NANOSECONDS
 
 
-def filter_alone(vehicle: Vehicle, seeds: Iterable[int]) -> Iterator[Comparison]:
+def filter_alone(vehicles: Sequence[str], seeds: Iterable[int]) -> Iterator[Comparison]:
     """Drive one car per seed for `SECONDS` and hold the five parameters against its own."""
-    for seed in seeds:
+    for number, seed in enumerate(seeds):
+        vehicle = load_vehicle(vehicles[number % len(vehicles)])
         rng = np.random.default_rng(seed)
         car, learner = _drawn(vehicle, rng), PublishedFilter(vehicle)
         for sample, power in _drive(car, seed % ROUTES, rng):
