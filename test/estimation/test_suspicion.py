@@ -90,11 +90,11 @@ def test_a_hair_around_the_limit_does_not_flicker():
     def push(wrong: float, seconds: int) -> bool:
         """Of a share of power against the acceleration."""
         for k in range(seconds):
-            sign = -1.0 if (k * wrong) % 1.0 < wrong else 1.0
+            sign = 1.0 if k % 10 < round(10 * (1 - wrong)) else -1.0
             current.push(Sample(0, 10.0, 1.0, 0.0, 1.17, 0.0), sign * 1e4, 1.0)
         return current.suspected
 
-    assert not push(0.6, 400)
+    assert not push(0.7, 400)
     assert push(0.9, 400)
-    assert push(0.6, 400)
+    assert push(0.7, 400)
     assert not push(0.2, 400)
