@@ -268,7 +268,7 @@ def _summary(group: list[Comparison]) -> Summary:
         float(error.mean()),
         float(np.median(np.abs(error))),
         float(np.quantile(np.abs(error), 0.9)),
-        float(np.median([100 * one.std / one.value for one in group])),
+        float(np.median([100 * one.std / one.truth for one in group])),
         float(np.mean([100.0 * one.covered for one in group])),
         float(np.median([one.prior_share for one in group])),
     )
