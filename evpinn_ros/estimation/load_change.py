@@ -34,10 +34,10 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 STOP = 5.0  # s of standstill, or of silence, in which someone may get in or out
 LOAD_SPREAD = 0.15  # 1-sigma of the logarithm of mass across a stop: full load of a passenger car
-LEAST_MOTION = 60.0  # s of motion after a stop before it is judged
+LEAST_MOTION = 75.0  # s of motion after a stop before it is judged
 MOST_MOTION = 120.0  # s of motion after which a stop is judged no more
 KNOWN = 0.02  # 1-sigma of the logarithm of m/eta that must be reached before and after
-SIGNIFICANT = 5.0  # sigmas
+SIGNIFICANT = 4.8  # sigmas
 LEAST_CHANGE = 85.0  # kg: one grown person with a bag
 LEAST_STOPS = 3.0  # without a change, before one is told
 STOPS_KEPT = 40.0  # that what chance does is learned from, about an hour in town

@@ -123,6 +123,6 @@ def test_where_chance_does_much_more_is_asked():
 
 
 def test_a_simulated_car_is_found_in_time():
-    (step,) = load_steps(["tesla_model_3_lr"], [3000], after=180)
+    (step,) = load_steps(["tesla_model_3_lr"], [3000], before=600, after=180)
     assert step.detected_after <= 90.0
     assert abs(step.error) < LEAST_CHANGE / 2
