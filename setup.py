@@ -32,6 +32,7 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=[
+        "can-isotp",
         "cantools",
         "lz4",
         "matplotlib",
@@ -45,6 +46,7 @@ setup(
         "threadpoolctl",
         "torch",
         "typer",
+        "udsoncan",
         "zstandard",
     ],
     extras_require={
@@ -64,6 +66,8 @@ setup(
         ],
         # Peers of `evpinn bench`.
         "bench": ["deepxde"],
+        # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
+        "mf4": ["asammdf"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",

@@ -5,10 +5,11 @@ Run: python docs/generate.py
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 import math
 from pathlib import Path
 
+from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.nodes.parameter_table import TABLES, Parameter
 from evpinn_ros.nodes.topics import TOPICS, Topic
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
@@ -77,14 +78,31 @@ def _range(parameter: Parameter) -> str:
 
 
 def vehicles_page() -> str:
-    """Every vehicle file: priors and their sources."""
+    """Every vehicle file: priors and their sources; every CAN profile."""
     lines = [MADE, "# Vehicles", ""]
     lines += ["What is believed of each car before driving. Copy the nearest file from"]
     lines += ["`config/vehicles/`, change what you know, check it with `evpinn check-params`, and"]
     lines += ["give its path to `--vehicle`.", ""]
     for name in vehicle_names():
         lines += _vehicle_section(load_vehicle(name))
-    return "\n".join(lines)
+    lines += ["## CAN profiles", ""]
+    lines += [
+        "How the quantities come: *broadcast*, or *asked* for with read requests, which needs"
+    ]
+    lines += ["`poll` ([why, and what it costs](can.md#asking-the-car)).", ""]
+    lines += ["| profile | cars | broadcast | asked | verified by |", "|---|---|---|---|---|"]
+    lines += [_profile_row(load_profile(name)) for name in profile_names()]
+    return "\n".join([*lines, ""])
+
+
+def _profile_row(profile: CanProfile) -> str:
+    name = f"`{profile.key}`" + (" (experimental)" if profile.experimental else "")
+    broadcast, asked = (", ".join(_words(part)) for part in (profile.messages, profile.asked))
+    return f"| {name} | {profile.name} | {broadcast} | {asked} | {profile.verified_by} |"
+
+
+def _words(quantities: Iterable[str]) -> Iterator[str]:
+    return (quantity.replace("_", " ") for quantity in quantities)
 
 
 def _vehicle_section(vehicle: Vehicle) -> Iterator[str]:

@@ -69,6 +69,10 @@ class Section:
         """Whether `key` is given."""
         return key in self._items
 
+    def names(self) -> tuple[str, ...]:
+        """Every key that is given."""
+        return tuple(self._items)
+
     def section(self, key: str) -> Section:
         """The mapping under `key`."""
         return Section(self._path, self._value(key), f"{self._title}, {key}")
@@ -91,6 +95,22 @@ class Section:
     def number(self, key: str, lower: float, upper: float) -> float:
         """The number under `key`, within [lower, upper]."""
         return self._number(key, self._value(key), lower, upper)
+
+    def whole(self, key: str, lower: int, upper: int) -> int:
+        """The whole number under `key`, also as 0x7E4, within [lower, upper]."""
+        try:
+            value = int(self.text(key), 0)
+        except ValueError:
+            raise self.error_at(
+                key, f"'{key}' must be a whole number, such as 17 or 0x11"
+            ) from None
+        if not lower <= value <= upper:
+            raise self.error_at(key, f"{self._title}: {key} is outside [{lower:#x}, {upper:#x}]")
+        return value
+
+    def truth(self, key: str) -> bool:
+        """The truth value under `key`."""
+        return self.choice(key, ("true", "false")) == "true"
 
     def numbers(self, key: str, lower: float, upper: float) -> tuple[float, ...]:
         """The list of numbers under `key`, each within [lower, upper]."""

@@ -28,6 +28,7 @@ NAMES = {
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
     "deepxde": ("deepxde", None),
+    "isotp": ("can-isotp", None),
     "lz4": ("lz4", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", None),
@@ -38,6 +39,7 @@ NAMES = {
     "threadpoolctl": ("threadpoolctl", None),
     "torch": ("torch", "python3-torch"),
     "typer": ("typer", "python3-typer"),
+    "udsoncan": ("udsoncan", None),
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", None),
 }

@@ -107,8 +107,10 @@ class CsvDrive:
             yield AltitudeReading(stamp_ns, cells["elevation_m"])
         if "ambient_c" in cells:
             yield TemperatureReading(stamp_ns, cells["ambient_c"])
-        if loads := [cells[name] for name in ("heating_w", "aircon_w") if name in cells]:
-            yield AuxiliaryReading(stamp_ns, sum(loads))
+        if "heating_w" in cells or "aircon_w" in cells:
+            yield AuxiliaryReading(
+                stamp_ns, cells.get("heating_w", 0.0), cells.get("aircon_w", 0.0)
+            )
 
     def _battery(self, cells: dict[str, float], stamp_ns: int) -> BatteryReading | None:
         """Voltage and current as measured; where one is missing, the current from power."""

@@ -1,4 +1,7 @@
-"""ROS 2 messages and their CDR bytes without ROS: the classes of rosbags for ROS 2 Jazzy."""
+"""ROS 2 messages and their CDR bytes without ROS: the classes of rosbags for ROS 2 Jazzy.
+
+`can_msgs/Frame`, which is no part of ROS 2 itself, is described here.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,27 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 CDR_BIG_ENDIAN, CDR_LITTLE_ENDIAN = b"\x00\x00", b"\x00\x01"
+
+FRAME_TYPE = "can_msgs/msg/Frame"
+_FRAME_FIELDS = """std_msgs/Header header
+uint32 id
+bool is_rtr
+bool is_extended
+bool is_error
+uint8 dlc
+uint8[8] data
+"""
 
 
 @cache
 def typestore() -> Any:
     """The rosbags type store; made at first use, which takes a fraction of a second."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(_FRAME_FIELDS, FRAME_TYPE))
+    return store
 
 
 def new_message(type_name: str, /, **fields: Any) -> Any:

@@ -10,10 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from evpinn_ros.bags.can_frames import BAG_SUFFIXES
 from evpinn_ros.can.logs import LOG_SUFFIXES
 from evpinn_ros.errors import InputError
-
-BAG_SUFFIXES = (".mcap", ".db3")
 
 
 class Log(NamedTuple):

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 
+from evpinn_ros.can.control_unit import Send
+from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -49,6 +54,8 @@ class BridgeStatus:
         unknown_ids: how many other ids.
         dropped: values not used, by reason (see `Decoder`).
         signals: `speed` and `battery`, as far as the profile has them.
+        refusal: why nothing is let out, None while the traffic does not contradict the profile.
+        suspicion: what the signals say of the sign of the current, None while all is well.
     """
 
     ok: bool
@@ -58,22 +65,74 @@ class BridgeStatus:
     unknown_ids: int
     dropped: Mapping[str, int]
     signals: Mapping[str, SignalStatus]
+    refusal: str | None = None
+    suspicion: str | None = None
 
 
 class CanBridge:
     """Decodes the frames of one bus and watches over them; for one thread at a time.
 
     A reading is made of one frame and told once: when a signal falls silent, nothing follows.
+
+    Attributes:
+        poller: asks for what the profile says is not broadcast, or None when all of it is.
     """
 
-    def __init__(self, profile: CanProfile) -> None:
-        self._decoder = Decoder(profile)
-        self._arrivals = {name: _Arrivals() for name in _KINDS if name in profile.messages}
+    def __init__(
+        self,
+        profile: CanProfile,
+        send: Send | None = None,
+        *,
+        guard: FitGuard | None = None,
+        sign: CurrentSign | None = None,
+    ) -> None:
+        """Begin before the first frame.
+
+        Args:
+            profile: to decode by.
+            send: allows to ask, as the thread of `poller.run` does; None listens alone.
+            guard: of this profile, lets readings out; None trusts the profile.
+            sign: watches the sign of the current, where somebody wants to know.
+        """
+        self._key, self._guard, self._sign = profile.key, guard, sign
+        self._decoder = Decoder(profile, guard.evidence if guard is not None else None)
+        told = {*profile.messages, *profile.asked}
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in told}
+        self.poller = Poller(profile, send) if profile.requests else None
+        self._answers = 0
 
     def push(self, frame: CanFrame) -> tuple[Reading, ...]:
-        """The readings in a frame (see `Decoder.push`); never raises."""
-        readings = self._decoder.push(frame)
+        """The readings a frame makes known, its own and those held back so far; never raises."""
+        if self.poller is not None and self.poller.hears(frame):
+            self._answers += 1
+            readings = self.poller.push(frame)
+            if self._guard is not None:
+                readings = self._guard.pass_answer(readings)
+        else:
+            readings = self._decoder.push(frame)
+            if self.poller is not None:
+                self.poller.note(readings)
+            if self._guard is not None:
+                readings = self._guard.pass_on(frame, readings)
+        return self._watched(readings)
+
+    def finish(self) -> tuple[Reading, ...]:
+        """The readings still held back when the frames end."""
+        return self._watched(self._guard.finish()) if self._guard is not None else ()
+
+    @property
+    def refusal(self) -> str | None:
+        """Why nothing is let out, and what would fit; None while the profile is not refused."""
+        found = self._guard.contradiction if self._guard is not None else None
+        if found is None:
+            return None
+        better = f"; '{found.better}' fits better" if found.better else ""
+        return f"profile '{self._key}' contradicts the traffic: {found.why}{better}"
+
+    def _watched(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
         for reading in readings:
+            if self._sign is not None:
+                self._sign.push(reading)
             for name, arrivals in self._arrivals.items():
                 if isinstance(reading, _KINDS[name]):
                     arrivals.push(reading.stamp_ns)
@@ -83,27 +142,41 @@ class CanBridge:
         """The state at `now_ns`, a time of the clock that stamped the frames."""
         signals = {name: arrivals.status(now_ns) for name, arrivals in self._arrivals.items()}
         stale = [name for name, signal in signals.items() if signal.stale]
-        text = self._suspicion(signals)
+        suspicion = self._sign.suspicion if self._sign is not None else None
+        text = self.refusal or self._fault(signals) or suspicion
         return BridgeStatus(
             ok=not text and not stale,
             text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
-            frames=self._decoder.known,
+            frames=self._decoder.known + self._answers,
             unknown_frames=self._decoder.unknown.total(),
             unknown_ids=len(self._decoder.unknown),
-            dropped=dict(self._decoder.dropped),
+            dropped=dict(self._dropped),
             signals=signals,
+            refusal=self.refusal,
+            suspicion=suspicion,
         )
 
-    def _suspicion(self, signals: Mapping[str, SignalStatus]) -> str | None:
+    def _fault(self, signals: Mapping[str, SignalStatus]) -> str | None:
         """What is wrong with the whole bus, most telling first."""
-        decoder = self._decoder
-        if not decoder.known:
-            return (
-                "no frame of this profile: another bus or car?" if decoder.unknown else "waiting"
-            )
-        if decoder.dropped.total() > sum(signal.count for signal in signals.values()):
+        decoder, guard = self._decoder, self._guard
+        if not decoder.known and not self._answers:
+            if not decoder.unknown:
+                return "waiting"
+            advice = guard.advice() if guard is not None else None
+            better = f" '{advice}' fits" if advice else ""
+            return f"no frame of this profile: another bus or car?{better}"
+        if guard is not None and guard.held:
+            return f"{guard.verdict.value}: {guard.held} readings held back"
+        if self._dropped.total() > sum(signal.count for signal in signals.values()):
             return "most values are implausible: wrong profile?"
         return None
+
+    @property
+    def _dropped(self) -> Counter[str]:
+        dropped = self._decoder.dropped
+        if self.poller is not None:
+            dropped = dropped + self.poller.dropped
+        return dropped + self._guard.dropped if self._guard is not None else dropped
 
 
 class _Arrivals:

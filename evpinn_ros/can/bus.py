@@ -1,25 +1,29 @@
 """A CAN adapter, read in one thread, that survives silence, unplugging and a broken driver.
 
-Receive only: nothing here sends a frame. An adapter that takes `listen_only` (slcan does) should
-be given it, so that it does not even acknowledge the car's frames.
+Nothing is sent unless `send` is called, which the poller does through its gate, and only when
+polling is allowed. Otherwise an adapter that takes `listen_only` (slcan does) should be given it,
+so that it does not even acknowledge the car's frames.
 
 Stamps follow one rule, chosen at the first frame after every opening: a driver that stamps with
-the epoch (more than 1e9 s) is believed; any other counts from a zero of its own, which is laid
-on the node's clock at that first frame.
+the epoch (more than 1e9 s) is believed; any other counts from a zero of its own, and a `ClockMap`
+lays it on the node's clock.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 import errno
+import socket
 import threading
 from typing import Any
 
 import can
 
+from evpinn_ros.can.clock_map import ClockMap
 from evpinn_ros.can.frame import EPOCH_S, CanFrame, nanoseconds
 from evpinn_ros.errors import InputError
 
@@ -28,6 +32,11 @@ SILENT_AFTER_S = 1.0
 FIRST_BACKOFF_S = 0.5
 LAST_BACKOFF_S = 10.0
 GARBLED_PAUSE_S = 0.01
+SEND_TIMEOUT_S = 0.1
+SOCKET_QUEUE = 1 << 22  # bytes; a frame takes up to a thousand of them
+MANY_GARBLED = 100  # in a row: the driver does not recover by itself
+MANY_ERRORS = 100  # error frames in a row: there is no traffic that this adapter can read
+SOCKETCAN_BUS_OFF = 0x40  # class bit in the id of an error frame (linux/can/error.h)
 
 DRIVERS: Mapping[str, str] = {
     "gs_usb": "the Python package gs_usb",
@@ -47,6 +56,8 @@ class BusState(Enum):
     CLOSED = "closed"
     OPEN = "open"
     SILENT = "silent: the car sleeps or this is another bus"
+    ERRORS = "error frames alone: wrong bit rate, or wiring?"
+    OFF = "bus-off: the adapter stopped after too many errors; check bit rate and wiring"
     LOST = "lost: waiting to open it again"
 
 
@@ -57,8 +68,9 @@ class BusStatus:
     Attributes:
         state: now.
         problem: the last fault in one line with what to do about it, or None.
-        counters: since the start: `frames`, `opened`, `lost`, `error_frames`, `remote_frames`,
-            `garbled` (the driver could not read a frame), `callback_errors`, `close_errors`.
+        counters: since the start: `frames`, `opened`, `lost`, `bus_off`, `error_frames`,
+            `remote_frames`, `garbled` (the driver could not read a frame), `callback_errors`,
+            `close_errors`.
     """
 
     state: BusState
@@ -97,8 +109,8 @@ class BusReader:
         self._state = BusState.CLOSED
         self._problem: str | None = None
         self._counters: Counter[str] = Counter()
-        self._offset_ns: int | None = None
-        self._silent_s = 0.0
+        self._begin()
+        self._was_off = False
         self._backoff_s = FIRST_BACKOFF_S
 
     def open(self) -> None:
@@ -119,10 +131,17 @@ class BusReader:
             # has its own way to refuse, and all of them mean that there is no bus now.
             self._problem = _explain(error, self._interface, self._channel)
             raise InputError(self._problem) from error
+        _deepen_queue(self._bus)
         self._state = BusState.OPEN
         self._counters["opened"] += 1
-        self._offset_ns = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget what was known of the bus that was open before."""
+        self._has_epoch: bool | None = None
+        self._clock = ClockMap()
         self._silent_s = 0.0
+        self._errors = self._garbled = 0
 
     def run(self) -> None:
         """Read until `stop`; open the bus as often as it takes."""
@@ -136,6 +155,17 @@ class BusReader:
     def stop(self) -> None:
         """Make `run` return, within about a tenth of a second plus the driver's own time."""
         self._stop.set()
+
+    def send(self, frame: CanFrame) -> bool:
+        """Send a frame; False when there is no bus now. Raises what the driver raises."""
+        bus = self._bus
+        if bus is None:
+            return False
+        message = can.Message(
+            arbitration_id=frame.can_id, data=frame.data, is_extended_id=frame.extended
+        )
+        bus.send(message, timeout=SEND_TIMEOUT_S)
+        return True
 
     def status(self) -> BusStatus:
         """The state, the last problem and the counters so far."""
@@ -157,55 +187,84 @@ class BusReader:
     def _receive(self) -> None:
         try:
             message = self._bus.recv(RECEIVE_TIMEOUT_S)
+            off = (message is None or message.is_error_frame) and self._is_off(message)
         except (can.CanError, OSError) as error:
-            self._counters["lost"] += 1
-            self._problem = _explain(error, self._interface, self._channel)
-            self._close(BusState.LOST)
-            self._back_off()
-            return
+            self._lose(_explain(error, self._interface, self._channel))
         except Exception as error:
-            # Half a line from a serial adapter: the driver's parser stumbles, the next line is
-            # good. The pause keeps a driver that always stumbles from burning the processor.
-            self._counters["garbled"] += 1
-            self._problem = f"{self._name}: garbled frame: {_one_line(error)}"
-            self._stop.wait(GARBLED_PAUSE_S)
-            return
-        if message is None:
-            self._silence()
+            self._stumble(error)
         else:
-            self._take(message)
+            self._garbled = 0
+            if off:
+                self._counters["bus_off"] += 1
+                self._was_off = True
+                self._lose(_explain_bus_off(self._interface, self._channel), BusState.OFF)
+            elif message is None:
+                self._silence()
+            else:
+                self._take(message)
+
+    def _is_off(self, message: Any) -> bool:
+        """Whether the controller took itself off the bus. Few drivers tell their state."""
+        if message is not None and self._interface == "socketcan":
+            return bool(message.arbitration_id & SOCKETCAN_BUS_OFF)
+        return self._bus.state is can.BusState.ERROR
+
+    def _lose(self, problem: str, state: BusState = BusState.LOST) -> None:
+        self._counters["lost"] += 1
+        self._problem = problem
+        self._close(state)
+        self._back_off()
+
+    def _stumble(self, error: Exception) -> None:
+        """Half a line from a serial adapter: the driver's parser stumbles, the next line is good.
+
+        The pause keeps a driver that always stumbles from burning the processor.
+        """
+        self._counters["garbled"] += 1
+        self._garbled += 1
+        self._problem = f"{self._name}: garbled frame: {_one_line(error)}"
+        if self._garbled >= MANY_GARBLED:
+            self._lose(self._problem)
+        else:
+            self._stop.wait(GARBLED_PAUSE_S)
 
     def _silence(self) -> None:
         self._silent_s += RECEIVE_TIMEOUT_S
         if self._silent_s >= SILENT_AFTER_S:
-            self._state = BusState.SILENT
+            self._state = BusState.OFF if self._was_off else BusState.SILENT
 
     def _take(self, message: Any) -> None:
-        self._state, self._silent_s = BusState.OPEN, 0.0
-        # Only a frame proves the bus: one that opens and fails at once keeps backing off.
-        self._backoff_s = FIRST_BACKOFF_S
+        self._silent_s = 0.0
         if message.is_error_frame:
             self._counters["error_frames"] += 1
-        elif message.is_remote_frame:
+            self._errors += 1
+            if self._errors >= MANY_ERRORS:
+                self._state = BusState.ERRORS
+            return
+        # Only a frame proves the bus: one that opens and fails at once keeps backing off.
+        self._state, self._backoff_s = BusState.OPEN, FIRST_BACKOFF_S
+        self._errors, self._was_off = 0, False
+        if message.is_remote_frame:
             self._counters["remote_frames"] += 1
         else:
             self._counters["frames"] += 1
-            self._deliver(self._frame(message))
+            self._deliver(message)
 
-    def _deliver(self, frame: CanFrame) -> None:
+    def _deliver(self, message: Any) -> None:
         try:
-            self._on_frame(frame)
+            self._on_frame(self._frame(message))
         except Exception as error:
             self._counters["callback_errors"] += 1
             self._problem = f"{self._name}: reader of the frames failed: {error!r}"
 
     def _frame(self, message: Any) -> CanFrame:
         stamp_ns = nanoseconds(message.timestamp)
-        if self._offset_ns is None:
-            epoch = message.timestamp > EPOCH_S
-            self._offset_ns = 0 if epoch else self._now_ns() - stamp_ns
+        if self._has_epoch is None:
+            self._has_epoch = message.timestamp > EPOCH_S
+        if not self._has_epoch:
+            stamp_ns = self._clock.push(stamp_ns, self._now_ns())
         return CanFrame(
-            stamp_ns + self._offset_ns,
+            stamp_ns,
             message.arbitration_id,
             bytes(message.data),
             message.is_extended_id,
@@ -228,6 +287,20 @@ class BusReader:
         return f"{self._interface} {self._channel}"
 
 
+def _deepen_queue(bus: Any) -> None:
+    """Let the system keep a second of a full bus while we are busy; it keeps 0.1 s by default.
+
+    It gives what net.core.rmem_max allows. An adapter that is no socket has no such queue, and
+    says so in a way of its own: an OSError, NotImplementedError, a file number of -1...
+    """
+    with suppress(Exception):
+        own = socket.socket(fileno=bus.fileno())
+        try:
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_QUEUE)
+        finally:
+            own.detach()  # it stays the driver's
+
+
 def _explain(error: BaseException, interface: str, channel: str | int) -> str:
     """The fault in one line: which bus, what the driver said, what a person can do."""
     what = f"CAN bus {interface} {channel}: {_one_line(error)}"
@@ -235,16 +308,27 @@ def _explain(error: BaseException, interface: str, channel: str | int) -> str:
     return f"{what}; {remedy}" if remedy else what
 
 
+def _explain_bus_off(interface: str, channel: str | int) -> str:
+    what = f"CAN bus {interface} {channel}: {BusState.OFF.value}"
+    if interface != "socketcan":
+        return what
+    return f"{what}; `sudo ip link set {channel} type can restart-ms 100` lets it begin again"
+
+
 def _remedy(error: BaseException, interface: str, channel: str | int) -> str | None:
     if interface not in can.VALID_INTERFACES:
         return f"known interfaces are {', '.join(sorted(can.VALID_INTERFACES))}"
     number = _errno(error)
-    if interface == "socketcan" and number in (errno.ENODEV, errno.ENETDOWN):
+    if interface == "socketcan" and number == errno.ENETDOWN:
         return f"try `sudo ip link set {channel} up type can bitrate 500000`"
+    if interface == "socketcan" and number == errno.ENODEV:
+        return "is the adapter plugged in? `ip link show type can` lists the channels"
     if number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
         return "this kernel has no CAN; try `sudo modprobe can_raw`"
     if number in (errno.EACCES, errno.EPERM):
         return "no permission; add the user to the group of the device (`dialout`)"
+    if number == errno.EBUSY:
+        return "another program has it open"
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
         return "is the adapter plugged in, and the channel its name?"
     if isinstance(error, (ValueError, TypeError)):

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 import math
+from typing import Protocol
 
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile, MessageRule, SignalRule
+from evpinn_ros.can.profile import CanProfile, MessageRule
+from evpinn_ros.can.signal_rule import SignalRule
+from evpinn_ros.can.unpack import unpacker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STUCK_AFTER = 5
@@ -17,6 +20,16 @@ frames repeat a value now and then, so one repetition proves nothing."""
 CHARGE_HOLD_NS = 10 * NANOSECONDS
 """How long a state of charge is told along with later battery readings. Cars send it about once
 a second, in another message; at 100 kW it moves less than 0.5 % in this time."""
+
+
+class Witness(Protocol):
+    """Hears what became of every frame of the profile's ids."""
+
+    def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
+        """The frame gave values, SI, in the order of the quantity's signals."""
+
+    def bad(self, quantity: str, frame: CanFrame, reason: str) -> None:
+        """The frame was dropped."""
 
 
 class _DroppedError(Exception):
@@ -30,13 +43,15 @@ class Decoder:
         known: frames with an id of the profile.
         unknown: frames of every other id.
         dropped: values not used, by reason: `short_frame`, `undecodable`, `bad_checksum`,
-            `stuck_counter`, `not_available`, `out_of_range`.
+            `unknown_multiplexer`, `stuck_counter`, `not_available`, `out_of_range`.
     """
 
-    def __init__(self, profile: CanProfile) -> None:
+    def __init__(self, profile: CanProfile, witness: Witness | None = None) -> None:
+        """Decode by a profile; a witness weighs whether the profile is the right one."""
         self.known = 0
         self.unknown: Counter[int] = Counter()
         self.dropped: Counter[str] = Counter()
+        self._witness = witness
         self._readers: dict[tuple[int, bool], list[_Reader]] = {}
         self._charge_stamp_ns = 0
         self._charge = math.nan
@@ -47,7 +62,7 @@ class Decoder:
         }
         for quantity, maker in makers.items():
             if quantity in profile.messages:
-                reader = _Reader(profile.messages[quantity], maker)
+                reader = _Reader(quantity, profile.messages[quantity], maker)
                 self._readers.setdefault(reader.key, []).append(reader)
 
     def push(self, frame: CanFrame) -> tuple[Reading, ...]:
@@ -63,8 +78,14 @@ class Decoder:
                 values = reader.values(frame)
             except _DroppedError as reason:
                 self.dropped[str(reason)] += 1
+                if self._witness is not None:
+                    self._witness.bad(reader.quantity, frame, str(reason))
                 continue
-            reading = reader.make(frame, reader.rule, values) if values else None
+            if not values:
+                continue
+            if self._witness is not None:
+                self._witness.good(reader.quantity, frame, values)
+            reading = reader.make(frame, reader.rule, values)
             if reading is not None:
                 readings.append(reading)
         return tuple(readings)
@@ -88,9 +109,11 @@ _Maker = Callable[[CanFrame, MessageRule, list[float]], Reading | None]
 class _Reader:
     """Reads the signals of one message and remembers its counter."""
 
-    def __init__(self, rule: MessageRule, make: _Maker) -> None:
-        self.rule, self.make = rule, make
+    def __init__(self, quantity: str, rule: MessageRule, make: _Maker) -> None:
+        self.quantity, self.rule, self.make = quantity, rule, make
         self.key = (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
+        counter = () if rule.counter is None else (rule.counter,)
+        self._raw = unpacker(rule.message, {*(signal.name for signal in rule.signals), *counter})
         self._counter: int | None = None
         self._repeated = 0
 
@@ -110,17 +133,15 @@ class _Reader:
         return [_value(signal, raw[signal.name]) for signal in self.rule.signals]
 
     def _unpack(self, data: bytes) -> dict[str, int]:
-        """The raw bits of every signal the frame holds."""
+        """The raw bits of every wanted signal the frame holds."""
         try:
             # Cars shorten frames from one software version to the next: read what is there.
-            raw: dict[str, int] = self.rule.message.decode(
-                data, decode_choices=False, scaling=False, allow_truncated=True
-            )
+            return self._raw(data)
         except Exception:
             # cantools documents DecodeError alone, yet a multiplexer or a layout of a user's
             # file can fail in other ways, and a frame must never stop the bridge.
-            raise _DroppedError("undecodable") from None
-        return raw
+            paged = self.rule.message.is_multiplexed()
+            raise _DroppedError("unknown_multiplexer" if paged else "undecodable") from None
 
     def _check_checksum(self, frame: CanFrame) -> None:
         checksum, position = self.rule.checksum, self.rule.checksum_byte
@@ -143,9 +164,6 @@ class _Reader:
 
 
 def _value(signal: SignalRule, raw: int) -> float:
-    if raw in signal.not_available:
-        raise _DroppedError("not_available")
-    value = signal.value(raw)
-    if not signal.lower <= value <= signal.upper:
-        raise _DroppedError("out_of_range")
-    return value
+    if reason := signal.refusal(raw):
+        raise _DroppedError(reason)
+    return signal.value(raw)

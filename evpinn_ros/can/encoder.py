@@ -42,7 +42,7 @@ class Encoder:
 
     def _frame(self, quantity: str, stamp_ns: int, values: Sequence[float]) -> CanFrame:
         if quantity not in self._profile.messages:
-            raise ValueError(f"profile {self._profile.key} has no {quantity}")
+            raise ValueError(f"profile {self._profile.key} broadcasts no {quantity}")
         rule = self._profile.messages[quantity]
         message = rule.message
         raw = {signal.name: 0 for signal in message.signals}

@@ -1,14 +1,22 @@
-"""CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped."""
+"""CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped.
+
+ASAM .mf4 needs the extra `mf4`. Another process reads it: a damaged one can crash asammdf's code.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 import gzip
 from pathlib import Path
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 import can
+from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, nanoseconds
 from evpinn_ros.errors import InputError
@@ -21,7 +29,9 @@ _READERS: dict[str, Callable[..., Any]] = {
     ".trc": can.TRCReader,
     ".csv": can.CSVReader,
 }
-LOG_SUFFIXES = tuple(_READERS)
+_MF4 = ".mf4"
+LOG_SUFFIXES = (*_READERS, _MF4)
+LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 
 
 class LogFile:
@@ -33,7 +43,8 @@ class LogFile:
     Attributes:
         path: of the log.
         count: frames read so far.
-        skipped: what is not a data frame, by kind: `error_frame`, `remote_frame`.
+        skipped: what is not a data frame, by kind: `error_frame`, `remote_frame`, and
+            `impossible_frame`, one of a damaged log that no bus can carry.
         problem: why reading stopped before the end, or the sign that the end is missing.
     """
 
@@ -50,9 +61,11 @@ class LogFile:
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]
         self._suffix = "".join(suffixes[:-1][-1:] if self._gzipped else suffixes[-1:])
-        if self._suffix not in _READERS:
+        if self._suffix not in LOG_SUFFIXES:
             known = ", ".join(LOG_SUFFIXES)
             raise InputError(f"{self.path}: not a CAN log; known are {known}, also as .gz")
+        if self._suffix == _MF4 and mf4.asammdf is None:
+            raise InputError(f"{self.path}: .mf4 needs asammdf; pip install 'evpinn_ros[mf4]'")
         try:
             empty = self.path.stat().st_size == 0
         except OSError as error:
@@ -66,6 +79,9 @@ class LogFile:
         Raises:
             InputError: the file cannot be opened, or there is no frame in it.
         """
+        if self._suffix == _MF4:
+            yield from self._converted()
+            return
         with self._open() as file:
             lines = None if self._suffix == ".blf" else _Lines(file)
             frames = self._read(lines or file)
@@ -85,6 +101,27 @@ class LogFile:
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN frame in it")
 
+    def _converted(self) -> Iterator[CanFrame]:
+        """The frames of an .mf4, by way of a candump log that another process makes of it."""
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "converted.log"
+            command = [sys.executable, "-m", "can.logconvert", str(self.path), str(path)]
+            done = subprocess.run(
+                command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+            )
+            with suppress(InputError):  # no file, or no frame in it: told below
+                log = LogFile(path)
+                self.skipped = log.skipped
+                for frame in log.frames():
+                    self.count += 1
+                    yield frame
+        if done.returncode:
+            said = done.stderr.splitlines()
+            reason = said[-1] if said else "asammdf crashed"
+            self.problem = f"{self.path}: broken after {self.count} frames: {reason}"
+        if self.count == 0:
+            raise InputError(self.problem or f"{self.path}: no CAN frame in it")
+
     def _open(self) -> IO[Any]:
         opener: Callable[..., IO[Any]] = gzip.open if self._gzipped else open
         try:
@@ -101,6 +138,8 @@ class LogFile:
                 self.skipped["error_frame"] += 1
             elif message.is_remote_frame:
                 self.skipped["remote_frame"] += 1
+            elif not _is_possible(message):
+                self.skipped["impossible_frame"] += 1
             else:
                 yield CanFrame(
                     nanoseconds(message.timestamp),
@@ -115,6 +154,12 @@ class LogFile:
             cut_off = not self._gzipped and reader.file_size > self.path.stat().st_size
         if cut_off:
             self.problem = f"{self.path}: cut off after {self.count} frames"
+
+
+def _is_possible(message: Any) -> bool:
+    """Whether id and data fit into a frame; the readers take any number that they find."""
+    last_id = LAST_EXTENDED_ID if message.is_extended_id else LAST_ID
+    return 0 <= message.arbitration_id <= last_id and len(message.data) <= LONGEST_DATA
 
 
 class _Lines:

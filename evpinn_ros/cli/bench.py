@@ -6,7 +6,13 @@ import typer
 
 from evpinn_ros.cli.lazy import LazyCommands
 
-COMMANDS = ("training", "online", "truth")  # each a function in `bench_<name>.py`
+COMMANDS = (
+    "training",
+    "online",
+    "carried",
+    "truth",
+    "can",
+)  # each a function in `bench_<name>.py`
 
 
 class BenchCommands(LazyCommands):

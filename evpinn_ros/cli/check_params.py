@@ -13,6 +13,8 @@ from evpinn_ros.nodes.parameter_file import check_parameter_file
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.yaml_section import compose
 
+PROFILE_KEYS = ("dbc", "requests", "speed", "battery")
+
 
 def check_params(
     file: Annotated[
@@ -27,7 +29,7 @@ def check_params(
     if root.has("parameters"):
         kind = "vehicle file"
         load_vehicle(file)
-    elif root.has("dbc"):
+    elif any(map(root.has, PROFILE_KEYS)):
         kind = "CAN profile"
         load_profile(file)
     else:

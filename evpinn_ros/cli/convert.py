@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +19,10 @@ from evpinn_ros.vehicle.files import load_vehicle
 
 def convert(
     source_path: Annotated[
-        Path, typer.Argument(metavar="IN", help="CSV, CAN log (.log, .asc, ...), .db3 or .mcap.")
+        Path,
+        typer.Argument(
+            metavar="IN", help="CSV, CAN log (.log, .asc, ...), bag of topics or of CAN frames."
+        ),
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     vehicle: Annotated[
@@ -27,6 +31,9 @@ def convert(
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
+    trust_profile: Annotated[
+        bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
+    ] = False,
 ) -> None:
     """Convert a recorded drive into a rosbag2 MCAP bag.
 
@@ -36,9 +43,12 @@ def convert(
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
     """
     car = load_vehicle(vehicle)
-    source = open_source(source_path, car, can_profile)
+    source = open_source(source_path, car, can_profile, trust_profile=trust_profile)
+    readings = source.readings()
+    # What gives no reading at all is refused here, before there is an empty bag of it.
+    begun = list(islice(readings, 1))
     with BagWriter(out) as writer:
-        dropped: Counter[str] = write_readings(source.readings(), writer)
+        dropped: Counter[str] = write_readings(chain(begun, readings), writer)
     dropped.update(source.dropped)
     if isinstance(source, CsvSource):
         _explain_csv(source, car.nominal_voltage)

@@ -71,6 +71,9 @@ def replay(
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
+    trust_profile: Annotated[
+        bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
+    ] = False,
 ) -> None:
     """Replay recorded drives through the chain, and score every prediction.
 
@@ -83,7 +86,7 @@ def replay(
     one_thread()
     car = load_vehicle(vehicle)
     settings = estimator_settings(_parameters(params, mode))
-    sources = [open_source(path, car, can_profile) for path in inputs]
+    sources = [open_source(path, car, can_profile, trust_profile=trust_profile) for path in inputs]
     chain = Chain(car, settings, InlineWorker(time.perf_counter))
     _restore(chain, state)
     options = ReplayOptions(withhold_battery_after, warm_up, rate)

@@ -27,12 +27,12 @@ from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME
 from evpinn_ros.estimation.parameter_set import StateKeeper, parameter_set
 from evpinn_ros.estimation.power_filter import PowerFilter
 from evpinn_ros.estimation.published_filter import PublishedFilter
-from evpinn_ros.estimation.suspicion import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.estimation.unknown_load import UnknownLoad
 from evpinn_ros.estimation.window import Observation, SampleStore, SlidingWindow, batch
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.stream import SAMPLE_PERIOD
+from evpinn_ros.signals.suspicion import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 
 WINDOW = 60.0  # s
@@ -152,12 +152,15 @@ class HybridLearner:
         return self._states.judge(found, told.deviation()._asdict(), suspected=suspected)
 
     def report(self) -> LearnerReport:
-        """Changes of payload, and a current of the wrong sign."""
+        """Changes of payload, a current of the wrong sign, and the lag of power."""
+        lag, lag_std = self.power_filter.lag
         return LearnerReport(
             self._payload.change,
             self._payload.found,
             self._payload.withdrawn,
             CURRENT_SIGN if self._suspicion.suspected else None,
+            lag,
+            lag_std,
         )
 
     def forget_window(self) -> None:

@@ -2,10 +2,11 @@
 
 State x (see `STATES`): the logarithms of eta, mu, mass, C_rr and C_d, the auxiliary power, the
 copper loss that the paper's constant efficiency leaves out, and the unknown slope of the road
-(grade that no sensor reports, and head wind, which acts alike). The measurement is battery power:
+(grade and wind that no sensor reports act alike). The measurement is battery power:
 
     P = s w + p_aux + known + copper a^2,    s = 1 if w > 0 else eta mu
-    w = v [rho A C_d v |v| / 2 + m g (+-C_rr cos(th) + sin(th)) + k m a] / eta,  th = grade + slope
+    w = v [rho A C_d u |u| / 2 + m g (+-C_rr cos(th) + sin(th)) + k m a] / eta,  th = grade + slope
+    u = v + head wind
 
 (eq. 12-19 in the `wheel_power` form; + C_rr forward, - in reverse.) In logarithms the products
 that data determine are sums, so the direction they cannot tell, (eta, 1/mu, mass, C_d) scaled
@@ -271,11 +272,21 @@ class ParameterFilter:
 
     def _model(self, sample: Sample | Batch, slope: Any) -> tuple[Any, np.ndarray]:
         """Battery power, W, shape (...), and its gradient, shape (..., 8), at samples."""
-        eta, mu, mass, c_rr, c_d, p_aux = self.parameters()
+        return self._physics(self.mean, sample, slope)
+
+    def _physics(
+        self, state: np.ndarray, sample: Sample | Batch, slope: Any
+    ) -> tuple[Any, np.ndarray]:
+        """Battery power and gradient, as `_model`, of a car whose parameters are those of `state`.
+
+        Only the slope is given apart, for a batch has one at each sample.
+        """
+        eta, mu, mass, c_rr, c_d = np.exp(state[LOGARITHMIC])
         v, a = sample.speed, sample.acceleration
         angle = sample.grade + slope
         weight = mass * GRAVITY * v
-        drag = drag_force(v, self._vehicle.frontal_area * c_d, sample.air_density) * v
+        area = self._vehicle.frontal_area * c_d
+        drag = drag_force(v + sample.head_wind, area, sample.air_density) * v
         rolling = np.abs(weight) * c_rr * np.cos(angle)
         climbing = weight * np.sin(angle)
         inertia = inertia_force(mass * self._vehicle.rotating_mass_factor, a) * v
@@ -298,8 +309,8 @@ class ParameterFilter:
             ),
             axis=-1,
         )
-        loss = self.mean[COPPER] * np.square(a)
-        return share * wheel + p_aux + sample.known_auxiliary + loss, gradient
+        rest = state[P_AUX] + sample.known_auxiliary + state[COPPER] * np.square(a)
+        return share * wheel + rest, gradient
 
     def _residual_variance(self, sample: Sample) -> float:
         moving = (FORCE_NOISE * sample.speed) ** 2

@@ -194,7 +194,7 @@ class PublishedFilter(ParameterFilter):
         force = (
             self._vehicle.rotating_mass_factor * sample.acceleration
             + GRAVITY * (c_rr + np.sin(sample.grade))
-            + drag_force(v, area, sample.air_density) / mass
+            + drag_force(v + sample.head_wind, area, sample.air_density) / mass
         )
         square = np.where(np.abs(v) > STANDSTILL_SPEED, np.square(force), 0.0)
         gradient[..., COPPER] = square

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from evpinn_ros.can.bridge import BridgeStatus
 from evpinn_ros.can.bus import BusState, BusStatus
+from evpinn_ros.can.poller import PollStatus
 from evpinn_ros.nodes.diagnosis import Health, Status, flat, rounded, with_health
 from evpinn_ros.nodes.messages import Level
 
@@ -24,19 +25,41 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
             f"{name}.rate_hz": rounded(signal.rate),
             f"{name}.age_s": rounded(signal.age),
         }
-    if bus.state is BusState.LOST:
+    if bridge.suspicion:
+        values["suspicion"] = bridge.suspicion
+    if bus.problem:
+        values["bus.last_problem"] = bus.problem
+    if bus.state in (BusState.LOST, BusState.OFF):
         verdict = Level.ERROR, bus.problem or bus.state.value
-    elif bus.state is BusState.SILENT:
+    elif bus.state in (BusState.SILENT, BusState.ERRORS):
         verdict = Level.WARN, bus.state.value
     elif bus.state is BusState.CLOSED:
         verdict = Level.WARN, bus.problem or "closed"
     else:
-        verdict = Level.OK if bridge.ok else Level.WARN, bridge.text
+        verdict = _level(bridge), bridge.text
     return with_health(Status("bus", *verdict, values), health)
+
+
+def poll_status(poll: PollStatus, experimental: bool) -> Status:
+    """Whether the car is asked, and why not."""
+    text = f"experimental profile: {poll.text}" if experimental else poll.text
+    level = Level.OK if poll.ok and not experimental else Level.WARN
+    return Status("polling", level, text, dict(poll.counters))
 
 
 def log_status(text: str, problem: str | None, bridge: BridgeStatus, health: Health) -> Status:
     """The health of the CAN bridge while it replays a log."""
     values = {"frames": bridge.frames, **flat("dropped", bridge.dropped)}
-    level = Level.OK if problem is None else Level.ERROR
-    return with_health(Status("log", level, problem or text, values), health)
+    if problem is not None:
+        verdict = Level.ERROR, problem
+    elif bridge.refusal or bridge.suspicion:
+        verdict = _level(bridge), bridge.text
+    else:
+        verdict = Level.OK, text
+    return with_health(Status("log", *verdict, values), health)
+
+
+def _level(bridge: BridgeStatus) -> Level:
+    if bridge.refusal:
+        return Level.ERROR
+    return Level.OK if bridge.ok else Level.WARN

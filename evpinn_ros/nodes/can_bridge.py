@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import math
 from pathlib import Path
 import threading
 from typing import Any
 
 from evpinn_ros.can.bridge import BridgeStatus, CanBridge
-from evpinn_ros.can.bus import BusReader
+from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile, load_profile
+from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
+from evpinn_ros.nodes.base import REPORT_PERIOD, GuardedNode
+from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
-from evpinn_ros.nodes.messages import reading_message, scalar
+from evpinn_ros.nodes.messages import scalar
 from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.nodes.reading_messages import reading_message
+from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import BatteryReading, Reading
@@ -31,21 +35,35 @@ LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the p
 
 
 class CanBridgeNode(GuardedNode):
-    """Decodes one bus, in one thread that owns it, and survives its unplugging."""
+    """Decodes one bus, in one thread that owns it, and survives its unplugging.
 
-    def __init__(self, **kwargs: Any) -> None:
-        """Start to read; `kwargs` go to rclpy's Node.
+    A second thread asks the car for what it does not broadcast, if `poll` allows that.
+    """
+
+    def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
+        """Start to read.
+
+        Args:
+            record: takes every frame beside, with the time of its arrival.
+            kwargs: go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong, or the log is not there.
         """
         super().__init__("can_bridge", **kwargs)
-        self._bridge = CanBridge(self._profile())
+        self._profile = self._load_profile()
+        self._refuse_idle_poll()
+        self._bridge = self._make_bridge()
+        self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
-        self._thread = threading.Thread(target=self._source.run, name="can", daemon=True)
-        self._thread.start()
+        self._said_state = BusState.CLOSED
+        self._said_refusal = False
+        self.every(REPORT_PERIOD, self._say_changes)
+        self._threads = [self._start(self._source.run, "can")]
+        if self._bridge.poller is not None and self.values["poll"]:
+            self._threads.append(self._start(self._bridge.poller.run, "can poll"))
 
     def statuses(self) -> list[Status]:
         """The health of the bus or of the replay of the log."""
@@ -53,20 +71,53 @@ class CanBridgeNode(GuardedNode):
         if isinstance(source, LogPlayer):
             bridge = self._bridge_status(source.newest_ns)
             return [log_status(source.text, source.problem, bridge, health)]
-        return [bus_status(source.status(), self._bridge_status(self.now_ns()), health)]
+        statuses = [bus_status(source.status(), self._bridge_status(self.now_ns()), health)]
+        if self._bridge.poller is not None:
+            poll = self._bridge.poller.status()
+            statuses.append(poll_status(poll, self._profile.experimental))
+        return statuses
 
     def close(self) -> None:
-        """Stop reading."""
+        """Stop asking and reading."""
+        if self._bridge.poller is not None:
+            self._bridge.poller.stop()
         self._source.stop()
-        self._thread.join(LONGEST_STOP)
+        for thread in self._threads:
+            thread.join(LONGEST_STOP)
 
-    def _profile(self) -> CanProfile:
+    def _start(self, run: Callable[[], None], name: str) -> threading.Thread:
+        thread = threading.Thread(target=run, name=name, daemon=True)
+        thread.start()
+        return thread
+
+    def _load_profile(self) -> CanProfile:
         if name := self.values["can_profile"]:
             return load_profile(name)
         vehicle = load_vehicle(self.values["vehicle"])
         if vehicle.can_profile is None:
             raise InputError(f"vehicle '{vehicle.key}' names no CAN profile; set can_profile")
         return load_profile(vehicle.can_profile)
+
+    def _refuse_idle_poll(self) -> None:
+        """Raise InputError when `poll` is set where nothing could come of it."""
+        values = self.values
+        if not values["poll"]:
+            return
+        if not self._profile.requests:
+            raise InputError(f"poll: CAN profile '{self._profile.key}' asks nothing; leave it out")
+        if values["log_file"]:
+            raise InputError("poll: a log cannot be asked; leave it out")
+        if bus_options(values["bus_options"]).get("listen_only"):
+            raise InputError("poll: cannot send with listen_only in bus_options; leave one out")
+
+    def _make_bridge(self) -> CanBridge:
+        trusted, poll = self.values["trust_profile"], self.values["poll"]
+        return CanBridge(
+            self._profile,
+            self._send if poll else None,
+            guard=None if trusted else FitGuard(self._profile, bundled_profiles()),
+            sign=CurrentSign(),
+        )
 
     def _open_source(self) -> BusReader | LogPlayer:
         values = self.values
@@ -80,7 +131,29 @@ class CanBridgeNode(GuardedNode):
             options.setdefault("bitrate", values["bitrate"])
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
 
+    def _say_changes(self) -> None:
+        """Log what changed of the bus and of the profile: a state that lasts is said once."""
+        if isinstance(self._source, BusReader):
+            bus = self._source.status()
+            if bus.state is not self._said_state:
+                self._said_state = bus.state
+                lost = bus.state in (BusState.LOST, BusState.OFF)
+                text = (bus.problem if lost else None) or f"bus {bus.state.value}"
+                self.get_logger().info(text)
+        with self._lock:
+            refusal = self._bridge.refusal
+        if refusal is not None and not self._said_refusal:
+            self.get_logger().error(refusal)
+        elif refusal is None and self._said_refusal:
+            self.get_logger().info("the profile fits again")
+        self._said_refusal = refusal is not None
+
+    def _send(self, frame: CanFrame) -> bool:
+        return isinstance(self._source, BusReader) and self._source.send(frame)
+
     def _on_frame(self, frame: CanFrame) -> None:
+        if self._record is not None:
+            self._record.append((self.now_ns(), frame))
         with self._lock:
             readings = self._bridge.push(frame)
         for reading in readings:

@@ -51,7 +51,7 @@ def rounded(number: float) -> object:
     return number if math.isnan(number) else round(number, 3)
 
 
-def recorder_status(folder: str, count: int, health: Health) -> Status:
-    """The health of the recording."""
-    text = f"{count} messages in {folder}"
-    return with_health(Status("bag", Level.OK, text, {"messages": count}), health)
+def recorder_status(folder: str, counts: Mapping[str, int], health: Health) -> Status:
+    """The health of the recording; `counts` of what is in the bag."""
+    text = f"{counts['messages']} messages and {counts['frames']} CAN frames in {folder}"
+    return with_health(Status("bag", Level.OK, text, dict(counts)), health)

@@ -7,8 +7,8 @@ import math
 import statistics
 
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.estimation.suspicion import CURRENT_SIGN, GRADE_SIGN
 from evpinn_ros.nodes.diagnosis import (
     SILENT_AFTER,
     Health,
@@ -19,6 +19,7 @@ from evpinn_ros.nodes.diagnosis import (
 )
 from evpinn_ros.nodes.messages import Level
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.suspicion import CURRENT_SIGN
 
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
 RECENT = 60  # updates whose median duration is told
@@ -53,6 +54,7 @@ def estimator_status(report: EstimatorReport) -> Status:
         "update_ms": _milliseconds(status.durations),
         "speed_age_s": rounded(report.speed_age),
         "time_jumps": report.jumps,
+        "not_told": ", ".join(status.unknown) or "nothing",
         **flat("rejected", status.rejected),
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),
@@ -88,6 +90,8 @@ def _noticed(report: LearnerReport) -> dict[str, object]:
     """What was noticed of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
+        "power_lag_s": rounded(report.lag),
+        "power_lag_std_s": rounded(report.lag_std),
         "load_changes": report.load_changes,
         "load_changes_withdrawn": report.load_changes_withdrawn,
     }

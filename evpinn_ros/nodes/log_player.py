@@ -7,8 +7,8 @@ from pathlib import Path
 import threading
 import time
 
+from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.logs import LogFile
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -28,7 +28,7 @@ class LogPlayer:
         """Find the log.
 
         Args:
-            path: of the log.
+            path: of the log, or of a bag with raw frames.
             rate: of real time, 0 for as fast as possible.
             delay: s to wait before the first frame.
             on_frame: called in the thread of `run`; must not raise.
@@ -36,7 +36,7 @@ class LogPlayer:
         Raises:
             InputError: no such file, or no CAN log.
         """
-        self._log, self._rate, self._delay = LogFile(path), rate, delay
+        self._log, self._rate, self._delay = open_can_log(path), rate, delay
         self._on_frame = on_frame
         self._stop = threading.Event()
         self.problem: str | None = None

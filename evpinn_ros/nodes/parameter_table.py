@@ -188,6 +188,11 @@ CAN_BRIDGE = (
         verify=load_profile,
     ),
     Parameter(
+        "trust_profile",
+        False,
+        "Publish also what the traffic of the bus contradicts.",
+    ),
+    Parameter(
         "interface",
         "socketcan",
         "Driver of the CAN adapter, as python-can calls it.",
@@ -201,7 +206,15 @@ CAN_BRIDGE = (
         "More options of the driver, as 'name=value name=value', for example 'listen_only=true'.",
         verify=lambda text: bus_options(text),
     ),
-    Parameter("log_file", "", "Replay this CAN log, with its stamps, instead of a bus."),
+    Parameter(
+        "poll",
+        False,
+        "Allow to send read requests, for what the profile says the car must be asked for. A car "
+        "that is asked stays awake, at the cost of its 12 V battery: see docs/can.md.",
+    ),
+    Parameter(
+        "log_file", "", "Replay this CAN log, or a bag's raw frames, with its stamps, not a bus."
+    ),
     Parameter(
         "log_rate",
         1.0,

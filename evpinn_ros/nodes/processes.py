@@ -46,9 +46,7 @@ def record_through_nodes(
     Raises:
         InputError: a node ended or fell silent before the end of the log.
     """
-    # A network of its own: a simulated car must never reach the nodes of a real one.
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ["ROS_DOMAIN_ID"] = str(FIRST_DOMAIN + os.getpid() % DOMAINS)
+    own_network()
     rclpy.init(args=[])
     recorder = RecorderNode(folder, namespace=NAMESPACE)
     watch = _Watch(end_ns, progress)
@@ -56,13 +54,22 @@ def record_through_nodes(
     executor = SingleThreadedExecutor()
     executor.add_node(recorder)
     try:
-        with _process("estimator", parameters), _process("energy", parameters):
+        with node_process("estimator", parameters), node_process("energy", parameters):
             _await_listeners(recorder, executor)
-            with _process("can_bridge", parameters) as bridge:
+            with node_process("can_bridge", parameters) as bridge:
                 watch.follow(executor, bridge)
     finally:
         recorder.close()
         rclpy.try_shutdown()
+
+
+def own_network() -> None:
+    """Put this process and those it starts on a network of their own, before ROS starts.
+
+    A simulated car must never reach the nodes of a real one.
+    """
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_DOMAIN_ID"] = str(FIRST_DOMAIN + os.getpid() % DOMAINS)
 
 
 class _Watch:
@@ -110,7 +117,7 @@ def _spin_for(executor: SingleThreadedExecutor, seconds: float) -> None:
 
 
 @contextmanager
-def _process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
+def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
     """One node's executable, stopped as a launch file would stop it."""
     known = {parameter.name for parameter in TABLES[name]}
     command = [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args"]

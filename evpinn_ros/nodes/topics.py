@@ -17,6 +17,8 @@ IMU_TYPE = "sensor_msgs/msg/Imu"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
 NAMED_VECTOR_TYPE = "sensor_msgs/msg/JointState"
+PRESSURE_TYPE = "sensor_msgs/msg/FluidPressure"
+WIND_TYPE = "geometry_msgs/msg/Vector3Stamped"
 SCALAR_TYPE = "std_msgs/msg/Float64"
 PATH_TYPE = "nav_msgs/msg/Path"
 TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
@@ -119,12 +121,28 @@ TEMPERATURE = Topic(
     "optional: ambient temperature, for the density of air",
     "degC",
 )
+PRESSURE = Topic(
+    "environment/pressure",
+    PRESSURE_TYPE,
+    "the car",
+    False,
+    "optional: pressure of the air outside, for its density",
+    "Pa",
+)
+WIND = Topic(
+    "environment/wind",
+    WIND_TYPE,
+    "the car",
+    False,
+    "optional: velocity of the air over ground in `base_link`; a head wind is negative x",
+    "m/s",
+)
 AUXILIARY_POWER = Topic(
     "auxiliary/power",
     NAMED_VECTOR_TYPE,
     "can_bridge",
     False,
-    "optional: known heating, air conditioning; the loads add up",
+    "optional: known loads by name, heating and others; heating counts below 20 degrees outside",
     "W",
 )
 INPUTS = (
@@ -135,6 +153,8 @@ INPUTS = (
     IMU,
     FIX,
     TEMPERATURE,
+    PRESSURE,
+    WIND,
     AUXILIARY_POWER,
 )
 

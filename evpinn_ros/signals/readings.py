@@ -67,11 +67,28 @@ class TemperatureReading:
 
 
 @dataclass(frozen=True, slots=True)
-class AuxiliaryReading:
-    """Electric power of known auxiliary loads (heating, air conditioning), W."""
+class PressureReading:
+    """Pressure of the ambient air, Pa."""
 
     stamp_ns: int
-    power: float
+    pascal: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindReading:
+    """Wind against the car, m/s over ground; negative from behind."""
+
+    stamp_ns: int
+    head: float
+
+
+@dataclass(frozen=True, slots=True)
+class AuxiliaryReading:
+    """Electric power of known auxiliary loads, W: of the heating, and of all others together."""
+
+    stamp_ns: int
+    heating: float
+    others: float = 0.0
 
 
 Reading: TypeAlias = (
@@ -80,5 +97,7 @@ Reading: TypeAlias = (
     | GradeReading
     | AltitudeReading
     | TemperatureReading
+    | PressureReading
+    | WindReading
     | AuxiliaryReading
 )

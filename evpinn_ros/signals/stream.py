@@ -89,6 +89,11 @@ class SampleStream:
         return self._speed.newest_ns if len(self._speed) else None
 
     @property
+    def unknown(self) -> tuple[str, ...]:
+        """Optional inputs that tell nothing (see `Road.unknown`)."""
+        return self._road.unknown(self.newest_ns or 0)
+
+    @property
     def battery_ns(self) -> int | None:
         """Stamp of the newest battery reading, None before the first."""
         return self._power.newest_ns
@@ -186,6 +191,7 @@ class SampleStream:
             air_density=self._road.air_density(),
             known_auxiliary=self._road.known_auxiliary(stamp_ns),
             course=course,
+            head_wind=self._road.head_wind(stamp_ns),
         )
 
     def _push_battery(self, reading: BatteryReading) -> None:

@@ -38,7 +38,7 @@ def test_all_columns(tmp_path):
         BatteryReading(stamp, 400.0, -50.0),
         AltitudeReading(stamp, 570.0),
         TemperatureReading(stamp, -3.0),
-        AuxiliaryReading(stamp, 1750.0),
+        AuxiliaryReading(stamp, 1500.0, 250.0),
     ]
     assert list(map(repr, drive.readings())) == list(map(repr, expected))  # NaN is not equal NaN
     assert drive.ignored == ("soc",) and not drive.dropped

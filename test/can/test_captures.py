@@ -12,8 +12,10 @@ import pytest
 
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.can.profile import load_profile
+from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "can"
@@ -102,3 +104,36 @@ def test_profiles_of_other_cars_do_not_fit():
                 bridge.push(frame)
             status = bridge.status(frame.stamp_ns)
             assert not status.ok, (profile, other, status)
+
+
+CAPTURES = [
+    *((profile, log) for profile, log, _ in TESLA),
+    *(("nissan_leaf", DATA / "nissan_leaf_62kwh" / f"{name}.candump.log") for name in LEAF),
+]
+
+
+@pytest.mark.parametrize(("right", "log"), CAPTURES, ids=lambda value: Path(value).stem)
+def test_inspection_names_the_profile(right, log):
+    inspection = Inspection(bundled_profiles(), 500_000)
+    for frame in LogFile(log).frames():
+        inspection.push(frame)
+    report = inspection.report()
+    assert report.best.fit.profile == right and report.best.fit.score > 0.99
+    assert report.best.sign is None and report.best.sign_told
+    assert 0.0 < report.load[0] < report.load[1] < 0.5
+    assert all(profile.fit.score < 0.7 for profile in report.profiles[1:])
+
+
+@pytest.mark.parametrize("patient", [False, True])
+@pytest.mark.parametrize(("right", "log"), CAPTURES, ids=lambda value: Path(value).stem)
+def test_the_guard_lets_out_the_right_profile_alone(right, log, patient):
+    frames = list(LogFile(log).frames())
+    for profile in bundled_profiles():
+        plain = CanBridge(profile)
+        bridge = CanBridge(profile, guard=FitGuard(profile, bundled_profiles(), patient=patient))
+        got = [reading for frame in frames for reading in bridge.push(frame)]
+        got += bridge.finish()
+        if profile.key == right:
+            assert repr(got) == repr([r for frame in frames for r in plain.push(frame)])
+        else:
+            assert not got, profile.key

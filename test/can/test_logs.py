@@ -1,6 +1,7 @@
 import gzip
 
 import can
+from can.io import mf4
 import pytest
 
 from evpinn_ros.can.frame import CanFrame
@@ -38,7 +39,11 @@ def check(frames, milliseconds=False):
             assert frame.stamp_ns == 1549819403028902000 + index * 10_000_000
 
 
-@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".csv"])
+needs_asammdf = pytest.mark.skipif(mf4.asammdf is None, reason="without the extra mf4")
+MF4 = pytest.param(".mf4", marks=needs_asammdf)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".csv", MF4])
 def test_every_format(tmp_path, suffix):
     log = LogFile(write(tmp_path / f"drive{suffix}"))
     frames = list(log.frames())
@@ -66,6 +71,20 @@ def test_truncated_log_gives_all_before_the_cut_and_says_so(tmp_path, suffix):
     check(frames, milliseconds=suffix == ".asc")
     assert log.problem and str(cut) in log.problem and str(len(frames)) in log.problem
     assert "\n" not in log.problem
+
+
+@needs_asammdf
+def test_truncated_mf4_says_so(tmp_path):
+    whole = write(tmp_path / "drive.mf4").read_bytes()
+    (tmp_path / "cut.mf4").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"cut\.mf4: broken after 0 frames"):
+        list(LogFile(tmp_path / "cut.mf4").frames())
+
+
+def test_mf4_without_its_extra_names_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(mf4, "asammdf", None)
+    with pytest.raises(InputError, match=r"a\.mf4: .*pip install 'evpinn_ros\[mf4\]'"):
+        LogFile(tmp_path / "a.mf4")
 
 
 def test_half_a_payload_is_no_frame(tmp_path):
@@ -146,3 +165,11 @@ def test_gzip_of_an_absolute_asc_keeps_the_date(tmp_path):
     (tmp_path / "drive2.asc.gz").write_bytes(gzip.compress(plain.read_bytes()))
     frames = LogFile(plain).frames()
     assert next(LogFile(tmp_path / "drive2.asc.gz").frames()) == next(frames)
+
+
+def test_frames_that_no_bus_can_carry_are_skipped_and_counted(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text("(1.0) can0 932#01\n(1.1) can0 132#02\n")
+    log = LogFile(path)
+    assert [frame.data for frame in log.frames()] == [b"\x02"]
+    assert log.skipped == {"impossible_frame": 1}

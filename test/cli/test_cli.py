@@ -188,6 +188,7 @@ def test_check_params_knows_the_three_kinds(tmp_path):
         (ROOT / "config" / "evpinn.param.yaml", "parameter file"),
         (ROOT / "config" / "vehicles" / "generic.yaml", "vehicle file"),
         (ROOT / "config" / "can" / "nissan_leaf.yaml", "CAN profile"),
+        (ROOT / "config" / "can" / "bmw_i3.yaml", "CAN profile"),
     ):
         done = evpinn("check-params", path, cwd=tmp_path)
         assert (done.returncode, kind in done.stdout) == (0, True), done.stderr

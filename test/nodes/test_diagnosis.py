@@ -97,6 +97,8 @@ def test_states_of_planning():
         (BusState.OPEN, True, Level.OK, "receiving"),
         (BusState.OPEN, False, Level.WARN, "receiving"),
         (BusState.SILENT, True, Level.WARN, "silent"),
+        (BusState.ERRORS, True, Level.WARN, "wrong bit rate"),
+        (BusState.OFF, True, Level.ERROR, "check bit rate and wiring"),
         (BusState.LOST, True, Level.ERROR, "is the adapter plugged in"),
     ],
 )
@@ -112,6 +114,17 @@ def test_states_of_the_bus(state, ok, level, text):
 def test_states_of_a_log():
     assert log_status("playing", None, BRIDGE, WELL).level is Level.OK
     assert log_status("playing", "x.log: cut off", BRIDGE, WELL).text == "x.log: cut off"
+
+
+def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
+    bus = BusStatus(BusState.OPEN, None, {})
+    refused = dataclasses.replace(BRIDGE, ok=False, text="no", refusal="no")
+    suspected = dataclasses.replace(BRIDGE, ok=False, text="current_sign: x", suspicion="x")
+    for status in (bus_status(bus, refused, WELL), log_status("playing", None, refused, WELL)):
+        assert (status.level, status.text) == (Level.ERROR, "no")
+    for status in (bus_status(bus, suspected, WELL), log_status("playing", None, suspected, WELL)):
+        assert (status.level, status.text) == (Level.WARN, "current_sign: x")
+    assert bus_status(bus, suspected, WELL).values["suspicion"] == "x"
 
 
 def test_what_was_noticed_of_the_car_is_told():

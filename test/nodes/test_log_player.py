@@ -5,6 +5,9 @@ import time
 
 import pytest
 
+from evpinn_ros.bags.can_frames import encode_frame
+from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.errors import InputError
@@ -51,3 +54,13 @@ def test_a_log_that_is_cut_or_is_none_is_told(log):
     assert str(log) in player.problem
     with pytest.raises(InputError, match=r"nowhere\.log"):
         LogPlayer(log.with_name("nowhere.log"), 0.0, 0.0, lambda frame: None)
+
+
+def test_the_frames_of_a_bag_play_too(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        for frame in FRAMES:
+            writer.write_raw("/from_can_bus", FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
+    heard = []
+    player = LogPlayer(tmp_path / "bag", 0.0, 0.0, heard.append)
+    player.run()
+    assert heard == FRAMES and player.problem is None

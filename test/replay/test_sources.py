@@ -26,6 +26,25 @@ def test_can_log_gives_the_readings_of_the_simulated_bus(tmp_path, vehicle, shor
     assert source.problem is None
 
 
+def test_a_can_log_that_later_contradicts_the_profile_ends_there(tmp_path, vehicle):
+    """Two drives joined, the second of a car with the firmware of another year."""
+    first = simulate(DriveKind.URBAN, vehicle, 30.0, seed=3)
+    later = simulate(
+        *(DriveKind.URBAN, vehicle, 30.0, 4),
+        can_profile="tesla_model_3_2019",
+        start_ns=first.frames[0].stamp_ns + 30 * 10**9,
+    )
+    write_log(tmp_path / "two.log", [*first.frames, *later.frames])
+    source = open_source(tmp_path / "two.log", vehicle)
+    readings = list(source.readings())
+    end = readings[-1].stamp_ns - first.frames[0].stamp_ns
+    assert 29 * 10**9 < end < 36 * 10**9
+    assert "two.log: profile 'tesla_model_3' contradicts" in source.problem
+    assert "'tesla_model_3_2019' fits better" in source.problem
+    trusting = open_source(tmp_path / "two.log", vehicle, trust_profile=True)
+    assert list(trusting.readings())[: len(readings)] == readings and trusting.problem is None
+
+
 def test_bag_gives_stamps_and_values(tmp_path, vehicle, short_drive):
     with BagWriter(tmp_path / "bag") as writer:
         write_readings(short_drive.readings, writer)

@@ -7,7 +7,9 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
+    PressureReading,
     TemperatureReading,
+    WindReading,
 )
 from evpinn_ros.signals.road import GradeSource, Road, why_impossible
 
@@ -110,6 +112,46 @@ def test_known_loads_count_while_they_are_fresh():
     assert road.known_auxiliary(at(0)) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("celsius", "known"), [(None, 1750.0), (-5.0, 1750.0), (19.5, 1750.0), (25.0, 250.0)]
+)
+def test_a_heater_is_not_believed_on_a_warm_day(celsius, known):
+    road = Road(GradeSource.NONE, 1.2)
+    if celsius is not None:
+        road.push(TemperatureReading(at(0), celsius))
+    road.push(AuxiliaryReading(at(0), 1500.0, 250.0))
+    assert road.known_auxiliary(at(1)) == known
+
+
+def test_density_from_pressure_and_temperature():
+    """The standard atmosphere (ISO 2533): 1.2250 kg/m^3 at 15 degrees and 101325 Pa."""
+    road = Road(GradeSource.NONE, 1.16)
+    road.push(PressureReading(at(0), 101_325.0))
+    assert road.air_density() == pytest.approx(101_325.0 / (287.05 * 293.15))
+    road.push(TemperatureReading(at(0), 15.0))
+    assert road.air_density() == pytest.approx(1.2250, abs=1e-4)
+
+
+def test_wind_holds_for_ten_minutes():
+    road = Road(GradeSource.NONE, 1.2)
+    assert road.head_wind(at(0)) == 0.0
+    road.push(WindReading(at(0), 6.0))
+    assert road.head_wind(at(600)) == 6.0
+    assert road.head_wind(at(601)) == 0.0
+
+
+def test_what_no_input_tells_is_named():
+    road = Road(GradeSource.AUTO, 1.2)
+    assert road.unknown(at(0)) == ("grade", "temperature", "pressure", "wind", "loads")
+    for reading in (
+        GradeReading(at(0), 0.01),
+        PressureReading(at(0), 1e5),
+        AuxiliaryReading(at(0), 500.0),
+    ):
+        road.push(reading)
+    assert road.unknown(at(1)) == ("temperature", "wind")
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -1e9])
 @pytest.mark.parametrize(
     ("kind", "what"),
@@ -118,6 +160,7 @@ def test_known_loads_count_while_they_are_fresh():
         (AuxiliaryReading, "auxiliary"),
         (GradeReading, "grade"),
         (TemperatureReading, "temperature"),
+        (WindReading, "wind"),
     ],
 )
 def test_what_cannot_be_is_named(kind, what, value):

@@ -11,8 +11,10 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    PressureReading,
     SpeedReading,
     TemperatureReading,
+    WindReading,
 )
 from evpinn_ros.signals.sample import Gap, MeasuredSample, NewestSample, SmoothedSample, TimeJump
 from evpinn_ros.signals.stream import MAX_ACCELERATION, MAX_SPEED, SampleStream, StreamSettings
@@ -60,7 +62,15 @@ numbers = st.one_of(
     st.sampled_from([0.0, 1e-300, 1e300, 400.0, 2000.0]),
 )
 kinds = st.sampled_from(
-    [AltitudeReading, AuxiliaryReading, GradeReading, SpeedReading, TemperatureReading]
+    [
+        AltitudeReading,
+        AuxiliaryReading,
+        GradeReading,
+        PressureReading,
+        SpeedReading,
+        TemperatureReading,
+        WindReading,
+    ]
 )
 # Mostly onwards by a step of any size, now and then anywhere at all.
 onwards = st.one_of(
@@ -100,6 +110,7 @@ def test_nonsense_makes_no_exception_and_nothing_that_is_not_finite(readings, sm
             assert abs(sample.speed) <= MAX_SPEED
             assert abs(sample.acceleration) <= MAX_ACCELERATION
             assert abs(sample.grade) <= 0.3 and 0.5 < sample.air_density < 2.0
+            assert abs(sample.head_wind) <= 60.0
             assert 0.0 <= sample.known_auxiliary <= 50_000.0
             if isinstance(event, MeasuredSample):
                 assert math.isfinite(event.power)

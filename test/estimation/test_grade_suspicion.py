@@ -6,10 +6,11 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.estimation.grade_suspicion import GradeSuspicion
 from evpinn_ros.estimation.published_filter import PublishedFilter
-from evpinn_ros.estimation.suspicion import GradeSuspicion, SignSuspicion
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
+from evpinn_ros.signals.suspicion import SignSuspicion
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.parameters import Parameters
 

@@ -1,0 +1,152 @@
+"""Raw CAN frames in bags: `can_msgs/Frame`, as ros2_socketcan publishes and as we record.
+
+Neither writing nor reading needs can_msgs to be installed: its one message is described in
+`bags.types`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+import struct
+from typing import Protocol
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN, FRAME_TYPE
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import LogFile
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import NANOSECONDS
+
+FRAMES_TOPIC = "can/frames"
+"""Where a recording keeps them, relative to the namespace."""
+
+BAG_SUFFIXES = (".mcap", ".db3")
+_SENT = "to_can_bus"  # the topic by which ros2_socketcan is told to send
+_CLASSIC = 8  # bytes of data that the message can hold
+
+# Stamp, empty frame_id with its length and end, id, is_rtr, is_extended, is_error, dlc, data.
+_CDR = struct.Struct("<4siII4xI???B8s")
+
+
+class CanLog(Protocol):
+    """A recorded bus, read once by `frames()`: `LogFile` and `BagFrames`.
+
+    Attributes:
+        path: of the file or folder.
+        count: frames read so far.
+        skipped: what is not a data frame, by kind; complete once all are read.
+    """
+
+    path: Path
+    count: int
+    skipped: Counter[str]
+
+    @property
+    def problem(self) -> str | None:
+        """What could not be read, in one line; complete once all are read."""
+
+    def frames(self) -> Iterator[CanFrame]:
+        """Every data frame, in recorded order."""
+
+
+class BagFrames:
+    """The frames of the one `can_msgs/Frame` topic of a bag; a `CanLog`.
+
+    Stamps are those of the messages' headers, or the log time where a header has none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Find the topic.
+
+        Raises:
+            InputError: not a bag, no frames in it, or frames of several buses.
+        """
+        self.path = path
+        self.count = 0
+        self.skipped: Counter[str] = Counter()
+        self._reader = BagReader(path)
+        topics = _frame_topics(self._reader)
+        if not topics:
+            raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}) in this bag")
+        if len(topics) > 1:
+            raise InputError(f"{path}: frames of several buses, keep one: {', '.join(topics)}")
+        self._topics = topics
+
+    @property
+    def problem(self) -> str | None:
+        """What the bag has lost."""
+        return self._reader.problem
+
+    def frames(self) -> Iterator[CanFrame]:
+        """Every data frame in order of log time.
+
+        Raises:
+            InputError: there is none.
+        """
+        with self._reader:
+            for record in self._reader.records(self._topics):
+                message = record.message
+                if message.is_error or message.is_rtr:
+                    self.skipped["error_frame" if message.is_error else "remote_frame"] += 1
+                    continue
+                stamp = message.header.stamp
+                stamp_ns = stamp.sec * NANOSECONDS + stamp.nanosec
+                self.count += 1
+                yield CanFrame(
+                    stamp_ns or record.log_time_ns,
+                    int(message.id),
+                    bytes(message.data[: message.dlc]),
+                    bool(message.is_extended),
+                )
+        self.skipped.update(self._reader.dropped)
+        if self.count == 0:
+            raise InputError(self.problem or f"{self.path}: no CAN data frame in it")
+
+
+def open_can_log(path: Path) -> CanLog:
+    """A CAN log of any kind: a file of frames, or a bag with a topic of them.
+
+    Raises:
+        InputError: it is neither; the text has the file and the reason.
+    """
+    return BagFrames(path) if is_bag(path) else LogFile(path)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag's, by its looks."""
+    return path.is_dir() or path.suffix in BAG_SUFFIXES
+
+
+def holds_frames(path: Path) -> bool:
+    """Whether a bag has raw frames.
+
+    Raises:
+        InputError: it is no bag.
+    """
+    with BagReader(path) as reader:
+        return bool(_frame_topics(reader))
+
+
+def encode_frame(frame: CanFrame) -> bytes:
+    """The CDR bytes of a frame as `can_msgs/Frame`; a struct, for thousands a second.
+
+    Raises:
+        ValueError: a CAN FD frame of more than 8 bytes, or a stamp outside ROS time.
+    """
+    seconds, nanoseconds = divmod(frame.stamp_ns, NANOSECONDS)
+    if len(frame.data) > _CLASSIC or not 0 <= seconds < 2**31:
+        raise ValueError(f"{FRAME_TYPE} cannot hold {frame}")
+    header = (CDR_LITTLE_ENDIAN + b"\0\0", seconds, nanoseconds, 1)
+    flags = (False, frame.extended, False)
+    return _CDR.pack(*header, frame.can_id, *flags, len(frame.data), frame.data)
+
+
+def _frame_topics(reader: BagReader) -> list[str]:
+    """Topics with received frames."""
+    return [
+        name
+        for name, info in reader.topics.items()
+        if info.type_name == FRAME_TYPE and not name.endswith(_SENT)
+    ]

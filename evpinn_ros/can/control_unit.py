@@ -1,0 +1,244 @@
+"""The conversation with one control unit: ISO-TP frames, one question at a time, its answers."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+import logging
+import math
+
+import isotp
+from udsoncan.BaseService import BaseService
+from udsoncan.Request import Request
+from udsoncan.Response import Response
+from udsoncan.ResponseCode import ResponseCode
+from udsoncan.services.ReadDataByIdentifier import ReadDataByIdentifier
+
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.request import Address, RequestRule
+
+ANSWER_TIMEOUT_S = 1.0
+PENDING_TIMEOUT_S = 5.0
+"""How long to wait for an answer, and for one that the control unit asked to be waited for."""
+
+LONGEST_WAIT_S = 10.0
+"""How long a control unit may go on asking to be waited for."""
+
+REFUSALS = 3
+"""Refusals in a row after which a request is not made again."""
+
+LOGGER = "evpinn_ros.isotp"
+LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
+logging.getLogger(LOGGER).disabled = True  # it warns of every damaged frame, which we count
+
+Send = Callable[[CanFrame], bool]
+"""Puts a frame on the bus; False when there is no bus now. Its stamp means nothing."""
+
+
+class CurrentData(BaseService):
+    """OBD-II service 01, which udsoncan does not bring."""
+
+    _sid = 0x01
+    _use_subfunction = False
+
+
+class ReadDataByLocalIdentifier(CurrentData):
+    """KWP2000 service 21, which udsoncan does not bring."""
+
+    _sid = 0x21
+
+
+SERVICES = {
+    service.request_id(): service
+    for service in (CurrentData, ReadDataByLocalIdentifier, ReadDataByIdentifier)
+}
+"""How udsoncan writes each of `evpinn_ros.can.request.READ_SERVICES`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A positive answer: when its first frame came, to what, and what stands behind the echo."""
+
+    stamp_ns: int
+    request: RequestRule
+    data: bytes
+
+
+class ControlUnit:
+    """Asks one control unit and puts its answers together; for one thread at a time.
+
+    Answers to another tester's questions are read too, and left without flow control.
+
+    Attributes:
+        counters: `asked`, `answered`, `silent`, `pending`, `busy`, `refused`, `short_answer`,
+            `unexpected_answer` (to no request of the profile), `garbled` (not ISO-TP),
+            `send_errors`.
+        retired: requests that were refused too often, with the reason in udsoncan's words.
+    """
+
+    def __init__(
+        self, address: Address, requests: Iterable[RequestRule], send: Send | None
+    ) -> None:
+        """Prepare a conversation.
+
+        Args:
+            address: of the control unit.
+            requests: what it may be asked, most urgent first.
+            send: None to listen alone.
+        """
+        self.counters: Counter[str] = Counter()
+        self.retired: dict[str, str] = {}
+        self._requests = {request.name: request for request in requests}
+        self._address, self._send = address, send
+        self._due_s = dict.fromkeys(self._requests, -math.inf)
+        self._refusals: Counter[str] = Counter()
+        self._asked: RequestRule | None = None
+        self._asked_s = self._deadline_s = math.nan
+        self._sent = False
+        self._stamp_ns = 0
+        self._inbox: deque[isotp.CanMessage] = deque()
+        self._link = isotp.TransportLayerLogic(
+            rxfn=lambda _timeout: self._inbox.popleft() if self._inbox else None,
+            txfn=self._transmit,
+            address=_isotp_address(address),
+            error_handler=self._count_garbled,
+            params=LINK_OPTIONS,
+        )
+
+    def push(self, frame: CanFrame, now_s: float) -> Answer | None:
+        """The answer that this frame completes; never raises.
+
+        Args:
+            frame: with the id of the control unit's answers.
+            now_s: of the clock of `step`.
+        """
+        position = len(self._address.prefix)
+        if len(frame.data) > position and frame.data[position] >> 4 in (0, 1):
+            self._stamp_ns = frame.stamp_ns  # a single or a first frame
+        self._inbox.append(
+            isotp.CanMessage(
+                arbitration_id=frame.can_id,
+                dlc=len(frame.data),
+                data=frame.data,
+                extended_id=frame.extended,
+            )
+        )
+        self._link.process()
+        payload = self._link.recv()
+        return self._read(bytes(payload), now_s) if payload else None
+
+    def step(self, now_s: float, may_ask: bool) -> float:
+        """Give up waiting, ask what is due; gives the time of the next step.
+
+        Args:
+            now_s: of a clock that never goes back.
+            may_ask: whether to ask at all.
+        """
+        if self._asked is not None and now_s >= self._deadline_s:
+            self.counters["silent"] += 1
+            self._finish()
+        if self._asked is None and may_ask and self._due_s and self._send is not None:
+            name = min(self._due_s, key=lambda name: self._due_s[name])
+            if now_s < self._due_s[name]:
+                return self._due_s[name]
+            self._ask(self._requests[name], now_s)
+        return math.inf if self._asked is None else self._deadline_s
+
+    def revive(self) -> None:
+        """Ask again what was refused: the car has been asleep since."""
+        self._due_s = dict.fromkeys(self._requests, -math.inf)
+        self._refusals.clear()
+        self.retired.clear()
+
+    def _ask(self, request: RequestRule, now_s: float) -> None:
+        self._asked, self._asked_s = request, now_s
+        self._deadline_s = now_s + ANSWER_TIMEOUT_S
+        self._due_s[request.name] = now_s + request.period_s
+        self._sent = False
+        service = SERVICES[request.payload[0]]
+        self._link.reset()
+        self._link.send(Request(service, data=request.payload[1:]).get_payload())
+        self._link.process()
+        if self._sent:
+            self.counters["asked"] += 1
+        else:
+            self._finish()
+
+    def _finish(self) -> None:
+        self._asked = None
+        self._link.stop_receiving()
+
+    def _transmit(self, message: isotp.CanMessage) -> None:
+        """Send what the link made; flow control only for an answer to our own question."""
+        if self._asked is None or self._send is None:
+            return
+        frame = CanFrame(0, message.arbitration_id, bytes(message.data), message.is_extended_id)
+        try:
+            self._sent = self._send(frame)
+        except Exception:
+            # Each driver has its own way to fail; the bus reader finds out whether it is lost.
+            self.counters["send_errors"] += 1
+            self._sent = True
+
+    def _count_garbled(self, _error: Exception) -> None:
+        self.counters["garbled"] += 1
+
+    def _read(self, payload: bytes, now_s: float) -> Answer | None:
+        response = Response.from_payload(payload)
+        if not response.valid or response.service is None:
+            self.counters["unexpected_answer"] += 1
+        elif response.positive:
+            return self._take_positive(payload)
+        else:
+            self._take_negative(response.service.request_id(), response, now_s)
+        return None
+
+    def _take_positive(self, payload: bytes) -> Answer | None:
+        for request in self._requests.values():
+            if payload.startswith(request.echo):
+                break
+        else:
+            self.counters["unexpected_answer"] += 1
+            return None
+        if request is self._asked:
+            self._refusals[request.name] = 0
+            self._finish()
+        data = payload[len(request.echo) :]
+        if len(data) < request.min_length:
+            self.counters["short_answer"] += 1
+            return None
+        self.counters["answered"] += 1
+        return Answer(self._stamp_ns, request, data)
+
+    def _take_negative(self, service: int, response: Response, now_s: float) -> None:
+        asked = self._asked
+        if asked is None or service != asked.payload[0]:
+            self.counters["unexpected_answer"] += 1
+        elif response.code == ResponseCode.RequestCorrectlyReceived_ResponsePending:
+            self.counters["pending"] += 1
+            self._deadline_s = min(now_s + PENDING_TIMEOUT_S, self._asked_s + LONGEST_WAIT_S)
+        elif response.code == ResponseCode.BusyRepeatRequest:
+            self.counters["busy"] += 1
+            self._finish()
+        else:
+            self.counters["refused"] += 1
+            self._refusals[asked.name] += 1
+            if self._refusals[asked.name] >= REFUSALS:
+                self.retired[asked.name] = response.code_name
+                del self._due_s[asked.name]
+            self._finish()
+
+
+def _isotp_address(address: Address) -> isotp.Address:
+    modes = isotp.AddressingMode
+    if address.target is None:
+        mode = modes.Normal_29bits if address.extended else modes.Normal_11bits
+        return isotp.Address(mode, txid=address.tx_id, rxid=address.rx_id)
+    return isotp.Address(
+        modes.Extended_29bits if address.extended else modes.Extended_11bits,
+        txid=address.tx_id,
+        rxid=address.rx_id,
+        target_address=address.target,
+        source_address=address.source,
+    )

@@ -1,0 +1,74 @@
+"""Whether the current of a bus has the sign that its profile says."""
+
+from __future__ import annotations
+
+import math
+
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.road import GradeSource
+from evpinn_ros.signals.sample import MeasuredSample
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.signals.suspicion import CURRENT_SIGN, ChargeSuspicion, SignSuspicion
+
+PERIOD_NS = NANOSECONDS // 11
+"""Readings that follow sooner are left out: ten a second tell accelerations."""
+LONGEST_STEP = 2.0  # s that one reading stands for at most
+AIR_DENSITY = 1.2  # kg/m^3; the stream asks, the signs do not
+
+
+class CurrentSign:
+    """Follows the readings of one bus; reports, and corrects nothing."""
+
+    def __init__(self) -> None:
+        """Nothing seen, nothing suspected."""
+        settings = StreamSettings(grade_source=GradeSource.NONE)
+        self._stream = SampleStream(settings, AIR_DENSITY)
+        self._driving, self._charging = SignSuspicion(), ChargeSuspicion()
+        self._newest: dict[type[Reading], int] = {}
+        self._sampled_ns = 0
+        self._speed, self._speed_ns = math.nan, 0
+
+    @property
+    def told(self) -> bool:
+        """Whether there was enough pulling away, braking or charging to judge by."""
+        return self._driving.told or self._charging.told
+
+    @property
+    def suspicion(self) -> str | None:
+        """What is wrong and what to do about it, in one line; None while all is well."""
+        if self._driving.suspected:
+            why = "to accelerate charges the battery"
+        elif self._charging.suspected:
+            why = "to charge empties the battery"
+        else:
+            return None
+        return f"{CURRENT_SIGN}: {why}; flip positive_means in the profile"
+
+    def push(self, reading: Reading) -> None:
+        """Learn from a reading."""
+        newest = self._newest.get(type(reading))
+        if newest is not None and 0 <= reading.stamp_ns - newest < PERIOD_NS:
+            return
+        self._newest[type(reading)] = reading.stamp_ns
+        if isinstance(reading, SpeedReading):
+            self._speed, self._speed_ns = reading.speed, reading.stamp_ns
+        elif isinstance(reading, BatteryReading):
+            self._push_battery(reading, newest)
+        for event in self._stream.push(reading):
+            if isinstance(event, MeasuredSample):
+                sample = event.sample
+                step = _step(sample.stamp_ns, self._sampled_ns)
+                self._sampled_ns = sample.stamp_ns
+                self._driving.push(sample, event.power, step)
+
+    def _push_battery(self, reading: BatteryReading, before_ns: int | None) -> None:
+        if before_ns is None or math.isnan(reading.power):
+            return
+        age_ns = abs(reading.stamp_ns - self._speed_ns)
+        speed = self._speed if age_ns < LONGEST_STEP * NANOSECONDS else math.nan
+        step = _step(reading.stamp_ns, before_ns)
+        self._charging.push(reading.power, reading.state_of_charge, speed, step)
+
+
+def _step(stamp_ns: int, before_ns: int) -> float:
+    return min(max(stamp_ns - before_ns, 0) / NANOSECONDS, LONGEST_STEP)

@@ -1,0 +1,144 @@
+"""DBC files of whatever origin: what a profile names in one, found or refused with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from itertools import combinations
+from pathlib import Path
+import re
+from typing import Any
+
+import cantools
+
+from evpinn_ros.yaml_section import Section
+
+LARGEST_FILE = 20_000_000  # bytes
+NOT_DBC = (cantools.database.Error, cantools.database.UnsupportedDatabaseFormatError)
+_SPEED_UNITS: Mapping[str, str] = {
+    **dict.fromkeys(("km/h", "kph", "kmh", "kmph"), "km/h"),
+    **dict.fromkeys(("mph", "mi/h", "miles/h"), "mph"),
+    **dict.fromkeys(("m/s", "mps"), "m/s"),
+}
+
+
+class DbcFile:
+    """The DBC file that a profile names; not strict, because public files overlap and overhang."""
+
+    def __init__(self, root: Section, path: Path) -> None:
+        """Read it.
+
+        Raises:
+            InputError: no such file, or not one that cantools can read.
+        """
+        try:
+            if path.stat().st_size > LARGEST_FILE:
+                raise root.error_at("dbc", f"{path}: larger than {LARGEST_FILE} bytes")
+            self._text = path.read_text(encoding="cp1252", errors="replace")
+            database = cantools.database.load_file(path, database_format="dbc", strict=False)
+        except OSError as error:
+            raise root.error_at("dbc", f"{path}: {error.strerror}") from error
+        except (
+            cantools.database.Error,
+            cantools.database.UnsupportedDatabaseFormatError,
+        ) as error:
+            raise root.error_at("dbc", f"{path}: not a DBC file: {error}") from error
+        except (ValueError, KeyError) as error:
+            raise root.error_at("dbc", f"{path}: broken DBC file: {error}") from error
+        self._messages = {str(message.name): message for message in database.messages}
+
+    def message(self, section: Section) -> Any:
+        """The `cantools.database.Message` that a section names.
+
+        Raises:
+            InputError: there is none, or its pages cannot be told apart.
+        """
+        name = section.text("message")
+        if name not in self._messages:
+            reason = f"the DBC file has no message '{name}'{nearest(name, self._messages)}"
+            raise section.error_at("message", reason)
+        message = self._messages[name]
+        if not message.is_multiplexed() and self._has_pages(name):
+            # cantools then reads every page as if it were the only one.
+            reason = f"message '{name}' is multiplexed, but no signal of it is the multiplexer 'M'"
+            raise section.error_at("message", reason)
+        if message.is_multiplexed() and (fault := _fault_of_pages(message)):
+            raise section.error_at("message", f"{fault}; mend the DBC file")
+        return message
+
+    def _has_pages(self, name: str) -> bool:
+        """Whether a signal of a message is marked as one of a page: `SG_ Name m3 :`."""
+        block = re.search(
+            rf"^\s*BO_\s+\d+\s+{re.escape(name)}\s*:.*\n((?:\s*SG_ .*\n?)*)", self._text, re.M
+        )
+        return bool(block and re.search(r"^\s*SG_\s+\w+\s+m\d+\s*:", block[1], re.M))
+
+
+def find_signal(section: Section, key: str, message: Any) -> Any:
+    """The `cantools.database.Signal` of a message that `key` names.
+
+    Raises:
+        InputError: there is none, it is a floating-point number, or not within the message.
+    """
+    name = section.text(key)
+    names = [str(signal.name) for signal in message.signals]
+    if name not in names:
+        reason = f"message '{message.name}' of the DBC file has no signal '{name}'"
+        raise section.error_at(key, reason + nearest(name, names))
+    signal = message.get_signal_by_name(name)
+    if signal.is_float:
+        raise section.error_at(key, f"'{name}' is a floating-point signal; only integers are read")
+    if _hangs_over(signal, message):
+        raise section.error_at(key, f"{_overhang(signal, message)}; mend the DBC file")
+    return signal
+
+
+def _fault_of_pages(message: Any) -> str | None:
+    """Why cantools, which reads a page as a whole, would misread a multiplexed message."""
+    for signal in message.signals:
+        if _hangs_over(signal, message):
+            return _overhang(signal, message)
+    for one, other in combinations(message.signals, 2):
+        if bits(one) & bits(other) and _share_page(one, other):
+            return f"'{one.name}' and '{other.name}' overlap in message '{message.name}'"
+    return None
+
+
+def _share_page(one: Any, other: Any) -> bool:
+    """Whether one frame can hold both of two signals of a message."""
+    pages, others = one.multiplexer_ids, other.multiplexer_ids
+    return not pages or not others or bool(set(pages) & set(others))
+
+
+def _hangs_over(signal: Any, message: Any) -> bool:
+    return max(bits(signal)) >= 8 * int(message.length)
+
+
+def _overhang(signal: Any, message: Any) -> str:
+    return f"'{signal.name}' hangs over the {message.length} bytes of message '{message.name}'"
+
+
+def refuse_other_unit(section: Section, signal: Any) -> None:
+    """Raise when profile and DBC file name different units of speed, and no scale says why."""
+    said = _SPEED_UNITS.get(str(signal.unit or "").strip().lower())
+    if said and said != section.text("unit") and not section.has("scale"):
+        reason = (
+            f"the DBC file gives '{signal.name}' in {signal.unit}; if it is wrong, say scale: 1"
+        )
+        raise section.error_at("unit", reason)
+
+
+def bits(signal: Any) -> frozenset[int]:
+    """The places of a signal's bits in the payload: bit 0 is the lowest of byte 0."""
+    if signal.byte_order == "little_endian":
+        return frozenset(range(signal.start, signal.start + signal.length))
+    # Motorola counts on from the highest bit of a byte to its lowest, then to the next byte.
+    first = signal.start ^ 7
+    return frozenset(place ^ 7 for place in range(first, first + signal.length))
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """What a person may have meant, to append to an error; empty when nothing is near."""
+    by_lower = {each.lower(): each for each in names}
+    found = [by_lower[each] for each in get_close_matches(name.lower(), by_lower, cutoff=0.5)]
+    return f"; nearest are {', '.join(found)}" if found else ""

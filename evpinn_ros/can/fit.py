@@ -1,0 +1,264 @@
+"""How well a profile fits the traffic of a bus, and when the traffic contradicts it.
+
+For each message of the profile the frames that say something are counted. A frame that repeats
+the payload before it says nothing new, and neither does "not available". The rest is *good* when
+length, checksum, counter and range hold and the value did not jump; otherwise *bad*.
+
+    score = mean over the messages of good / (good + bad)
+
+A message that never came counts 0, one that came and said nothing 0.5. A profile is *proven* when
+checksums of its own hold: by chance one in 256 does.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.signals.readings import NANOSECONDS
+
+SILENT_ON_FIT = "not_available"
+JUMPED = "jumped"
+JUMPS: Mapping[str, tuple[float, float]] = {"speed": (1.0, 15.0), "battery": (40.0, 100.0)}
+"""What the first signal of a quantity cannot change by: at once, and in a second more. No tyre
+holds 15 m/s^2; 500 A through 0.1 ohm move 50 V."""
+SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are not to be trusted
+
+ENOUGH = 5  # frames before a message can be said to fail, or to have come right
+RIGHT = 0.9  # share of good frames that makes a message that failed believable again
+NEARLY_ALL = 0.99  # share that is called all
+ENOUGH_PROOF = 2  # checksums that hold
+MARGIN = 0.1  # of the score by which another profile is better
+HOLDS = 0.5  # mean share of the messages heard from which on a profile is worth naming
+
+
+@dataclass(frozen=True, slots=True)
+class MessageFit:
+    """What the frames of one message say.
+
+    Attributes:
+        quantity: of the profile: `speed`, `battery`, `state_of_charge`.
+        can_id: of the message.
+        frames: all that came.
+        good: frames that hold.
+        bad: frames that do not, by reason: those of `Decoder`, and `jumped`.
+        has_checksum: whether the profile knows the rule of the message's checksum.
+    """
+
+    quantity: str
+    can_id: int
+    frames: int
+    good: int
+    bad: Mapping[str, int]
+    has_checksum: bool
+
+    @property
+    def share(self) -> float:
+        """Of good frames, 0..1."""
+        told = self.good + sum(self.bad.values())
+        if not told:
+            return 0.5 if self.frames else 0.0
+        return self.good / told
+
+    @property
+    def fails(self) -> bool:
+        """Most frames do not hold."""
+        return sum(self.bad.values()) >= ENOUGH and self.share < 0.5
+
+    @property
+    def came_right(self) -> bool:
+        """Nearly all frames hold."""
+        return self.good >= ENOUGH and self.share >= RIGHT
+
+    @property
+    def proven(self) -> bool:
+        """The checksum holds, too often for chance."""
+        return self.has_checksum and self.good >= ENOUGH_PROOF and not self.fails
+
+    def __str__(self) -> str:
+        what = f"{self.quantity} (0x{self.can_id:X})"
+        if not self.frames:
+            return f"{what} never came"
+        if self.share >= NEARLY_ALL:
+            return f"{what} holds"
+        reason, count = max(self.bad.items(), key=lambda item: item[1], default=("", 0))
+        told = self.good + sum(self.bad.values())
+        return f"{what}: {100 * count / told:.0f} % {reason}" if told else f"{what} says nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileFit:
+    """How well one profile fits.
+
+    Attributes:
+        profile: its key.
+        name: for people.
+        messages: of the profile; none when it only asks, so that listening cannot tell.
+    """
+
+    profile: str
+    name: str
+    messages: tuple[MessageFit, ...]
+
+    @property
+    def score(self) -> float:
+        """0..1, see the module's text."""
+        shares = [message.share for message in self.messages]
+        return sum(shares) / len(shares) if shares else 0.0
+
+    @property
+    def holds(self) -> bool:
+        """What was heard of it fits: a log may hold few of its ids."""
+        shares = [message.share for message in self.messages if message.frames]
+        return bool(shares) and sum(shares) / len(shares) > HOLDS
+
+    @property
+    def frames(self) -> int:
+        """Frames of the profile's ids."""
+        return sum(message.frames for message in self.messages)
+
+    @property
+    def proven(self) -> bool:
+        """The checksum of one message holds."""
+        return any(message.proven for message in self.messages)
+
+    @property
+    def provable(self) -> bool:
+        """The profile knows the checksum of one message."""
+        return any(message.has_checksum for message in self.messages)
+
+    @property
+    def order(self) -> tuple[float, ...]:
+        """To sort by, best last: score, then proof, then how much of the traffic it explains."""
+        good = sum(message.good for message in self.messages)
+        return self.score, float(self.proven), len(self.messages) if good else 0, good
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """Why a profile cannot be the right one.
+
+    Attributes:
+        wrong: quantities of the messages that speak against it.
+        why: the same in words.
+        better: key of a profile that fits better, None when none does.
+    """
+
+    wrong: frozenset[str]
+    why: str
+    better: str | None
+
+
+class Evidence:
+    """Gathers what the frames say of one profile: the `Witness` of its decoder."""
+
+    def __init__(self, profile: CanProfile) -> None:
+        """Begin with nothing said."""
+        self._profile = profile
+        self._tallies = {
+            quantity: _Tally(*JUMPS.get(quantity, ())) for quantity in profile.messages
+        }
+
+    def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
+        """A frame gave values (see `Witness`)."""
+        self._tallies[quantity].good_frame(frame, values[0])
+
+    def bad(self, quantity: str, frame: CanFrame, reason: str) -> None:
+        """A frame was dropped (see `Witness`)."""
+        self._tallies[quantity].bad_frame(frame, reason)
+
+    def restart(self) -> None:
+        """Forget the counts, not what values and payloads came last."""
+        for tally in self._tallies.values():
+            tally.frames = tally.good = 0
+            tally.bad.clear()
+
+    @property
+    def frames(self) -> int:
+        """Frames since the start."""
+        return sum(tally.frames for tally in self._tallies.values())
+
+    def fit(self) -> ProfileFit:
+        """What they say so far."""
+        messages = (
+            MessageFit(
+                quantity,
+                int(self._profile.messages[quantity].message.frame_id),
+                tally.frames,
+                tally.good,
+                dict(tally.bad),
+                self._profile.messages[quantity].checksum is not None,
+            )
+            for quantity, tally in self._tallies.items()
+        )
+        return ProfileFit(self._profile.key, self._profile.name, tuple(messages))
+
+
+class _Tally:
+    """Counts the frames of one message."""
+
+    def __init__(self, step: float = float("inf"), rate: float = 0.0) -> None:
+        self.frames = self.good = 0
+        self.bad: Counter[str] = Counter()
+        self._step, self._rate = step, rate
+        self._data = b""
+        self._value: float | None = None
+        self._stamp_ns = 0
+
+    def good_frame(self, frame: CanFrame, value: float) -> None:
+        self.frames += 1
+        if frame.data == self._data and self.good:
+            return
+        if self._jumped(frame.stamp_ns, value):
+            self.bad[JUMPED] += 1
+        else:
+            self.good += 1
+        self._data, self._value, self._stamp_ns = frame.data, value, frame.stamp_ns
+
+    def bad_frame(self, frame: CanFrame, reason: str) -> None:
+        self.frames += 1
+        if reason == SILENT_ON_FIT or (frame.data == self._data and self.bad):
+            return
+        self.bad[reason] += 1
+        self._data = frame.data
+
+    def _jumped(self, stamp_ns: int, value: float) -> bool:
+        elapsed_ns = stamp_ns - self._stamp_ns
+        if self._value is None or elapsed_ns < 0:  # time went back, as when a log starts over
+            return False
+        seconds = max(elapsed_ns, SHORTEST_NS) / NANOSECONDS
+        return abs(value - self._value) > self._step + self._rate * seconds
+
+
+def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
+    """Best first; profiles of one score in the order of their names."""
+    by_name = sorted(fits, key=lambda fit: fit.profile)
+    return sorted(by_name, key=lambda fit: fit.order, reverse=True)
+
+
+def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradiction | None:
+    """Whether the traffic contradicts a profile.
+
+    A profile is contradicted when one of its messages fails, unless its checksums prove it and
+    no other profile explains the traffic better (a battery that is switched off is no wrong
+    profile). And it is contradicted when it has checksums to show and none came, while another
+    profile shows its own: ids of one car mean something else in the next.
+    """
+    holding = sorted((each for each in others if each.holds), key=lambda fit: fit.order)
+    better = [each for each in holding if each.score >= own.score + MARGIN]
+    wrong = [message for message in own.messages if message.fails]
+    if wrong and (better or not own.proven):
+        return _contradiction(wrong, better)
+    proven = [each for each in holding if each.proven]
+    if proven and own.frames and own.provable and not own.proven:
+        return _contradiction([each for each in own.messages if not each.proven], proven)
+    return None
+
+
+def _contradiction(wrong: Sequence[MessageFit], better: Sequence[ProfileFit]) -> Contradiction:
+    quantities = frozenset(message.quantity for message in wrong)
+    key = better[-1].profile if better else None
+    return Contradiction(quantities, "; ".join(map(str, wrong)), key)

@@ -1,0 +1,195 @@
+"""Lets no reading out whose profile the traffic contradicts.
+
+Readings are held back until the frames so far speak for the profile: at once when each of its
+speed and battery messages came and held, a checksum among them; otherwise after `DECIDE_NS`, and
+while some frames hold and others do not, `DECIDE_LAST_NS` at most. Then those held are let out
+with their own stamps, or dropped. From there on each second is judged anew, so that a wrong
+profile that shows itself later is stopped; one that was refused resumes after ten seconds in
+which all that spoke against it holds.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
+from enum import Enum
+
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.fit import Contradiction, Evidence, ProfileFit, contradiction, ranked
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
+
+DECIDE_NS = NANOSECONDS // 2
+DECIDE_LAST_NS = 5 * NANOSECONDS
+DECIDE_PATIENTLY_NS = 10 * NANOSECONDS
+REVIEW_NS = NANOSECONDS
+RESUME_NS = 10 * NANOSECONDS
+REVIEW_FRAMES = 10  # of the profile; with fewer a review waits
+LEADING = ("speed", "battery")  # without them a profile has nothing to let out
+MOST_HELD = 10_000  # readings, should all frames bear one stamp
+
+
+class Verdict(Enum):
+    """What is thought of the profile."""
+
+    UNDECIDED = "weighing whether the profile fits"
+    TRUSTED = "the profile fits"
+    REFUSED = "the traffic contradicts the profile"
+
+
+class FitGuard:
+    """Stands behind the decoder of one bus; is its witness.
+
+    Attributes:
+        evidence: for the decoder of the guarded profile to tell.
+        verdict: now.
+        contradiction: why readings are refused, None while they are not.
+        dropped: readings: `undecided`, held and never let out; `contradicted`, come after that.
+    """
+
+    def __init__(
+        self, profile: CanProfile, others: Iterable[CanProfile], *, patient: bool = False
+    ) -> None:
+        """Guard a profile.
+
+        Args:
+            profile: which decodes the bus.
+            others: that may fit better.
+            patient: always weigh ten seconds first, where nobody waits for the readings.
+        """
+        self.evidence = Evidence(profile)
+        self.verdict = Verdict.UNDECIDED
+        self.contradiction: Contradiction | None = None
+        self.dropped: Counter[str] = Counter()
+        self._patient = patient
+        self._period_ns = DECIDE_PATIENTLY_NS if patient else DECIDE_NS
+        self._begin_ns: int | None = None
+        self._held: list[Reading] = []
+        self._comparing = True
+        self._others: list[Evidence] = []
+        self._decoders: dict[tuple[int, bool], list[Decoder]] = {}
+        for other in others:
+            if other.key != profile.key:
+                self._compare_with(other)
+
+    def pass_on(self, frame: CanFrame, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+        """What may be published now that a frame, with these readings in it, was decoded."""
+        if self._comparing:
+            for decoder in self._decoders.get((frame.can_id, frame.extended), ()):
+                decoder.push(frame)
+        if self._begin_ns is None and self.evidence.frames:
+            self._begin_ns = frame.stamp_ns
+        begin_ns = frame.stamp_ns if self._begin_ns is None else self._begin_ns
+        due = not 0 <= frame.stamp_ns - begin_ns < self._period_ns
+        if self.verdict is Verdict.UNDECIDED:
+            return self._weigh(frame, readings, due)
+        if due and self.evidence.frames >= REVIEW_FRAMES:
+            self._review(frame)
+        return self.pass_answer(readings)
+
+    def pass_answer(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+        """What may be published of an answer: it echoes the question, so it is not weighed."""
+        if self.verdict is Verdict.REFUSED:
+            self.dropped["contradicted"] += len(readings)
+            return ()
+        return readings
+
+    def finish(self) -> tuple[Reading, ...]:
+        """At the end of the frames: decide about what is still held."""
+        return self._decide() if self.verdict is Verdict.UNDECIDED else ()
+
+    def advice(self) -> str | None:
+        """Key of the other profile that fits the traffic best, None when none does."""
+        fits = ranked(each.fit() for each in self._others)
+        return next((fit.profile for fit in fits if fit.holds), None)
+
+    @property
+    def held(self) -> int:
+        """Readings that wait for the decision."""
+        return len(self._held)
+
+    def _compare_with(self, other: CanProfile) -> None:
+        evidence = Evidence(other)
+        decoder = Decoder(other, evidence)
+        self._others.append(evidence)
+        for key in {
+            (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
+            for rule in other.messages.values()
+        }:
+            self._decoders.setdefault(key, []).append(decoder)
+
+    def _weigh(
+        self, frame: CanFrame, readings: tuple[Reading, ...], due: bool
+    ) -> tuple[Reading, ...]:
+        self._held.extend(readings)
+        full = len(self._held) >= MOST_HELD
+        if not (due or full or (readings and self._is_plain())):
+            return ()
+        if not full and self._period_ns < DECIDE_LAST_NS and self._is_torn():
+            self._period_ns += DECIDE_NS
+            return ()
+        released = self._decide()
+        if self.verdict is Verdict.UNDECIDED:  # nothing to let out yet: go on gathering
+            self._begin_ns = frame.stamp_ns
+        else:
+            self._begin(frame)
+        return released
+
+    def _is_plain(self) -> bool:
+        """Whether all that can be asked of the first frames is there."""
+        if self._patient:
+            return False
+        messages = [each for each in self.evidence.fit().messages if each.quantity in LEADING]
+        plain = all(message.good and not message.bad for message in messages)
+        return plain and any(message.has_checksum for message in messages)
+
+    def _is_torn(self) -> bool:
+        """Whether some message neither holds nor fails."""
+        messages = self.evidence.fit().messages
+        return any(each.bad and not (each.came_right or each.fails) for each in messages)
+
+    def _decide(self) -> tuple[Reading, ...]:
+        found = self._judge(self.evidence.fit())
+        held, self._held = tuple(self._held), []
+        if found is not None:
+            self.dropped["undecided"] += len(held)
+            self._refuse(found)
+            return ()
+        if held:
+            self._trust()
+        return held
+
+    def _review(self, frame: CanFrame) -> None:
+        own = self.evidence.fit()
+        found = self._judge(own)
+        if found is not None:
+            self._refuse(found)
+        elif self.contradiction is not None:
+            wrong = self.contradiction.wrong
+            if all(each.came_right for each in own.messages if each.quantity in wrong):
+                self._trust()
+        # Others are decoded only where they could tell: that costs as much as our own profile.
+        spotless = own.proven and not any(message.bad for message in own.messages)
+        self._comparing = self.verdict is Verdict.REFUSED or not spotless
+        self._begin(frame)
+
+    def _judge(self, own: ProfileFit) -> Contradiction | None:
+        others = [each.fit() for each in self._others] if self._comparing else []
+        return contradiction(own, others)
+
+    def _refuse(self, found: Contradiction) -> None:
+        better = found.better or self.advice()
+        self.verdict = Verdict.REFUSED
+        self.contradiction = replace(found, better=better)
+
+    def _trust(self) -> None:
+        self.verdict, self.contradiction = Verdict.TRUSTED, None
+
+    def _begin(self, frame: CanFrame) -> None:
+        refused = self.verdict is Verdict.REFUSED
+        self._period_ns = RESUME_NS if refused else REVIEW_NS
+        self._begin_ns = frame.stamp_ns
+        for evidence in (self.evidence, *self._others):
+            evidence.restart()

@@ -1,0 +1,305 @@
+"""What is on a bus: ids, rates, load, values, and which profile fits; one pass, bounded memory."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+import math
+
+from evpinn_ros.can.bus_load import frame_bits
+from evpinn_ros.can.current_sign import CurrentSign
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.fit import Evidence, MessageFit, ProfileFit, contradiction, ranked
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.poller import Poller
+from evpinn_ros.can.profile import QUANTITIES, CanProfile
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+
+NO_ANSWER = "no_answer"
+MOST_IDS = 4096  # twice what 11 bits can tell; a damaged log of 29 bits could hold millions
+
+
+@dataclass(frozen=True, slots=True)
+class IdStatus:
+    """The traffic of one id.
+
+    Attributes:
+        can_id: the id.
+        extended: whether it has 29 bits.
+        count: frames.
+        period: mean time from one to the next, s, NaN for a single one.
+        jitter: its standard deviation, s, NaN for fewer than three frames.
+        age: from the last one to the end, s.
+        lengths: frames by bytes of data.
+    """
+
+    can_id: int
+    extended: bool
+    count: int
+    period: float
+    jitter: float
+    age: float
+    lengths: Mapping[int, int]
+
+    @property
+    def rate(self) -> float:
+        """Frames per second, NaN while the period is unknown or zero."""
+        return 1.0 / self.period if self.period else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class ValueStatus:
+    """The values of one signal: how many, and the newest, smallest and largest of them."""
+
+    count: int
+    newest: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileReport:
+    """What one profile makes of the traffic.
+
+    Attributes:
+        fit: how well it fits.
+        contradicted: why it cannot be the right one, None while nothing says so.
+        values: `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came.
+        dropped: values not used, by reason.
+        asks: some of its quantities must be asked for; only what others ask for is heard here.
+        experimental: its sources disagree, so it is never the best.
+        sign: what is wrong with the sign of the current, None while nothing is.
+        sign_told: whether the car pulled away, braked or charged enough to judge that.
+    """
+
+    fit: ProfileFit
+    contradicted: str | None
+    values: Mapping[str, ValueStatus]
+    dropped: Mapping[str, int]
+    asks: bool
+    experimental: bool
+    sign: str | None
+    sign_told: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BusReport:
+    """What is on a bus.
+
+    Attributes:
+        duration: from the first frame to the end, s.
+        frames: all of them.
+        uncounted: frames of ids beyond `MOST_IDS`.
+        load: share of the bit rate that the frames take, 0..1, without stuffing bits and with
+            the most of them; NaN when no time passed.
+        ids: in order.
+        profiles: best first.
+    """
+
+    duration: float
+    frames: int
+    uncounted: int
+    load: tuple[float, float]
+    ids: tuple[IdStatus, ...]
+    profiles: tuple[ProfileReport, ...]
+
+    @property
+    def best(self) -> ProfileReport | None:
+        """The profile that fits; None when none does."""
+        first = next((each for each in self.profiles if not each.experimental), None)
+        fits = first is not None and first.fit.holds and first.contradicted is None
+        return first if fits else None
+
+
+class Inspection:
+    """Takes the frames of one bus, in order."""
+
+    def __init__(self, profiles: Iterable[CanProfile], bitrate: float) -> None:
+        """Compare with profiles; bitrate, bit/s, is what the load is a share of."""
+        self._bitrate = bitrate
+        self._ids: dict[tuple[int, bool], _Id] = {}
+        self._frames = self._uncounted = 0
+        self._bits = [0, 0]
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._candidates = [_Candidate(profile) for profile in profiles]
+
+    def push(self, frame: CanFrame) -> None:
+        """Take a frame; never raises."""
+        self._frames += 1
+        if self._first_ns is None:
+            self._first_ns = self._last_ns = frame.stamp_ns
+        self._last_ns = max(self._last_ns, frame.stamp_ns)
+        for index, bits in enumerate(frame_bits(len(frame.data), frame.extended)):
+            self._bits[index] += bits
+        key = (frame.can_id, frame.extended)
+        if key in self._ids or len(self._ids) < MOST_IDS:
+            self._ids.setdefault(key, _Id()).push(frame)
+        else:
+            self._uncounted += 1
+        for candidate in self._candidates:
+            candidate.push(frame)
+
+    def report(self, end_ns: int | None = None) -> BusReport:
+        """What was found; ages count to `end_ns`, or to the newest frame."""
+        end_ns = self._last_ns if end_ns is None else end_ns
+        first_ns = end_ns if self._first_ns is None else self._first_ns
+        duration = (end_ns - first_ns) / NANOSECONDS
+        possible = self._bitrate * duration
+        low, high = (bits / possible if possible > 0 else math.nan for bits in self._bits)
+        fits = [candidate.fit() for candidate in self._candidates]
+        by_key = {candidate.key: candidate for candidate in self._candidates}
+        return BusReport(
+            duration=duration,
+            frames=self._frames,
+            uncounted=self._uncounted,
+            load=(low, high),
+            ids=tuple(traffic.status(*key, end_ns) for key, traffic in sorted(self._ids.items())),
+            profiles=tuple(by_key[fit.profile].report(fit, fits) for fit in ranked(fits)),
+        )
+
+
+class _Id:
+    """Counts, and follows mean and variance of the intervals (Welford)."""
+
+    def __init__(self) -> None:
+        self._lengths: Counter[int] = Counter()
+        self._count = 0
+        self._last_ns = 0
+        self._mean = self._squares = 0.0
+
+    def push(self, frame: CanFrame) -> None:
+        self._lengths[len(frame.data)] += 1
+        if self._count:
+            interval = (frame.stamp_ns - self._last_ns) / NANOSECONDS
+            difference = interval - self._mean
+            self._mean += difference / self._count
+            self._squares += difference * (interval - self._mean)
+        self._count += 1
+        self._last_ns = frame.stamp_ns
+
+    def status(self, can_id: int, extended: bool, end_ns: int) -> IdStatus:
+        intervals = self._count - 1
+        return IdStatus(
+            can_id=can_id,
+            extended=extended,
+            count=self._count,
+            period=self._mean if intervals else math.nan,
+            jitter=math.sqrt(self._squares / (intervals - 1)) if intervals > 1 else math.nan,
+            age=(end_ns - self._last_ns) / NANOSECONDS,
+            lengths=dict(self._lengths),
+        )
+
+
+class _Candidate:
+    """One profile, decoding the whole bus."""
+
+    def __init__(self, profile: CanProfile) -> None:
+        self.key, self._experimental = profile.key, profile.experimental
+        self.evidence = Evidence(profile)
+        self._keys = {
+            (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
+            for rule in profile.messages.values()
+        }
+        self._decoder = Decoder(profile, self.evidence)
+        self._asks, self._asked = bool(profile.asked), _Asked(profile)
+        self._values: dict[str, _Values] = {}
+        self._sign = CurrentSign()
+
+    def push(self, frame: CanFrame) -> None:
+        for reading in self._readings(frame):
+            self._sign.push(reading)
+            for name, value in _named_values(reading):
+                self._values.setdefault(name, _Values()).push(value)
+
+    def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
+        if self._asked.hears(frame):
+            return self._asked.push(frame)
+        if (frame.can_id, frame.extended) in self._keys:
+            return self._decoder.push(frame)
+        return ()
+
+    def fit(self) -> ProfileFit:
+        fit = self.evidence.fit()
+        return replace(fit, messages=(*fit.messages, *self._asked.fits()))
+
+    def report(self, fit: ProfileFit, fits: Iterable[ProfileFit]) -> ProfileReport:
+        found = contradiction(fit, [each for each in fits if each.profile != fit.profile])
+        return ProfileReport(
+            fit=fit,
+            contradicted=found.why if found is not None else None,
+            values={name: values.status() for name, values in self._values.items()},
+            dropped=dict(self._decoder.dropped + self._asked.dropped),
+            asks=self._asks,
+            experimental=self._experimental,
+            sign=self._sign.suspicion,
+            sign_told=self._sign.told,
+        )
+
+
+class _Asked:
+    """The quantities of a profile that a tester asked for while we listened."""
+
+    def __init__(self, profile: CanProfile) -> None:
+        self._poller = Poller(profile)
+        self._units = {
+            quantity: fields[-1].request.address.answers_from
+            for quantity, fields in profile.asked.items()
+            if quantity in QUANTITIES
+        }
+        self._frames: Counter[tuple[int, bool]] = Counter()
+        self._good: Counter[str] = Counter()
+
+    @property
+    def dropped(self) -> Counter[str]:
+        return self._poller.dropped
+
+    def hears(self, frame: CanFrame) -> bool:
+        return self._poller.hears(frame)
+
+    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+        self._frames[frame.can_id, frame.extended] += 1
+        readings = self._poller.push(frame)
+        for reading in readings:
+            self._good.update(name for name, _ in _named_values(reading))
+        return readings
+
+    def fits(self) -> Iterator[MessageFit]:
+        """An answer takes many frames: what counts against a quantity are values dropped.
+
+        Ids of answers are the same in many cars. Frames that answer nothing we know speak of
+        another one.
+        """
+        for quantity, unit in self._units.items():
+            frames = self._frames[unit]
+            good = self._good["voltage" if quantity == "battery" else quantity]
+            bad = dict(self.dropped) if good else {NO_ANSWER: frames} if frames else {}
+            yield MessageFit(quantity, unit[0], frames, good, bad, has_checksum=False)
+
+
+class _Values:
+    """Follows the values of one signal."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._newest = math.nan
+        self._lowest, self._highest = math.inf, -math.inf
+
+    def push(self, value: float) -> None:
+        self._count += 1
+        self._newest = value
+        self._lowest, self._highest = min(self._lowest, value), max(self._highest, value)
+
+    def status(self) -> ValueStatus:
+        return ValueStatus(self._count, self._newest, self._lowest, self._highest)
+
+
+def _named_values(reading: Reading) -> Iterable[tuple[str, float]]:
+    if isinstance(reading, SpeedReading):
+        yield "speed", reading.speed
+    elif isinstance(reading, BatteryReading):
+        yield "voltage", reading.voltage
+        yield "current", reading.current
+        if not math.isnan(reading.state_of_charge):
+            yield "state_of_charge", reading.state_of_charge

@@ -1,0 +1,210 @@
+"""Requests to read: whom a profile asks, what, how often, and where the value lies in the answer.
+
+Only services that read are known here (`READ_SERVICES`), so a profile cannot ask for any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+import re
+from typing import Literal
+
+from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, signal_rule
+from evpinn_ros.yaml_section import Section
+
+READ_SERVICES: Mapping[int, int] = {0x01: 1, 0x21: 1, 0x22: 2}
+"""Services that read and change nothing, with the bytes of the identifier that follows: current
+data (OBD-II), ReadDataByLocalIdentifier (KWP2000), ReadDataByIdentifier (UDS)."""
+
+LAST_11_BIT_ID = 0x7FF
+LAST_29_BIT_ID = 0x1FFF_FFFF
+LONGEST_ANSWER = 4095  # bytes that ISO-TP can carry
+SHORTEST_PERIOD = 0.05  # s; control units renew such values every 0.1 s or so
+LONGEST_PERIOD = 60.0
+REQUEST_KEYS = ("tx", "rx", "target", "source", "read", "min_length", "period")
+VALUE_KEYS = ("request", "first_byte", "type", "offset", *RULE_KEYS)
+_TYPE = re.compile(r"(?P<sign>[su])(?P<bits>8|16|24|32)(?P<little>_le)?")
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """One control unit on the bus.
+
+    Attributes:
+        tx_id: id of the requests.
+        rx_id: id of the answers.
+        extended: both ids have 29 bits.
+        target: first byte of every request (extended addressing), or None.
+        source: first byte of every answer (extended addressing), or None.
+    """
+
+    tx_id: int
+    rx_id: int
+    extended: bool
+    target: int | None
+    source: int | None
+
+    @property
+    def prefix(self) -> bytes:
+        """What stands before the ISO-TP bytes of a frame to the control unit."""
+        return b"" if self.target is None else bytes((self.target,))
+
+    @property
+    def answers_from(self) -> tuple[int, bool]:
+        """The id of the answers, and whether it has 29 bits."""
+        return self.rx_id, self.extended
+
+
+@dataclass(frozen=True, slots=True)
+class RequestRule:
+    """One question to one control unit.
+
+    Attributes:
+        name: in the profile.
+        address: of the control unit.
+        payload: the service and its identifier.
+        min_length: bytes that the answer must have behind its echo of the identifier.
+        period_s: how often to ask.
+    """
+
+    name: str
+    address: Address
+    payload: bytes
+    min_length: int
+    period_s: float
+
+    @property
+    def echo(self) -> bytes:
+        """How a positive answer begins."""
+        return bytes((self.payload[0] + 0x40,)) + self.payload[1:]
+
+    @property
+    def text(self) -> str:
+        """For people: name and bytes."""
+        return f"{self.name} ({self.payload.hex(' ').upper()})"
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerField:
+    """Where a value lies in an answer.
+
+    Attributes:
+        request: the question.
+        first: index of its first byte behind the echo.
+        length: in bytes.
+        signed: two's complement.
+        byte_order: which byte comes first.
+        signal: what the raw value means.
+    """
+
+    request: RequestRule
+    first: int
+    length: int
+    signed: bool
+    byte_order: Literal["big", "little"]
+    signal: SignalRule
+
+    def raw(self, data: bytes) -> int:
+        """The raw value in what follows the echo, at least `min_length` bytes."""
+        part = data[self.first : self.first + self.length]
+        return int.from_bytes(part, self.byte_order, signed=self.signed)
+
+
+def request_rules(section: Section) -> dict[str, RequestRule]:
+    """Read the section `requests` of a profile.
+
+    Raises:
+        InputError: a key is missing or wrong, a service is none that reads, or two requests
+            cannot be told apart by their answers.
+    """
+    rules = {name: _request_rule(section.section(name), name) for name in section.names()}
+    for one, other in combinations(rules.values(), 2):
+        if one.address.answers_from == other.address.answers_from:
+            if one.address != other.address:
+                reason = f"'{one.name}' and '{other.name}' share the answer id alone"
+                raise section.error_at(other.name, reason)
+            if one.payload == other.payload:
+                raise section.error_at(other.name, f"asks the same as '{one.name}'")
+    return rules
+
+
+def answer_field(
+    section: Section, requests: Mapping[str, RequestRule], quantity: str
+) -> AnswerField:
+    """Read where a quantity lies in the answer to one of `requests`.
+
+    Raises:
+        InputError: a key is missing or wrong, or the value lies behind `min_length`.
+    """
+    section.refuse_unknown((*VALUE_KEYS, *(("positive_means",) if quantity == "current" else ())))
+    request = requests[section.choice("request", requests)]
+    kind = _TYPE.fullmatch(section.text("type"))
+    if kind is None:
+        raise section.error_at("type", "'type' must be u8, s8, u16, s16... u32, s32, or u16_le...")
+    first, length = section.whole("first_byte", 0, LONGEST_ANSWER), int(kind["bits"]) // 8
+    if first + length > request.min_length:
+        reason = f"ends behind min_length = {request.min_length} of request '{request.name}'"
+        raise section.error_at("first_byte", reason)
+    offset = section.number("offset", -1e6, 1e6) if section.has("offset") else 0.0
+    return AnswerField(
+        request=request,
+        first=first,
+        length=length,
+        signed=kind["sign"] == "s",
+        byte_order="big" if kind["little"] is None else "little",
+        signal=replace(signal_rule(section, quantity, quantity), offset=offset),
+    )
+
+
+def refuse_overlaps(root: Section, fields: Iterable[AnswerField]) -> None:
+    """Raise InputError when two values claim the same byte of one answer."""
+    ordered = sorted(fields, key=lambda field: (field.request.name, field.first))
+    for one, other in pairwise(ordered):
+        if one.request is other.request and one.first + one.length > other.first:
+            names = f"{one.signal.name} and {other.signal.name}"
+            raise root.error(f"{names} overlap in the answer to '{one.request.name}'")
+
+
+def _request_rule(section: Section, name: str) -> RequestRule:
+    section.refuse_unknown(REQUEST_KEYS)
+    address = _address(section)
+    payload = _payload(section)
+    return RequestRule(
+        name=name,
+        address=address,
+        payload=payload,
+        min_length=section.whole("min_length", 1, LONGEST_ANSWER),
+        period_s=section.number("period", SHORTEST_PERIOD, LONGEST_PERIOD),
+    )
+
+
+def _address(section: Section) -> Address:
+    tx_id, rx_id = (section.whole(key, 0, LAST_29_BIT_ID) for key in ("tx", "rx"))
+    extended = tx_id > LAST_11_BIT_ID
+    if extended != (rx_id > LAST_11_BIT_ID):
+        raise section.error_at("rx", "'tx' and 'rx' must both have 11 bits or both 29")
+    if tx_id == rx_id:
+        raise section.error_at("rx", "'rx' is the id of the requests")
+    if section.has("target") != section.has("source"):
+        raise section.error("extended addressing needs both 'target' and 'source'")
+    if not section.has("target"):
+        return Address(tx_id, rx_id, extended, None, None)
+    target, source = (section.whole(key, 0, 0xFF) for key in ("target", "source"))
+    return Address(tx_id, rx_id, extended, target, source)
+
+
+def _payload(section: Section) -> bytes:
+    try:
+        payload = bytes.fromhex(section.text("read"))
+    except ValueError:
+        raise section.error_at("read", "'read' must be bytes such as 22 01 01") from None
+    known = ", ".join(f"{service:02X}" for service in READ_SERVICES)
+    if not payload or payload[0] not in READ_SERVICES:
+        raise section.error_at("read", f"'read' must begin with a service that reads: {known}")
+    if len(payload) != 1 + READ_SERVICES[payload[0]]:
+        wanted = READ_SERVICES[payload[0]]
+        reason = f"service {payload[0]:02X} takes an identifier of {wanted} byte(s)"
+        raise section.error_at("read", reason)
+    return payload

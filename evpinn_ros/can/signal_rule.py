@@ -1,0 +1,105 @@
+"""From the raw bits of one signal to a number in SI units, and which numbers count."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from evpinn_ros.yaml_section import Section
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "speed": {"km/h": 1 / 3.6, "mph": 0.44704, "m/s": 1.0},
+    "voltage": {"V": 1.0},
+    "current": {"A": 1.0},
+    "state_of_charge": {"%": 0.01, "1": 1.0},
+    "auxiliary_voltage": {"V": 1.0},
+}
+"""What a quantity may be given in, and how much that is in SI."""
+
+POSITIVE_MEANS: Mapping[str, float] = {"charge": 1.0, "discharge": -1.0}
+RULE_KEYS = ("unit", "scale", "valid", "not_available")
+
+
+@dataclass(frozen=True, slots=True)
+class SignalRule:
+    """How the raw bits of one signal become a number in SI units, and which numbers count.
+
+    Attributes:
+        name: of the signal in the DBC file, or of the quantity in an answer.
+        scale: file units per raw step.
+        offset: file units at raw zero.
+        si: SI units, with the sign of `evpinn_ros.signals.readings`, per file unit.
+        lower: smallest value the car can show, SI.
+        upper: largest value the car can show, SI.
+        not_available: raw values that stand for "no value".
+    """
+
+    name: str
+    scale: float
+    offset: float
+    si: float
+    lower: float
+    upper: float
+    not_available: frozenset[int]
+
+    def value(self, raw: float) -> float:
+        """The value of the raw bits, SI. File units come first: they are exact at rest."""
+        return (raw * self.scale + self.offset) * self.si
+
+    def raw(self, value: float) -> int:
+        """The raw bits nearest to a value in SI."""
+        return round((value / self.si - self.offset) / self.scale)
+
+    def refusal(self, raw: int) -> str | None:
+        """Why the raw bits may not be used: `not_available`, `out_of_range`, or None."""
+        if raw in self.not_available:
+            return "not_available"
+        return None if self.lower <= self.value(raw) <= self.upper else "out_of_range"
+
+    @property
+    def resolution(self) -> float:
+        """One raw step, SI."""
+        return abs(self.scale * self.si)
+
+
+def signal_rule(
+    section: Section, name: str, quantity: str, scale: float = 1.0, offset: float = 0.0
+) -> SignalRule:
+    """Read the keys `RULE_KEYS` of a section, and `positive_means` of a current.
+
+    Args:
+        section: of the profile.
+        name: see `SignalRule`.
+        quantity: a key of `UNITS`.
+        scale: of the DBC file; the section's own is multiplied with it.
+        offset: of the DBC file, scaled likewise.
+
+    Raises:
+        InputError: a key is missing or wrong; the sign of a current is never guessed.
+    """
+    units = UNITS[quantity]
+    si = units[section.choice("unit", units)]
+    if quantity == "current":
+        si *= POSITIVE_MEANS[section.choice("positive_means", POSITIVE_MEANS)]
+    bounds = section.numbers("valid", -1e6, 1e6)
+    if len(bounds) != 2 or not bounds[0] < bounds[1]:
+        raise section.error_at("valid", "'valid' must be [lowest, highest]")
+    no_value = _raw_values(section, "not_available") if section.has("not_available") else ()
+    factor = section.number("scale", 1e-6, 1e6) if section.has("scale") else 1.0
+    lower, upper = sorted(bound * si for bound in bounds)
+    return SignalRule(
+        name=name,
+        scale=scale * factor,
+        offset=offset * factor,
+        si=si,
+        lower=lower,
+        upper=upper,
+        not_available=frozenset(no_value),
+    )
+
+
+def _raw_values(section: Section, key: str) -> tuple[int, ...]:
+    numbers = section.numbers(key, -(2**63), 2**64)
+    if not all(number.is_integer() for number in numbers):
+        raise section.error_at(key, f"'{key}' holds raw bits: whole numbers")
+    return tuple(int(number) for number in numbers)

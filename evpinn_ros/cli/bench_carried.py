@@ -1,0 +1,80 @@
+"""`evpinn bench carried`: what a drive costs, foretold by a car that learned on those before."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+import json
+from pathlib import Path
+import time
+from typing import Annotated
+
+from rich.table import Table
+import typer
+
+from evpinn_ros.bench.carried import CarriedBenchmark, Foretold, energy_errors
+from evpinn_ros.bench.logs import find_logs
+from evpinn_ros.cli.console import note, results
+from evpinn_ros.errors import InputError
+from evpinn_ros.one_thread import one_thread
+from evpinn_ros.replay.sources import open_source
+from evpinn_ros.vehicle.files import load_vehicle
+
+
+def carried(
+    path: Annotated[
+        str, typer.Argument(metavar="PATH", help="Folder of one car's drives, in order of names.")
+    ],
+    vehicle: Annotated[str, typer.Option(help="Whose drives, or the path of its file.")],
+    speed_only: Annotated[
+        bool, typer.Option(help="Hide grade, temperature and auxiliary loads.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the scores as JSON.")
+    ] = None,
+) -> None:
+    """Foretell each drive from its speed alone, the battery withheld, then learn from it.
+
+    What is learned is carried from drive to drive. The first is foretold from the priors and does
+    not count in the totals.
+
+    Example: evpinn bench carried $DATA/bmw_i3 --vehicle bmw_i3
+    """
+    one_thread()
+    car = load_vehicle(vehicle)
+    benchmark = CarriedBenchmark(car, time.thread_time, speed_only=speed_only)
+    found: dict[str, Foretold] = {}
+    for log in find_logs(path, vehicle):
+        source = open_source(log.path, car, log.can_profile)
+        try:
+            found[str(log.path)] = benchmark.drive(source.readings)
+        except InputError as error:
+            note(f"evpinn: {error}")
+            continue
+        if source.problem is not None:
+            note(f"evpinn: {source.problem}")
+    if not found:
+        raise InputError(f"{path}: nothing could be read")
+    results.print(_table(found))
+    errors = energy_errors(found.values())
+    if errors is not None:
+        results.print(
+            f"Energy error after the first: median {errors[0]:.1f} %, mean {errors[1]:.1f} %"
+        )
+    if json_file is not None:
+        text = json.dumps({name: asdict(one) for name, one in found.items()}, indent=1)
+        json_file.write_text(text + "\n", encoding="utf-8")
+
+
+def _table(found: dict[str, Foretold]) -> Table:
+    table = Table("drive", "measured Wh", "foretold Wh", "error %", "RMSE W", "in 90 % band")
+    for name, one in found.items():
+        numbers = (
+            (one.measured_j and one.measured_j / 3600.0, ".0f"),
+            (one.predicted_j and one.predicted_j / 3600.0, ".0f"),
+            (one.error_percent, "+.1f"),
+            (one.rmse_w, ".0f"),
+            (one.coverage_90, ".1%"),
+        )
+        cells = ("-" if value is None else format(value, form) for value, form in numbers)
+        table.add_row(Path(name).name, *cells)
+    return table

@@ -1,0 +1,128 @@
+"""`evpinn can`: what is on a CAN bus."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+import json
+from pathlib import Path
+import threading
+import time
+from typing import Annotated, Any
+
+import typer
+
+from evpinn_ros.bags.can_frames import open_can_log
+from evpinn_ros.can.bus import BusReader
+from evpinn_ros.can.inspection import BusReport, Inspection
+from evpinn_ros.can.profile import bundled_profiles, load_profile
+from evpinn_ros.cli.can_tables import as_json, show
+from evpinn_ros.cli.console import note
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.signals.readings import NANOSECONDS
+
+BITRATE = 500_000  # bit/s, of every car in config/can
+LISTEN = 10.0  # s, if not told otherwise
+LONGEST_STOP = 5.0  # s to wait for the driver
+
+can = typer.Typer(no_args_is_help=True, help="Look at a CAN bus: inspect.")
+
+
+@can.callback()
+def group() -> None:
+    """Look at a CAN bus."""
+
+
+@can.command()
+def inspect(
+    source: Annotated[
+        Path | None, typer.Argument(help="CAN log or bag of raw frames; none for a live bus.")
+    ] = None,
+    interface: Annotated[
+        str,
+        typer.Option("--interface", "--can-interface", help="Driver of a live bus's adapter."),
+    ] = "socketcan",
+    channel: Annotated[
+        str | None,
+        typer.Option("--channel", "--can-channel", help="Of a live bus: can0, /dev/ttyACM0..."),
+    ] = None,
+    bitrate: Annotated[
+        int | None,
+        typer.Option(min=1, help=f"Of the bus, bit/s; {BITRATE} if not given."),
+    ] = None,
+    bus_option: Annotated[
+        str, typer.Option("--bus-options", help="More for the driver, as 'name=value ...'.")
+    ] = "",
+    seconds: Annotated[
+        float | None,
+        typer.Option(help=f"Look no longer; {LISTEN:g} for a live bus, all of a recorded one."),
+    ] = None,
+    can_profile: Annotated[
+        str | None, typer.Option(help="A profile of your own, to be ranked with the others.")
+    ] = None,
+    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+) -> None:
+    """Show what is on a CAN bus, and which profile fits: listens only, sends nothing.
+
+    Example: evpinn can inspect drive.log
+
+    Example: evpinn can inspect --channel can0 --seconds 20
+    """
+    profiles = {profile.key: profile for profile in bundled_profiles()}
+    if can_profile is not None:
+        own = load_profile(can_profile)
+        profiles[own.key] = own
+    inspection = Inspection(profiles.values(), bitrate or BITRATE)
+    if (source is None) == (channel is None):
+        raise typer.BadParameter("give either SOURCE or --channel")
+    if source is not None:
+        name, end_ns, problem = str(source), None, _read(inspection, source, seconds)
+    else:
+        options = bus_options(bus_option)
+        if bitrate is not None:
+            options["bitrate"] = bitrate
+        reader = BusReader(interface, str(channel), inspection.push, time.time_ns, **options)
+        name, end_ns, problem = f"{interface} {channel}", *_listen(reader, seconds or LISTEN)
+    _print(name, inspection.report(end_ns), bitrate or BITRATE, as_json_text)
+    if problem is not None:
+        raise InputError(problem)
+
+
+def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | None:
+    """Take the frames of a recorded bus; gives what could not be read."""
+    log = open_can_log(path)
+    first_ns = None
+    for frame in log.frames():
+        first_ns = frame.stamp_ns if first_ns is None else first_ns
+        if seconds is not None and frame.stamp_ns - first_ns > seconds * NANOSECONDS:
+            return None
+        inspection.push(frame)
+    return log.problem
+
+
+def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
+    """Take the frames of a live bus; gives the end's time, and what is wrong with the bus.
+
+    Raises:
+        InputError: the bus cannot be opened, or no frame came.
+    """
+    reader.open()
+    note(f"listening for {seconds:g} s; Ctrl-C ends sooner")
+    thread = threading.Thread(target=reader.run, daemon=True)
+    thread.start()
+    with suppress(KeyboardInterrupt):
+        time.sleep(seconds)
+    status, end_ns = reader.status(), time.time_ns()
+    reader.stop()
+    thread.join(LONGEST_STOP)
+    if not status.counters.get("frames"):
+        raise InputError(f"no frame came: {status.problem or status.state.value}")
+    return end_ns, status.problem
+
+
+def _print(name: str, report: BusReport, bitrate: int, as_json_text: bool) -> None:
+    if as_json_text:
+        document: dict[str, Any] = {"source": name, "bitrate": bitrate, **as_json(report)}
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        show(name, report, bitrate)

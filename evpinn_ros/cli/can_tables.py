@@ -1,0 +1,187 @@
+"""What `evpinn can inspect` found, for people and for scripts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rich.table import Table
+
+from evpinn_ros.can.fit import MessageFit
+from evpinn_ros.can.inspection import BusReport, IdStatus, ProfileReport
+from evpinn_ros.cli.console import results
+from evpinn_ros.cli.tables import titled_table
+
+PEOPLE: dict[str, tuple[str, float, int]] = {
+    "speed": ("km/h", 3.6, 1),
+    "voltage": ("V", 1.0, 1),
+    "current": ("A", 1.0, 1),
+    "state_of_charge": ("%", 100.0, 1),
+}
+"""Unit for people, how many of it are one in SI, and decimals."""
+
+
+def show(name: str, report: BusReport, bitrate: int) -> None:
+    """Print the tables."""
+    best = report.best
+    results.print(_id_table(report.ids, best))
+    results.print(_profile_table(report.profiles))
+    if best is not None:
+        results.print(_value_table(best))
+    for line in (*_summary(name, report, bitrate), *_verdict(best)):
+        results.print(line, markup=False, soft_wrap=True)
+
+
+def as_json(report: BusReport) -> dict[str, Any]:
+    """The report as plain values in SI units; null where unknown."""
+    best = report.best
+    low, high = report.load
+    return {
+        "duration_s": _plain(report.duration),
+        "frames": report.frames,
+        "frames_of_uncounted_ids": report.uncounted,
+        "bus_load": {"least": _plain(low), "most": _plain(high)},
+        "ids": [_id_json(traffic) for traffic in report.ids],
+        "best": best.fit.profile if best is not None else None,
+        "profiles": [_profile_json(profile) for profile in report.profiles],
+    }
+
+
+def verdict(profile: ProfileReport) -> str:
+    """One of `fits`, `contradicted`, `does not fit`, `not heard`, `must ask`."""
+    if profile.contradicted is not None:
+        return "contradicted"
+    if not profile.fit.frames:
+        return "must ask" if profile.asks else "not heard"
+    return "fits" if profile.fit.holds else "does not fit"
+
+
+def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> Table:
+    table = titled_table("Ids")
+    table.add_column("id")
+    for title in ("frames", "Hz", "period ms", "jitter ms", "age s", "bytes"):
+        table.add_column(title, justify="right")
+    table.add_column("read as")
+    read: dict[int, list[str]] = {}
+    for message in best.fit.messages if best is not None else ():
+        read.setdefault(message.can_id, []).append(message.quantity)
+    for traffic in ids:
+        table.add_row(
+            f"{traffic.can_id:08X}" if traffic.extended else f"{traffic.can_id:03X}",
+            str(traffic.count),
+            _text(traffic.rate, 1),
+            _text(1e3 * traffic.period, 1),
+            _text(1e3 * traffic.jitter, 1),
+            _text(traffic.age, 1),
+            ", ".join(map(str, sorted(traffic.lengths))),
+            ", ".join(read.get(traffic.can_id, ())),
+        )
+    return table
+
+
+def _profile_table(profiles: tuple[ProfileReport, ...]) -> Table:
+    table = titled_table("Profiles, best first")
+    table.add_column("profile")
+    table.add_column("score", justify="right")
+    table.add_column("verdict")
+    table.add_column("why")
+    for profile in profiles:
+        why = "; ".join(map(str, profile.fit.messages)) if profile.fit.frames else ""
+        score = f"{100 * profile.fit.score:.0f} %"
+        table.add_row(profile.fit.profile, score, verdict(profile), why)
+    return table
+
+
+def _value_table(best: ProfileReport) -> Table:
+    table = titled_table(f"Values as {best.fit.profile} reads them")
+    table.add_column("signal")
+    for title in ("readings", "newest", "lowest", "highest"):
+        table.add_column(title, justify="right")
+    table.add_column("")
+    for name, found in best.values.items():
+        unit, factor, decimals = PEOPLE[name]
+        numbers = (found.newest, found.lowest, found.highest)
+        texts = [_text(factor * number, decimals) for number in numbers]
+        table.add_row(name.replace("_", " "), str(found.count), *texts, unit)
+    return table
+
+
+def _summary(name: str, report: BusReport, bitrate: int) -> list[str]:
+    low, high = (_text(100 * share, 1) for share in report.load)
+    lines = [
+        f"{name}: {report.frames} frames of {len(report.ids)} ids in {report.duration:.1f} s",
+        f"Bus load: {low} to {high} % of {bitrate / 1000:g} kbit/s, by how many bits are stuffed",
+    ]
+    if report.uncounted:
+        lines.append(f"{report.uncounted} frames of further ids were not looked at")
+    return lines
+
+
+def _verdict(best: ProfileReport | None) -> list[str]:
+    if best is None:
+        return ["No profile fits this traffic."]
+    lines = [f"Fits: {best.fit.profile}"]
+    dropped = ", ".join(f"{count} {reason}" for reason, count in sorted(best.dropped.items()))
+    if dropped:
+        lines.append(f"Dropped: {dropped}")
+    if "current" not in best.values:
+        return lines
+    sign = best.sign or (
+        "agrees with acceleration and charging" if best.sign_told else "too little driving to tell"
+    )
+    return [*lines, f"Sign of the current: {sign}"]
+
+
+def _id_json(traffic: IdStatus) -> dict[str, Any]:
+    return {
+        "id": f"0x{traffic.can_id:X}",
+        "extended": traffic.extended,
+        "frames": traffic.count,
+        "rate_hz": _plain(traffic.rate),
+        "period_s": _plain(traffic.period),
+        "jitter_s": _plain(traffic.jitter),
+        "age_s": _plain(traffic.age),
+        "lengths": {str(length): count for length, count in sorted(traffic.lengths.items())},
+    }
+
+
+def _profile_json(profile: ProfileReport) -> dict[str, Any]:
+    return {
+        "profile": profile.fit.profile,
+        "name": profile.fit.name,
+        "score": _plain(profile.fit.score),
+        "proven": profile.fit.proven,
+        "verdict": verdict(profile),
+        "contradicted": profile.contradicted,
+        "messages": [_message_json(message) for message in profile.fit.messages],
+        "values": {
+            name: {
+                "count": found.count,
+                "newest": _plain(found.newest),
+                "lowest": _plain(found.lowest),
+                "highest": _plain(found.highest),
+            }
+            for name, found in profile.values.items()
+        },
+        "dropped": dict(profile.dropped),
+        "current_sign": {"told": profile.sign_told, "suspicion": profile.sign},
+    }
+
+
+def _message_json(message: MessageFit) -> dict[str, Any]:
+    return {
+        "quantity": message.quantity,
+        "id": f"0x{message.can_id:X}",
+        "frames": message.frames,
+        "good": message.good,
+        "bad": dict(message.bad),
+        "has_checksum": message.has_checksum,
+    }
+
+
+def _plain(number: float) -> float | None:
+    return float(f"{number:.6g}") if math.isfinite(number) else None
+
+
+def _text(number: float, decimals: int) -> str:
+    return f"{number:.{decimals}f}" if math.isfinite(number) else "-"

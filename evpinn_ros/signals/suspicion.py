@@ -1,0 +1,113 @@
+"""Signals that contradict each other, named so that a person can mend them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any
+
+from evpinn_ros.signals.sample import Sample
+
+CURRENT_SIGN = "current_sign"
+MEMORY = 60.0  # s of pulling away and braking that the verdict rests on
+ENOUGH = 10.0  # s of them before there is a verdict
+HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
+SUSPECT_BELOW, CLEAR_ABOVE = -0.5, 0.0  # of the share of power that goes with inertia, -1..1
+MOVING = 2.0  # m/s
+
+CHARGE_STEP = 0.02  # of state of charge: more than it creeps by itself while a battery rests
+CHARGE_ENERGY = 1e6  # J: below this a step says more of the car's bookkeeping than of current
+STANDING = 0.1  # m/s
+HIGHEST_AT_REST = 20e3  # W, more than heating cabin and battery takes together
+AT_REST_MEMORY = 30.0  # s
+
+
+class SignSuspicion:
+    """Whether current has the wrong sign: to accelerate costs power, in every car.
+
+    Followed is the sum of power signed by acceleration over the sum of its size, wherever the car
+    pulls away or brakes with more than `HARD`: about +0.9 as it should be, -0.9 with the sign
+    flipped.
+
+    Attributes:
+        suspected: the verdict.
+        told: whether there was enough to judge by.
+    """
+
+    def __init__(self) -> None:
+        """Nothing seen, nothing suspected."""
+        self.suspected = self.told = False
+        self._with = self._size = self._seconds = 0.0
+
+    def push(self, sample: Sample, power: float, step: float) -> None:
+        """Learn from measured power, W, that stands for `step` seconds."""
+        if abs(sample.acceleration) < HARD or sample.speed < MOVING:
+            return
+        keep = math.exp(-step / MEMORY)
+        self._with = keep * self._with + math.copysign(power, power * sample.acceleration) * step
+        self._size = keep * self._size + abs(power) * step
+        self._seconds = keep * self._seconds + step
+        if self._seconds < ENOUGH or self._size <= 0.0:
+            return
+        share = self._with / self._size
+        self.suspected = share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW)
+        self.told = True
+
+    def export(self) -> dict[str, Any]:
+        """State to save."""
+        sums = [self._with, self._size, self._seconds]
+        return {"suspected": self.suspected, "told": self.told, "sums": sums}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
+        with_, size, seconds = (float(value) for value in state["sums"])
+        if not all(map(math.isfinite, (with_, size, seconds))):
+            raise ValueError("the saved suspicion of current is not finite")
+        self.suspected, self.told = bool(state["suspected"]), bool(state["told"])
+        self._with, self._size, self._seconds = with_, size, seconds
+
+
+class ChargeSuspicion:
+    """Whether current has the wrong sign: charging fills the battery, drawing empties it.
+
+    Two rules. Each `CHARGE_STEP` of the state of charge must go with the sign of the energy that
+    flowed meanwhile, moving or not; and a car at rest does not draw more than `HIGHEST_AT_REST`
+    for long, so what seems to is charging.
+
+    Attributes:
+        suspected: the verdict.
+        told: whether there was enough to judge by.
+    """
+
+    def __init__(self) -> None:
+        """Nothing seen, nothing suspected."""
+        self.suspected = self.told = False
+        self._charge = math.nan
+        self._drawn = self._at_rest = 0.0
+
+    def push(self, power: float, charge: float, speed: float, step: float) -> None:
+        """Learn from what the car tells of `step` seconds.
+
+        Args:
+            power: drawn from the battery, W.
+            charge: state of charge, 0..1, NaN where unknown.
+            speed: m/s, NaN where unknown.
+            step: s.
+        """
+        self._follow_charge(power * step, charge)
+        standing = abs(speed) < STANDING
+        keep = math.exp(-step / AT_REST_MEMORY) if standing else 0.0
+        self._at_rest = keep * self._at_rest + (1.0 - keep) * (power if standing else 0.0)
+        if abs(self._at_rest) > HIGHEST_AT_REST:
+            self.suspected, self.told = self._at_rest > 0.0, True
+
+    def _follow_charge(self, drawn: float, charge: float) -> None:
+        self._drawn += drawn
+        if math.isnan(self._charge):
+            self._charge, self._drawn = charge, 0.0
+        change = charge - self._charge
+        if not abs(change) >= CHARGE_STEP:  # nor when it is not known
+            return
+        if abs(self._drawn) >= CHARGE_ENERGY:
+            self.suspected, self.told = change * self._drawn > 0.0, True
+        self._charge, self._drawn = charge, 0.0

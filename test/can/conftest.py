@@ -1,0 +1,48 @@
+"""Buses of simulated cars: what each profile that comes with the package would have on its bus."""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+
+import pytest
+
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import CanProfile, bundled_profiles
+from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import simulate
+from evpinn_ros.vehicle.files import load_vehicle
+
+PROFILES = {profile.key: profile for profile in bundled_profiles() if profile.messages}
+SECONDS = 120.0
+
+
+@cache
+def readings() -> tuple[Reading, ...]:
+    """A drive in town; 10 Hz."""
+    car = load_vehicle("tesla_model_3_lr")
+    return simulate(DriveKind.URBAN, car, SECONDS, 3).readings
+
+
+def encoded(profile: CanProfile, readings: tuple[Reading, ...]) -> Iterator[CanFrame]:
+    """The frames of readings, as far as the profile has them, limited to what it can show."""
+    encoder = Encoder(profile)
+    for index, reading in enumerate(readings):
+        if isinstance(reading, SpeedReading) and "speed" in profile.messages:
+            (speed,) = profile.messages["speed"].signals
+            value = min(max(reading.speed, speed.lower), speed.upper)
+            yield encoder.speed(SpeedReading(reading.stamp_ns, value))
+        elif isinstance(reading, BatteryReading):
+            if "battery" in profile.messages:
+                volts, amperes = profile.messages["battery"].signals
+                voltage = min(max(reading.voltage, volts.lower), volts.upper)
+                current = min(max(reading.current, amperes.lower), amperes.upper)
+                yield encoder.battery(BatteryReading(reading.stamp_ns, voltage, current))
+            if "state_of_charge" in profile.messages and index % 20 == 0:
+                yield encoder.state_of_charge(BatteryReading(reading.stamp_ns, 0.0, 0.0, 0.7))
+
+
+@pytest.fixture(scope="session")
+def bus() -> Callable[[str], list[CanFrame]]:
+    """The frames of the same drive in the car of a profile."""
+    return cache(lambda name: list(encoded(PROFILES[name], readings())))

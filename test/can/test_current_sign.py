@@ -1,0 +1,80 @@
+import dataclasses
+import itertools
+import math
+
+import pytest
+
+from evpinn_ros.can.current_sign import CurrentSign
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import simulate
+from evpinn_ros.vehicle.files import load_vehicle
+
+SECOND = 10**9
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 240.0, 4).readings
+
+
+def flipped(reading):
+    if isinstance(reading, BatteryReading):
+        return dataclasses.replace(reading, current=-reading.current)
+    return reading
+
+
+def watched(readings):
+    sign = CurrentSign()
+    for reading in readings:
+        sign.push(reading)
+    return sign
+
+
+def test_a_drive_of_the_right_sign(drive):
+    sign = watched(drive)
+    assert sign.told and sign.suspicion is None
+
+
+def test_a_drive_of_the_wrong_sign(drive):
+    sign = watched(map(flipped, drive))
+    assert sign.suspicion == (
+        "current_sign: to accelerate charges the battery; flip positive_means in the profile"
+    )
+
+
+def test_a_hundred_a_second_say_the_same(drive):
+    """Each reading ten times over, 10 ms apart, as a whole bus tells them."""
+    dense = [
+        dataclasses.replace(reading, stamp_ns=reading.stamp_ns + 10_000_000 * copy)
+        for reading, copy in itertools.product(map(flipped, drive), range(10))
+    ]
+    assert watched(sorted(dense, key=lambda reading: reading.stamp_ns)).suspicion is not None
+
+
+@pytest.mark.parametrize(("current", "suspected"), [(125.0, False), (-125.0, True)])
+def test_fast_charging(current, suspected):
+    """50 kW into a standing car whose charge is not told."""
+    readings = []
+    for index in range(1200):
+        stamp = index * SECOND // 10
+        readings += [SpeedReading(stamp, 0.0), BatteryReading(stamp, 400.0, current)]
+    sign = watched(readings)
+    assert sign.told and (sign.suspicion is not None) is suspected
+
+
+@pytest.mark.parametrize(("current", "suspected"), [(30.0, False), (-30.0, True)])
+def test_slow_charging_of_a_car_that_is_silent_but_for_its_battery(current, suspected):
+    """12 kW for 10 minutes into 60 kWh: 3.3 %."""
+    readings = [
+        BatteryReading(index * SECOND, 400.0, current, 0.5 + 0.033 * index / 600)
+        for index in range(600)
+    ]
+    sign = watched(readings)
+    assert sign.told and (sign.suspicion is not None) is suspected
+
+
+def test_nothing_is_said_of_little_or_of_nonsense(drive):
+    assert not watched(drive[:100]).told
+    nonsense = [BatteryReading(index * SECOND, math.nan, math.nan, 0.5) for index in range(100)]
+    assert not watched(nonsense).told

@@ -1,0 +1,167 @@
+"""Users' own DBC files: what works, and what each mistake is told as."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.can.decoder import Decoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+# As people's files are: overlapping and overhanging signals, values without a use, odd units.
+DBC = """VERSION ""
+
+BU_: Car
+
+BO_ 256 MotorSpeed: 8 Car
+ SG_ VehicleSpeed : 7|16@0+ (0.01,0) [0|0] "kph" Car
+ SG_ SpeedAgain : 7|16@0+ (0.01,0) [0|0] "kph" Car
+ SG_ MilesPerHour : 23|16@0+ (0.01,0) [0|0] "MPH" Car
+ SG_ SpeedFloat : 32|32@1- (1,0) [0|0] "km/h" Car
+ SG_ TooFar : 56|16@1+ (1,0) [0|0] "" Car
+
+BO_ 512 Pack: 8 Car
+ SG_ Page M : 0|8@1+ (1,0) [0|255] "" Car
+ SG_ Voltage m1 : 8|16@1+ (0.1,0) [0|0] "V" Car
+ SG_ Current m1 : 24|16@1- (0.1,0) [0|0] "A" Car
+ SG_ Temperature m2 : 8|16@1- (0.1,0) [0|0] "" Car
+
+BO_ 513 Headless: 8 Car
+ SG_ Volts m1 : 8|16@1+ (0.1,0) [0|0] "V" Car
+ SG_ Amps m1 : 24|16@1- (0.1,0) [0|0] "A" Car
+
+BO_ 514 Overhang: 3 Car
+ SG_ Which M : 0|8@1+ (1,0) [0|255] "" Car
+ SG_ Volts m1 : 8|16@1+ (0.1,0) [0|0] "V" Car
+ SG_ Amps m1 : 24|16@1- (0.1,0) [0|0] "A" Car
+
+BO_ 515 Double: 8 Car
+ SG_ Which M : 0|8@1+ (1,0) [0|255] "" Car
+ SG_ Volts m1 : 8|16@1+ (0.1,0) [0|0] "V" Car
+ SG_ Alarm m1 : 20|1@1+ (1,0) [0|1] "" Car
+
+SIG_VALTYPE_ 256 SpeedFloat : 1;
+VAL_ 256 VehicleSpeed 65535 "SNA" ;
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 10000;
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_ "GenMsgCycleTime" BO_ 256 10;
+"""
+SPEED = "speed: {message: MotorSpeed, signal: VehicleSpeed, unit: km/h, valid: [0, 250]}\n"
+BATTERY = """battery:
+  message: Pack
+  voltage: {signal: Voltage, unit: V, valid: [200, 500]}
+  current: {signal: Current, unit: A, positive_means: discharge, valid: [-500, 500]}
+"""
+HEAD = "name: My car\nsource: measured\nverified_by: a drive\ndbc: my.dbc\n"
+
+
+@pytest.fixture(scope="session")
+def write(tmp_path_factory):
+    """Writes a profile beside its DBC file."""
+
+    def make(text, dbc=DBC):
+        folder = tmp_path_factory.mktemp("user")
+        (folder / "my.dbc").write_text(dbc, encoding="cp1252")
+        (folder / "my_car.yaml").write_text(text)
+        return folder / "my_car.yaml"
+
+    return make
+
+
+def test_a_mapping_file_anywhere_reads_a_loose_dbc(write):
+    profile = load_profile(write(HEAD + SPEED + BATTERY))
+    assert profile.key == "my_car"
+    decoder = Decoder(profile)
+    (speed,) = decoder.push(CanFrame(1, 256, bytes.fromhex("2710")))
+    assert speed == SpeedReading(1, pytest.approx(100 / 3.6), pytest.approx(0.01**2 / 3.6**2 / 12))
+    # Page 1: 400.0 V, 20.0 A discharged.
+    (battery,) = decoder.push(CanFrame(2, 512, bytes.fromhex("01A00FC80000000000")))
+    assert (battery.voltage, battery.current) == (pytest.approx(400.0), pytest.approx(-20.0))
+    assert decoder.push(CanFrame(3, 512, bytes.fromhex("02A00FC800000000"))) == ()
+    assert not decoder.dropped
+    assert decoder.push(CanFrame(4, 512, bytes.fromhex("03A00FC800000000"))) == ()
+    assert decoder.push(CanFrame(5, 512, bytes.fromhex("01A0"))) == ()
+    assert decoder.dropped == {"unknown_multiplexer": 1, "short_frame": 1}
+
+
+@given(can_id=st.sampled_from([256, 512]), data=st.binary(max_size=64))
+@settings(max_examples=300, deadline=None)
+def test_no_payload_of_a_users_file_is_an_exception(write, can_id, data):
+    decoder = Decoder(_loaded(write))
+    for reading in decoder.push(CanFrame(0, can_id, data)):
+        if isinstance(reading, BatteryReading):
+            assert 200 <= reading.voltage <= 500 and -500 <= reading.current <= 500
+        else:
+            assert 0 <= reading.speed <= 250 / 3.6
+
+
+def _loaded(write, cache={}):  # noqa: B006
+    if "profile" not in cache:
+        cache["profile"] = load_profile(write(HEAD + SPEED + BATTERY))
+    return cache["profile"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("message: MotorSpeed", "message: Motorspeed", "'Motorspeed'; nearest are MotorSpeed"),
+        ("message: MotorSpeed", "message: Xyz", "the DBC file has no message 'Xyz'"),
+        ("signal: VehicleSpeed", "signal: vehicle_speed", "nearest are VehicleSpeed"),
+        ("signal: VehicleSpeed", "signal: SpeedFloat", "is a floating-point signal"),
+        ("signal: VehicleSpeed", "signal: TooFar", "'TooFar' hangs over the 8 bytes"),
+        ("signal: VehicleSpeed", "signal: MilesPerHour", "gives 'MilesPerHour' in MPH"),
+        ("message: Pack", "message: Headless", "no signal of it is the multiplexer 'M'"),
+        ("message: Pack", "message: Overhang", "'Amps' hangs over the 3 bytes"),
+        ("message: Pack", "message: Double", "'Volts' and 'Alarm' overlap in message 'Double'"),
+        ("signal: Current,", "signal: Voltage,", "'Voltage' and 'Voltage' overlap in 'Pack'"),
+        (
+            "valid: [0, 250]}",
+            "valid: [0, 250], counter: SpeedAgain}",
+            "'SpeedAgain' and 'VehicleSpeed' overlap in 'MotorSpeed'",
+        ),
+        (
+            "valid: [0, 250]}",
+            "valid: [0, 250], counter: VehicleSpeed}",
+            "'VehicleSpeed' and 'VehicleSpeed' overlap",
+        ),
+        (" positive_means: discharge,", "", "'positive_means' is missing"),
+        ("unit: km/h, ", "", "'unit' is missing"),
+        (", valid: [0, 250]", "", "'valid' is missing"),
+        ("source: measured\n", "", "'source' is missing"),
+        ("dbc: my.dbc\n", "", "'dbc' is missing"),
+        ("dbc: my.dbc", "dbc: other.dbc", "other.dbc: No such file"),
+    ],
+)
+def test_a_mistake_is_told_with_its_line(write, old, new, reason):
+    text = HEAD + SPEED + BATTERY
+    assert old in text
+    path = write(text.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        load_profile(path)
+    told = str(error.value)
+    assert reason in told and "\n" not in told
+    name, line, _ = told.split(":", 2)
+    assert name == str(path) and 0 < int(line) <= 9
+
+
+def test_a_unit_that_the_dbc_file_has_wrong_can_be_overruled(write):
+    text = (HEAD + SPEED).replace("VehicleSpeed, unit", "MilesPerHour, scale: 1, unit")
+    (reading,) = Decoder(load_profile(write(text))).push(
+        CanFrame(0, 256, bytes.fromhex("00002710"))
+    )
+    assert reading.speed == pytest.approx(100 / 3.6)
+
+
+def test_pages_of_one_message_may_share_bits(write):
+    charge = "state_of_charge: {message: Pack, signal: Temperature, unit: '%', valid: [0, 100]}\n"
+    assert "state_of_charge" in load_profile(write(HEAD + BATTERY + charge)).messages
+
+
+@pytest.mark.parametrize("dbc", ["", "nonsense", "\x00\xff" * 50, DBC.replace("BO_ 256", "BO_ x")])
+def test_a_broken_dbc_file_is_one_line(write, dbc):
+    path = write(HEAD + SPEED, dbc)
+    with pytest.raises(InputError) as error:
+        load_profile(path)
+    assert "\n" not in str(error.value) and str(error.value).startswith(f"{path}:")

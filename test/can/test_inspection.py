@@ -1,0 +1,130 @@
+import itertools
+import math
+
+import pytest
+
+from evpinn_ros.can.bus_load import frame_bits
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.inspection import MOST_IDS, Inspection
+from evpinn_ros.can.profile import bundled_profiles, load_profile
+from evpinn_ros.signals.readings import BatteryReading
+
+PROFILES = {profile.key: profile for profile in bundled_profiles() if profile.messages}
+MS = 1_000_000
+
+
+def inspected(frames, bitrate=500_000):
+    inspection = Inspection(PROFILES.values(), bitrate)
+    for frame in frames:
+        inspection.push(frame)
+    return inspection
+
+
+@pytest.mark.parametrize("name", sorted(PROFILES))
+def test_the_own_profile_of_every_simulated_bus_comes_first(name, bus):
+    report = inspected(bus(name)).report()
+    own = next(each for each in report.profiles if each.fit.profile == name)
+    assert own.fit.score == report.best.fit.score and own.contradicted is None
+    heard = [message for message in own.fit.messages if message.frames]
+    assert len(heard) == len(PROFILES[name].messages)
+    assert all(message.share > 0.99 for message in heard)
+    assert own.sign is None
+
+
+def test_rates_jitter_ages_and_lengths():
+    frames = [CanFrame(10 * MS * i + (i % 2) * MS, 0x100, bytes(8 - i % 2)) for i in range(101)]
+    frames.append(CanFrame(500 * MS, 0x18DAF110, b"", True))
+    frames.sort(key=lambda frame: frame.stamp_ns)
+    fast, once = inspected(frames).report(3000 * MS).ids
+    assert (fast.can_id, fast.extended, fast.count) == (0x100, False, 101)
+    assert fast.period == pytest.approx(0.01) and fast.rate == pytest.approx(100)
+    assert fast.jitter == pytest.approx(0.001, rel=0.02)
+    assert fast.age == pytest.approx(2.0) and fast.lengths == {8: 51, 7: 50}
+    assert (once.can_id, once.extended, once.age) == (0x18DAF110, True, 2.5)
+    assert math.isnan(once.period) and math.isnan(once.rate) and math.isnan(once.jitter)
+
+
+def test_load_of_a_full_bus():
+    # 111 bits without stuffing, 135 with the most (Davis et al., table of section 3).
+    assert frame_bits(8, extended=False) == (111, 135)
+    assert frame_bits(8, extended=True) == (131, 160)
+    assert frame_bits(0, extended=False) == (47, 55)
+    frames = [CanFrame(i * MS, 0x100, bytes(8)) for i in range(1001)]
+    low, high = inspected(frames, bitrate=135_000).report().load
+    assert low == pytest.approx(111 / 135, rel=0.01) and high == pytest.approx(1.0, rel=0.01)
+
+
+def test_nothing_came():
+    report = inspected([]).report()
+    assert report.frames == 0 and report.best is None and report.ids == ()
+    assert math.isnan(report.load[0])
+
+
+def test_ids_without_end_do_not_fill_the_memory():
+    frames = (CanFrame(i, i, b"", True) for i in range(MOST_IDS + 100))
+    report = inspected(frames).report()
+    assert len(report.ids) == MOST_IDS and report.uncounted == 100
+
+
+def test_values_as_the_profile_reads_them():
+    encoder = Encoder(load_profile("nissan_leaf"))
+    currents = [-20.0, 5.0, -60.0]
+    frames = [
+        encoder.battery(BatteryReading(10 * MS * i, 390.0, current))
+        for i, current in enumerate(currents)
+    ]
+    found = inspected(frames).report().best.values
+    assert found.keys() == {"voltage", "current"}
+    current = found["current"]
+    assert (current.count, current.newest, current.lowest, current.highest) == (3, -60, -60, 5)
+
+
+def test_the_wrong_sign_is_told(bus):
+    """The frames of a car whose current counts the other way, read as if it did not."""
+    best = inspected(map(flipped, bus("tesla_model_3"))).report().best
+    assert best.fit.profile == "tesla_model_3" and "flip positive_means" in best.sign
+
+
+def flipped(frame):
+    if frame.can_id != 0x132:
+        return frame
+    raw = int.from_bytes(frame.data[2:4], "little") & 0x7FFF
+    opposite = (-raw & 0x7FFF).to_bytes(2, "little")
+    return CanFrame(frame.stamp_ns, 0x132, frame.data[:2] + opposite + frame.data[4:])
+
+
+# The published answer of a Kona to 22 01 01 (test_request.py).
+KONA = """
+103E620101FFF7E7 21FFBC16AE430800 2200000FCF090808 2308080900000ACE 2430CE4A00007800
+250015B2000012F4 2600000840000006 27D10005F7060900 28030000000003E8
+"""
+
+
+def test_what_another_tester_asks_for_is_told():
+    inspection = Inspection(bundled_profiles(), 500_000)
+    for stamp, data in enumerate(KONA.split() * 3):
+        inspection.push(CanFrame(stamp * 10 * MS, 0x7EC, bytes.fromhex(data)))
+    best = inspection.report().best
+    assert best.fit.profile == "hyundai_kia" and best.asks
+    assert best.values["voltage"].newest == pytest.approx(404.7)
+    speed, battery, charge = best.fit.messages
+    assert (speed.frames, battery.frames, battery.good, charge.good) == (0, 27, 3, 3)
+
+
+def test_answers_of_another_car_fit_nothing():
+    inspection = Inspection(bundled_profiles(), 500_000)
+    for stamp in range(50):
+        inspection.push(CanFrame(stamp * 10 * MS, 0x7BB, bytes.fromhex("0361010000000000")))
+    report = inspection.report()
+    assert report.best is None
+    own = next(each for each in report.profiles if each.fit.profile == "hyundai_kia")
+    assert "no_answer" in own.contradicted
+
+
+def test_firmware_is_told_apart(bus):
+    for right, wrong in itertools.permutations(("tesla_model_3", "tesla_model_3_2019")):
+        report = inspected(bus(right)).report()
+        assert report.best.fit.profile == right
+        other = next(each for each in report.profiles if each.fit.profile == wrong)
+        assert "battery (0x132)" in other.contradicted

@@ -1,0 +1,303 @@
+"""Asking over a real python-can bus, with control units made by can-isotp at its other end."""
+
+from contextlib import contextmanager
+import itertools
+import threading
+import time
+
+import can
+import pytest
+
+from evpinn_ros.can import restraint as restraint_module
+from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.bus import BusReader
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.poller import Poller
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+CHANNELS = (f"poller-{number}" for number in itertools.count())
+KONA = load_profile("hyundai_kia")
+DRIVE, PACK = KONA.requests
+I3 = load_profile("bmw_i3")
+
+
+def wait_for(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def channel():
+    return next(CHANNELS)
+
+
+@pytest.fixture
+def unit(channel, simulated_unit):
+    def make(address, replies):
+        return simulated_unit(can.Bus(channel, interface="virtual"), address, replies)
+
+    return make
+
+
+class Live:
+    """A bridge on the bus: its readings, and the threads that read and ask."""
+
+    def __init__(self, channel, profile, poll):
+        self.readings = []
+        self.reader = BusReader("virtual", channel, self._on_frame, time.time_ns)
+        self.bridge = CanBridge(profile, self.reader.send if poll else None)
+        runs = [self.reader.run] + ([self.bridge.poller.run] if poll else [])
+        self.threads = [threading.Thread(target=run) for run in runs]
+
+    def _on_frame(self, frame):
+        self.readings += self.bridge.push(frame)
+
+    def of(self, kind):
+        return [reading for reading in self.readings if isinstance(reading, kind)]
+
+    @property
+    def counters(self):
+        return self.bridge.poller.status().counters
+
+
+@contextmanager
+def live(channel, profile, *, poll=True):
+    bridge = Live(channel, profile, poll)
+    for thread in bridge.threads:
+        thread.start()
+    try:
+        yield bridge
+    finally:
+        begun = time.monotonic()
+        bridge.bridge.poller.stop()
+        bridge.reader.stop()
+        for thread in bridge.threads:
+            thread.join(5)
+        assert time.monotonic() - begun < 1.0
+    assert not any(thread.is_alive() for thread in bridge.threads)
+    assert not bridge.reader.status().counters.get("callback_errors")
+
+
+def pack_answer(current, voltage, auxiliary=140):
+    """62 bytes as a Kona sends them: discharge in 0.1 A, 0.1 V, 0.1 V."""
+    data = bytearray(59)
+    data[4] = 150
+    data[10:12] = current.to_bytes(2, "big", signed=True)
+    data[12:14] = voltage.to_bytes(2, "big")
+    data[29] = auxiliary
+    return PACK.echo + bytes(data)
+
+
+def drive_answer(kmh):
+    return DRIVE.echo + bytes(29) + bytes((kmh,)) + bytes(10)
+
+
+def kona(unit, pack, drive=lambda: [drive_answer(90)]):
+    return (
+        unit(PACK.address, {PACK.payload: pack}),
+        unit(DRIVE.address, {DRIVE.payload: drive}),
+    )
+
+
+def test_a_kona_on_the_bus(channel, unit):
+    units = kona(unit, lambda: [pack_answer(250, 3600)])
+    before, begun = time.time_ns(), time.monotonic()
+    with live(channel, KONA) as car:
+        wait_for(lambda: len(car.of(BatteryReading)) >= 3 and len(car.of(SpeedReading)) >= 3)
+        status = car.bridge.poller.status()
+    assert status.ok and status.text == "asking"
+    battery, speed = car.of(BatteryReading)[-1], car.of(SpeedReading)[-1]
+    assert (battery.voltage, battery.current, battery.state_of_charge) == (360.0, -25.0, 0.75)
+    assert speed.speed == pytest.approx(25.0)
+    stamps = [reading.stamp_ns for reading in car.of(BatteryReading)]
+    assert before < stamps[0] and stamps == sorted(stamps)
+    most = 1 + (time.monotonic() - begun) / PACK.period_s
+    assert all(len(unit.asked) <= most for unit in units)
+    assert [set(unit.asked) for unit in units] == [{PACK.payload}, {DRIVE.payload}]
+    assert car.bridge.status(stamps[-1]).ok
+
+
+def test_voltage_and_current_of_two_answers_are_of_one_moment(channel, unit):
+    speed, voltage, current = I3.requests
+    unit(speed.address, {speed.payload: lambda: [speed.echo + b"\x01\xf4"]})
+    unit(
+        voltage.address,
+        {
+            voltage.payload: lambda: [voltage.echo + b"\x8c\xa0"],
+            current.payload: lambda: [current.echo + (-5000).to_bytes(4, "big", signed=True)],
+        },
+    )
+    with live(channel, I3) as car:
+        wait_for(lambda: len(car.of(BatteryReading)) >= 3 and car.of(SpeedReading))
+    assert {(r.voltage, r.current) for r in car.of(BatteryReading)} == {(360.0, -50.0)}
+    assert car.of(SpeedReading)[0].speed == pytest.approx(50 / 3.6)
+    assert not car.bridge.status(0).dropped
+
+
+def test_without_leave_nothing_is_ever_sent(channel, unit):
+    units = kona(unit, lambda: [pack_answer(0, 4000)])
+    with can.Bus(channel, interface="virtual") as listener, live(channel, KONA, poll=False) as car:
+        for can_id in (0x7EC, 0x7BB, 0x100):  # also a first frame, which asks for flow control
+            data = bytes.fromhex("103E620101FFF7E7")
+            listener.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        wait_for(lambda: car.bridge.status(0).unknown_frames == 1)
+        assert listener.recv(0.5) is None
+        status = car.bridge.poller.status()
+    assert not any(unit.asked for unit in units)
+    assert not status.ok and status.text == (
+        "profile hyundai_kia asks the car; set poll:=true to allow it to send read requests"
+    )
+
+
+def test_only_read_requests_and_flow_control_are_on_the_wire(channel, unit):
+    kona(unit, lambda: [pack_answer(250, 3600)])
+    with can.Bus(channel, interface="virtual") as listener, live(channel, KONA) as car:
+        wait_for(lambda: len(car.of(BatteryReading)) >= 5)
+        frames = iter(lambda: listener.recv(0), None)
+        sent = {bytes(m.data) for m in frames if m.arbitration_id in (0x7E4, 0x7B3)}
+    wanted = ("0322010100000000", "0322010000000000", "3000000000000000")
+    assert sent == set(map(bytes.fromhex, wanted))
+
+
+def test_another_tester_is_listened_to_and_left_alone(channel, unit):
+    """Its answers decode; its flow control is its own affair."""
+    with can.Bus(channel, interface="virtual") as listener, live(channel, KONA, poll=False) as car:
+        payload = pack_answer(-14, 7190)
+        first = bytes((0x10, len(payload))) + payload[:6]
+        rest = [payload[start : start + 7] for start in range(6, len(payload), 7)]
+        for data in [first, *(bytes((0x21 + i,)) + part for i, part in enumerate(rest))]:
+            listener.send(can.Message(arbitration_id=0x7EC, data=data, is_extended_id=False))
+        wait_for(lambda: car.readings)
+        assert listener.recv(0.2) is None
+    assert (car.readings[0].voltage, car.readings[0].current) == (719.0, pytest.approx(1.4))
+
+
+def test_pending_answers_are_waited_for(channel, unit):
+    kona(unit, lambda: [bytes.fromhex("7F2278"), pack_answer(250, 3600)])
+    with live(channel, KONA) as car:
+        wait_for(lambda: len(car.of(BatteryReading)) >= 3)
+        assert car.counters["pending"] >= 3 and not car.counters.get("silent")
+
+
+def test_a_refusal_retires_its_request_and_says_so(channel, unit):
+    pack, _ = kona(unit, lambda: [bytes.fromhex("7F2231")])
+    with live(channel, KONA) as car:
+        wait_for(lambda: not car.bridge.poller.status().ok)
+        speeds = len(car.of(SpeedReading))
+        wait_for(lambda: len(car.of(SpeedReading)) > speeds + 3)
+        status = car.bridge.poller.status()
+    assert status.text == "battery refused: RequestOutOfRange"
+    assert len(pack.asked) == 3 and status.counters["refused"] == 3
+
+
+def test_a_silent_unit_does_not_hold_up_another(channel, unit):
+    kona(unit, list)
+    with live(channel, KONA) as car:
+        wait_for(lambda: len(car.of(SpeedReading)) >= 10)
+        assert not car.of(BatteryReading)
+        wait_for(lambda: car.counters.get("silent"))
+        assert car.bridge.poller.status().ok
+
+
+def test_wrong_and_short_answers_and_garbage(channel, unit):
+    turns = itertools.cycle(
+        [
+            [bytes.fromhex("6201050102")],
+            [PACK.echo + bytes(10)],
+            [pack_answer(0, 65535)],
+            [pack_answer(250, 3600)],
+        ]
+    )
+    kona(unit, lambda: next(turns))
+    with can.Bus(channel, interface="virtual") as noise, live(channel, KONA) as car:
+        for data in (b"", b"\xff" * 8, b"\x25" * 8, b"\x10"):
+            noise.send(can.Message(arbitration_id=0x7EC, data=data, is_extended_id=False))
+        wait_for(lambda: len(car.of(BatteryReading)) >= 2, 20.0)
+        counters = car.counters
+    assert {(r.voltage, r.current) for r in car.of(BatteryReading)} == {(360.0, -25.0)}
+    assert counters["unexpected_answer"] and counters["short_answer"] and counters["garbled"]
+    assert car.bridge.status(0).dropped["out_of_range"]
+
+
+def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeypatch):
+    monkeypatch.setattr(restraint_module, "UNANSWERED_S", 1.5)
+    monkeypatch.setattr(restraint_module, "QUIET_S", 1.0)
+    awake = False
+    kona(
+        unit,
+        lambda: [pack_answer(250, 3600)] if awake else [],
+        lambda: [drive_answer(0)] if awake else [],
+    )
+    with can.Bus(channel, interface="virtual") as other, live(channel, KONA) as car:
+
+        def wake():
+            other.send(can.Message(arbitration_id=0x100, data=b"", is_extended_id=False))
+
+        wake()
+        wait_for(lambda: not car.bridge.poller.status().ok)
+        text = car.bridge.poller.status().text
+        assert text.startswith("stopped: no answer for 2 s: the car sleeps")
+        asked = car.counters["asked"]
+        time.sleep(1.2)
+        assert car.counters["asked"] == asked
+        awake = True
+        wake()
+        wait_for(lambda: car.of(BatteryReading))
+        assert car.bridge.poller.status().ok
+
+
+def test_a_low_12_v_battery_ends_the_asking(channel, unit, monkeypatch):
+    monkeypatch.setattr(restraint_module, "LOW_FOR_S", 0.3)
+    kona(unit, lambda: [pack_answer(0, 3600, auxiliary=117)], lambda: [drive_answer(0)])
+    with live(channel, KONA) as car:
+        wait_for(lambda: not car.bridge.poller.status().ok)
+        asked = car.counters["asked"]
+        time.sleep(0.5)
+        assert car.counters["asked"] == asked
+        text = car.bridge.poller.status().text
+    assert text.startswith("stopped: the 12 V battery is low: 11.7 V; goes on when")
+
+
+def test_a_driver_that_fails_is_no_end():
+    def fail(frame):
+        raise can.CanOperationError("transmit buffer full")
+
+    poller = Poller(KONA, fail)
+    thread = threading.Thread(target=poller.run)
+    thread.start()
+    wait_for(lambda: poller.status().counters.get("send_errors", 0) >= 4)
+    poller.stop()
+    thread.join(1)
+    assert not thread.is_alive()
+
+
+def test_no_bus_is_waited_for_without_a_stop(monkeypatch):
+    now = [0.0]
+    poller = Poller(KONA, lambda frame: False, clock=lambda: now[0])
+    thread = threading.Thread(target=poller.run)
+    thread.start()
+    for _ in range(20):
+        now[0] += 10.0
+        time.sleep(0.01)
+    assert poller.status().ok and not poller.status().counters
+    poller.stop()
+    thread.join(1)
+    assert not thread.is_alive()
+
+
+def test_a_log_of_a_polled_drive_decodes_like_the_live_bus(channel, unit):
+    kona(unit, lambda: [pack_answer(250, 3600)])
+    with can.Bus(channel, interface="virtual") as log:
+        with live(channel, KONA) as car:
+            wait_for(lambda: len(car.of(BatteryReading)) >= 3)
+        offline, readings = CanBridge(KONA), []
+        for message in iter(lambda: log.recv(0), None):
+            readings += offline.push(CanFrame(0, message.arbitration_id, bytes(message.data)))
+
+    def values(readings):
+        return [repr(reading).partition(",")[2] for reading in readings]
+
+    assert values(readings)[: len(car.readings)] == values(car.readings)

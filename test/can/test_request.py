@@ -1,0 +1,202 @@
+"""Profiles that ask: every value from the bytes their sources give, and every error told."""
+
+from pathlib import Path
+
+import pytest
+
+from evpinn_ros.can.answers import AnswerDecoder
+from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.control_unit import SERVICES, Answer
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.profile import load_profile, profile_names
+from evpinn_ros.can.request import READ_SERVICES
+from evpinn_ros.errors import InputError
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+CONFIG = share_directory() / "config" / "can"
+ASKING = [name for name in profile_names() if load_profile(name).requests]
+
+# As quoted in issue 44 of JejuSoul/OBD-PIDs-for-HKMC-EVs.
+KONA = """
+103E620101FFF7E7 21FFBC16AE430800 2200000FCF090808 2308080900000ACE 2430CE4A00007800
+250015B2000012F4 2600000840000006 27D10005F7060900 28030000000003E8
+"""
+# A published answer of an EV6 that charges at a wallbox with some 1 kW.
+EV6 = """
+103E620101EFFBE7 21EF6B2040017200 22FFF21C16201E20 23201F1E20004BBB 240DBB3D00008D00
+2500D09F0000D37D 2600009CDF00009B 274400895F240002 28CD000000000BB8
+"""
+
+
+def test_every_service_that_reads_can_be_written():
+    assert SERVICES.keys() == READ_SERVICES.keys()
+
+
+def decode(name, **answers):
+    """The readings of a profile when its requests get these answers, hexadecimal."""
+    profile = load_profile(name)
+    requests = {request.name: request for request in profile.requests}
+    decoder, readings = AnswerDecoder(profile), []
+    for stamp, (request, data) in enumerate(answers.items()):
+        readings += decoder.push(Answer(stamp, requests[request], bytes.fromhex(data)))
+    assert not decoder.dropped
+    return decoder, readings
+
+
+@pytest.mark.parametrize(
+    ("name", "answers", "voltage", "current", "charge"),
+    [
+        # 0.2 A of discharge; 228/255 of the charge
+        ("chevrolet_bolt", {"charge": "E4", "voltage": "8CA0", "current": "0004"},
+         360.0, -0.2, 228 / 255),
+        ("chevrolet_bolt", {"charge": "00", "voltage": "8CA0", "current": "FF38"}, 360.0, 10.0, 0),
+        # 0x024A0: 150 A against 0x249F0 = 150000, which is none; an answer at rest, as quoted
+        ("vw_meb", {"charge": "A9", "voltage": "05C1", "current": "000249F039"},
+         368.25, 0.0, 0.676),
+        ("vw_meb", {"charge": "A9", "voltage": "05C1", "current": "0002366800"},
+         368.25, -50.0, 0.676),
+        ("bmw_i3", {"voltage": "8CA0", "current": "FFFFEC78"}, 360.0, -50.0, None),
+        ("bmw_i3", {"voltage": "8CA0", "current": "00001388"}, 360.0, 50.0, None),
+        # 32768 is no current, 4 steps are 1 A
+        ("renault_zoe_ph1", {"charge": "1388", "voltage": "02D0", "current": "7F38"},
+         360.0, -50.0, 1.0),
+        # 32640 is no current, 32 steps are 1 A
+        ("renault_zoe_ph2", {"charge": "2710", "voltage": "0E10", "current": "7940"},
+         360.0, -50.0, 1.0),
+        ("hyundai_ioniq_28",
+         {"battery": "00000000C8 0000000000 00C8 0E10"}, 360.0, -20.0, 1.0),
+    ],
+)  # fmt: skip
+def test_battery_of_every_profile(name, answers, voltage, current, charge):
+    _, (reading,) = decode(name, **answers)
+    assert reading.voltage == pytest.approx(voltage)
+    assert reading.current == pytest.approx(current)
+    assert reading.power == pytest.approx(-voltage * current)
+    if charge is None:
+        assert reading.state_of_charge != reading.state_of_charge
+    else:
+        assert reading.state_of_charge == pytest.approx(charge)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "kmh", "step_kmh"),
+    [
+        ("bmw_i3", "0236", 56.6, 0.1),
+        ("renault_zoe_ph1", "161C", 56.6, 0.01),
+        ("renault_zoe_ph2", "161C", 56.6, 0.01),
+        ("hyundai_kia", "00" * 29 + "39", 57.0, 1.0),
+        ("obd2_speed", "39", 57.0, 1.0),
+    ],
+)
+def test_speed_of_every_profile(name, data, kmh, step_kmh):
+    _, (reading,) = decode(name, speed=data)
+    assert reading.speed == pytest.approx(kmh / 3.6)
+    assert reading.variance == pytest.approx((step_kmh / 3.6) ** 2 / 12)
+
+
+def test_12_v_of_the_zoe():
+    decoder, readings = decode("renault_zoe_ph2", auxiliary="0578")
+    assert not readings and decoder.auxiliary_voltage == pytest.approx(14.0)
+
+
+def test_every_profile_that_asks_has_its_vector():
+    tested = {"hyundai_kia"}  # by frames, below
+    for mark in test_battery_of_every_profile.pytestmark + test_speed_of_every_profile.pytestmark:
+        tested |= {arguments[0] for arguments in mark.args[1]}
+    assert tested == set(ASKING)
+
+
+@pytest.mark.parametrize(
+    ("frames", "voltage", "current", "charge"),
+    [(KONA, 404.7, 0.0, 0.94), (EV6, 719.0, 1.4, 0.535)],
+)
+def test_published_frames_decode_as_a_log_would(frames, voltage, current, charge):
+    bridge = CanBridge(load_profile("hyundai_kia"))
+    readings = []
+    for stamp, data in enumerate(frames.split()):
+        readings += bridge.push(CanFrame(stamp, 0x7EC, bytes.fromhex(data)))
+    (reading,) = readings
+    assert reading == BatteryReading(
+        0, pytest.approx(voltage), pytest.approx(current), pytest.approx(charge)
+    )
+    assert bridge.status(8).frames == 9 and not bridge.status(8).dropped
+
+
+def test_bolt_broadcasts_its_speed():
+    bridge = CanBridge(load_profile("chevrolet_bolt"))
+    (reading,) = bridge.push(CanFrame(7, 0x3E9, bytes.fromhex("1388000000000000")))
+    assert reading == SpeedReading(7, pytest.approx(50 * 0.44704), pytest.approx(1.7e-6, rel=0.1))
+
+
+@pytest.mark.parametrize("name", ASKING)
+def test_what_is_asked_says_where_from(name):
+    profile = load_profile(name)
+    assert profile.source and profile.verified_by
+    assert profile.experimental == (name == "vw_meb")
+
+
+@pytest.fixture
+def broken(tmp_path):
+    def load(old, new, name="renault_zoe_ph1"):
+        text = (CONFIG / f"{name}.yaml").read_text()
+        assert old in text
+        (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
+        for dbc in CONFIG.glob(f"{name}.dbc"):
+            (tmp_path / dbc.name).write_bytes(dbc.read_bytes())
+        with pytest.raises(InputError) as error:
+            load_profile(tmp_path / "mine.yaml")
+        return str(error.value)
+
+    return load
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("    positive_means: charge\n", "", "'positive_means' is missing"),
+        ("read: 22 20 03", "read: 2E 20 03", "must begin with a service that reads: 01, 21, 22"),
+        ("read: 22 20 03", "read: 22 20", "takes an identifier of 2 byte(s)"),
+        ("read: 22 20 03", "read: speed", "must be bytes such as"),
+        ("read: 22 20 03", "read: 22 32 03", "asks the same as"),
+        ("tx: 0x7E4", "tx: seven", "'tx' must be a whole number"),
+        ("tx: 0x7E4", "tx: 0x18DADAF1", "both have 11 bits or both 29"),
+        ("tx: 0x7E4", "tx: 0x7EC", "'rx' is the id of the requests"),
+        ("tx: 0x7E4", "tx: 0x7E5", "share the answer id alone"),
+        ("rx: 0x7EC", "rx: 0x3FFFFFFF", "rx is outside"),
+        ("rx: 0x7EC", "rx: 0x7EC, target: 7", "needs both 'target' and 'source'"),
+        ("min_length: 2", "min_length: 1", "ends behind min_length = 1 of request 'speed'"),
+        ("min_length: 2, ", "", "'min_length' is missing"),
+        ("period: 0.2", "period: 0.001", "period = 0.001 is outside"),
+        ("type: u16", "type: u12", "'type' must be u8, s8"),
+        ("request: speed,", "request: spede,", "request 'spede' is not one of"),
+        ("unit: km/h", "unit: knots", "unit 'knots' is not one of"),
+        ("  voltage: {request: voltage,", "  voltage: {request: current,", "voltage and current"),
+        ("state_of_charge:", "auxiliary_voltage:", "unit '%' is not one of V"),
+        ("source: >-", "sauce: >-", "unknown key 'sauce'"),
+        ("speed: {request: speed,", "speed: {message: A,", "no quantity needs request 'speed'"),
+    ],
+)  # fmt: skip
+def test_wrong_request_is_refused_with_its_line(broken, old, new, reason):
+    text = broken(old, new)
+    assert reason in text
+    path, line, _ = text.split(":", 2)
+    assert Path(path).name == "mine.yaml" and int(line) > 0 and "\n" not in text
+
+
+def test_charge_comes_the_way_the_battery_does(broken):
+    text = broken(
+        "state_of_charge:\n  request: charge\n  first_byte: 0\n  type: u8\n",
+        "state_of_charge:\n  message: DriveSpeed\n  signal: Speed\n",
+        "chevrolet_bolt",
+    )
+    assert "no quantity needs request 'charge'" in text
+
+
+def test_12_v_without_requests_is_refused(broken):
+    text = broken("state_of_charge:", "auxiliary_voltage:", "nissan_leaf")
+    assert "can only be asked for: 'requests' is missing" in text
+
+
+def test_experimental_is_true_or_false(broken):
+    assert "'maybe' is not one of false, true" in broken("l: true", "l: maybe", "vw_meb")

@@ -1,0 +1,210 @@
+"""`evpinn can inspect` on logs and on a live bus, and commands that meet a wrong profile."""
+
+import itertools
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+import can
+import pytest
+
+from evpinn_ros.bags.can_frames import encode_frame
+from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.logs import LogFile, write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80", "OMP_NUM_THREADS": "1"}
+GROUP = "239.74.163.91"
+CONFIG = share_directory() / "config" / "can"
+
+
+def evpinn(*arguments, cwd):
+    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=150
+    )
+
+
+def frames(profile, seconds=12.0):
+    encoder = Encoder(load_profile(profile))
+    for index in range(int(100 * seconds)):
+        stamp = index * 10_000_000
+        yield encoder.battery(BatteryReading(stamp, 380.0 - index % 7, -10.0 - index % 30))
+        if index % 2:
+            yield encoder.speed(SpeedReading(stamp, 10.0 + index % 50 / 100))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("can")
+    for profile in ("tesla_model_3", "tesla_model_3_2019"):
+        write_log(folder / f"{profile}.log", frames(profile))
+    return folder
+
+
+def test_help_has_an_example(folder):
+    done = evpinn("can", "inspect", "--help", cwd=folder)
+    assert done.returncode == 0 and "Example: evpinn can inspect" in done.stdout
+
+
+def test_a_log_for_people(folder):
+    done = evpinn("can", "inspect", "tesla_model_3.log", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert done.stdout.rstrip().splitlines()[-2:] == [
+        "Fits: tesla_model_3",
+        "Sign of the current: too little driving to tell",
+    ]
+    assert "1800 frames of 2 ids in 12.0 s" in done.stdout
+    assert " 132 " in done.stdout and "battery" in done.stdout
+    assert "contradicted" in done.stdout
+
+
+def test_a_log_for_scripts(folder):
+    done = evpinn("can", "inspect", "tesla_model_3.log", "--json", "--seconds", 2, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["best"] == "tesla_model_3" == found["profiles"][0]["profile"]
+    assert found["frames"] == 301 and found["duration_s"] == 2.0 and found["bitrate"] == 500_000
+    battery, speed = found["ids"]
+    assert (battery["id"], battery["lengths"]) == ("0x132", {"8": 201})
+    assert speed["rate_hz"] == pytest.approx(50.0)
+    assert 0.0 < found["bus_load"]["least"] < found["bus_load"]["most"] < 0.1
+    first = found["profiles"][0]
+    assert first["verdict"] == "fits" and first["proven"]
+    assert first["values"]["voltage"]["highest"] == pytest.approx(380.0)
+    assert first["current_sign"] == {"told": False, "suspicion": None}
+
+
+def test_a_bag_of_raw_frames(folder):
+    with BagWriter(folder / "raw") as writer:
+        for frame in frames("tesla_model_3", 2.0):
+            writer.write_raw("/ev/can/frames", FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
+    done = evpinn("can", "inspect", "raw", cwd=folder)
+    assert done.returncode == 0 and "Fits: tesla_model_3" in done.stdout, done.stderr
+
+
+def test_a_profile_of_ones_own_is_ranked(folder):
+    for suffix in (".yaml", ".dbc"):
+        text = (CONFIG / f"tesla_model_3{suffix}").read_bytes()
+        (folder / f"my_car{suffix}").write_bytes(text)
+    own = (folder / "my_car.yaml").read_text().replace("tesla_model_3.dbc", "my_car.dbc")
+    (folder / "my_car.yaml").write_text(own)
+    done = evpinn(
+        *("can", "inspect", "tesla_model_3.log", "--json", "--can-profile", "my_car.yaml"),
+        cwd=folder,
+    )
+    profiles = json.loads(done.stdout)["profiles"]
+    assert {"my_car", "tesla_model_3"} == {each["profile"] for each in profiles[:2]}
+
+
+def test_a_damaged_log_shows_what_it_holds_and_fails(folder):
+    whole = (folder / "tesla_model_3.log").read_text()
+    (folder / "cut.log").write_text(whole[: len(whole) // 2])
+    done = evpinn("can", "inspect", "cut.log", cwd=folder)
+    assert done.returncode == 1
+    assert "Fits: tesla_model_3" in done.stdout and "cut.log: cut off" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        ((), 2, "give either SOURCE or --channel"),
+        (("x.log", "--channel", "can0"), 2, "give either SOURCE or --channel"),
+        (("nowhere.log",), 1, "nowhere.log: No such file"),
+        (("--interface", "slcan", "--channel", "/dev/none"), 1, "is the adapter plugged in"),
+        (("x.log", "--can-profile", "nope"), 1, "no CAN profile named 'nope'"),
+    ],
+)
+def test_what_cannot_be_looked_at(folder, arguments, code, text):
+    done = evpinn("can", "inspect", *arguments, cwd=folder)
+    assert done.returncode == code and text in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_live_bus(folder):
+    port = 20_000 + (os.getpid() + 1) % 20_000
+    options = ("--interface", "udp_multicast", "--channel", GROUP)
+    more = ("--bus-options", f"port={port} hop_limit=0")
+    try:
+        bus = can.Bus(GROUP, interface="udp_multicast", port=port, hop_limit=0)
+    except (OSError, can.CanError) as error:
+        pytest.skip(f"no multicast here: {error}")
+    command = [sys.executable, "-m", "evpinn_ros", "can", "inspect", *options, *more]
+    listening = subprocess.Popen(
+        [*command, "--seconds", "4", "--json"],
+        cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with bus:
+        for frame in itertools.cycle(list(LogFile(folder / "tesla_model_3.log").frames())):
+            message = can.Message(
+                arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
+            )
+            bus.send(message)
+            time.sleep(0.005)
+            if listening.poll() is not None:
+                break
+        printed, _ = listening.communicate(timeout=60)
+    assert listening.returncode == 0
+    found = json.loads(printed)
+    assert found["best"] == "tesla_model_3" and found["frames"] > 50
+    assert found["source"] == f"udp_multicast {GROUP}"
+
+
+def test_a_live_bus_without_a_frame(folder):
+    done = evpinn(
+        *("can", "inspect", "--interface", "virtual", "--channel", "x", "--seconds", 1.5),
+        cwd=folder,
+    )
+    assert done.returncode == 1 and "no frame came: silent" in done.stderr
+
+
+@pytest.mark.parametrize("command", [("convert",), ("replay", "--out")])
+def test_a_wrong_profile_is_refused_by_name(folder, command):
+    name, *out = command
+    arguments = (name, "tesla_model_3_2019.log", *out, "refused", "--can-profile", "tesla_model_3")
+    done = evpinn(*arguments, cwd=folder)
+    assert done.returncode == 1
+    (line,) = done.stderr.strip().splitlines()
+    assert "tesla_model_3_2019.log: profile 'tesla_model_3' contradicts the traffic" in line
+    assert "'tesla_model_3_2019' fits better; --trust-profile overrules this" in line
+    assert not (folder / "refused").exists() or name == "replay"
+
+
+def test_a_wrong_profile_can_be_insisted_on(folder):
+    done = evpinn(
+        *("convert", "tesla_model_3_2019.log", "trusted", "--can-profile", "tesla_model_3"),
+        "--trust-profile",
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "out_of_range" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("", "", None),
+        ("signal: Current", "signal: Curent", "no signal 'Curent'; nearest are Current"),
+        (", positive_means: charge", "", "'positive_means' is missing"),
+        ("dbc: nissan_leaf.dbc\n", "", "'dbc' is missing"),
+        ("counter: Counter", "counter: Speed", "'Speed' and 'Speed' overlap in 'WheelSpeed'"),
+    ],
+)
+def test_check_params_tells_what_is_wrong_with_a_profile(tmp_path, old, new, reason):
+    text = (CONFIG / "nissan_leaf.yaml").read_text()
+    (tmp_path / "my.yaml").write_text(text.replace(old, new, 1))
+    (tmp_path / "nissan_leaf.dbc").write_bytes((CONFIG / "nissan_leaf.dbc").read_bytes())
+    done = evpinn("check-params", "my.yaml", cwd=tmp_path)
+    if reason is None:
+        assert done.stdout.strip() == "my.yaml: a valid CAN profile"
+    else:
+        (line,) = done.stderr.strip().splitlines()
+        assert done.returncode == 1 and reason in line

@@ -1,0 +1,68 @@
+"""A control unit on a real bus, made with can-isotp alone."""
+
+from collections.abc import Callable, Iterator, Mapping
+import threading
+from typing import Any
+
+import can
+import isotp
+import pytest
+
+from evpinn_ros.can.request import Address
+
+Replies = Mapping[bytes, Callable[[], list[bytes]]]
+
+
+class SimulatedUnit:
+    """Answers each request with what its entry gives now; an empty list is silence.
+
+    Attributes:
+        asked: every request so far.
+    """
+
+    def __init__(self, bus: can.BusABC, address: Address, replies: Replies) -> None:
+        self.asked: list[bytes] = []
+        self._bus, self._replies = bus, replies
+        mode = isotp.AddressingMode
+        ids: dict[str, Any] = {"txid": address.rx_id, "rxid": address.tx_id}
+        if address.target is None:
+            kind = mode.Normal_29bits if address.extended else mode.Normal_11bits
+        else:
+            kind = mode.Extended_11bits
+            ids |= {"target_address": address.source, "source_address": address.target}
+        self._stack = isotp.CanStack(
+            bus, address=isotp.Address(kind, **ids), params={"tx_padding": 0xAA}
+        )
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._stack.start()
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join(5)
+        self._stack.stop()
+        self._bus.shutdown()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            request = self._stack.recv(block=True, timeout=0.02)
+            if request is None:
+                continue
+            self.asked.append(bytes(request))
+            for payload in self._replies.get(bytes(request), list)():
+                self._stack.send(payload)
+
+
+@pytest.fixture
+def simulated_unit() -> Iterator[Callable[..., SimulatedUnit]]:
+    """Makes control units and stops them in the end."""
+    units: list[SimulatedUnit] = []
+
+    def make(*arguments: Any) -> SimulatedUnit:
+        units.append(SimulatedUnit(*arguments))
+        return units[-1]
+
+    yield make
+    for unit in units:
+        unit.close()

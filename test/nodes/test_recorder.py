@@ -1,0 +1,96 @@
+"""A recording that is killed: what of the frames and topics is still there."""
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import time
+
+import can
+import pytest
+
+from evpinn_ros.bags.can_frames import open_can_log
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.nodes import topics
+from evpinn_ros.replay.sources import CanLogSource, open_source
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.vehicle.files import load_vehicle
+
+GROUP = "239.74.163.87"
+PERIOD = 0.002
+OTHER_ID = 0x700
+
+ALL_IN_ONE = """
+import json, sys
+from pathlib import Path
+from evpinn_ros.nodes.all_in_one import run
+parameters, record = sys.argv[1:]
+raise SystemExit(run(json.loads(parameters), record=Path(record)))
+"""
+
+
+def test_a_kill_costs_a_second_at_most(bench, tmp_path):
+    port = 20_000 + os.getpid() % 20_000
+    values = {
+        "vehicle": "tesla_model_3_lr",
+        "interface": "udp_multicast",
+        "channel": GROUP,
+        "bitrate": 0,
+        "bus_options": f"port={port} hop_limit=0",
+    }
+    try:
+        bus = can.Bus(GROUP, interface="udp_multicast", port=port, hop_limit=0)
+    except (OSError, can.CanError) as error:
+        pytest.skip(f"no multicast here: {error}")
+    folder = tmp_path / "bag"
+    command = [sys.executable, "-c", ALL_IN_ONE, json.dumps(values), str(folder)]
+    with bus, subprocess.Popen(command, cwd=share_directory()) as process:
+        try:
+            bench.listen(topics.SPEED)
+            sent = drive(bus, bench, seconds=3.3)
+        finally:
+            process.kill()
+            killed = time.time()
+    heard = bench.heard[topics.SPEED]
+    assert len(heard) > 1000
+
+    file = next(folder.glob("*.mcap"))
+    numbers = [
+        int.from_bytes(frame.data, "big")
+        for frame in open_can_log(file).frames()
+        if frame.can_id == OTHER_ID
+    ]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+    assert killed - sent[numbers[-1]] < 1.0
+    with BagReader(file) as bag:
+        stamps = [r.message.header.stamp for r in bag.records([topics.SPEED.under()])]
+    assert killed - (stamps[-1].sec + stamps[-1].nanosec / 1e9) < 1.0
+
+    again = open_source(file, load_vehicle("tesla_model_3_lr"), "tesla_model_3")
+    assert isinstance(again, CanLogSource)
+    assert len(list(again.readings())) >= len(stamps) - 1
+
+
+def drive(bus, bench, seconds):
+    """Send a speed and a numbered frame again and again; gives when each number was sent.
+
+    The seconds begin with the first speed that comes back.
+    """
+    encoder, sent, heard = Encoder(load_profile("tesla_model_3")), [], bench.heard[topics.SPEED]
+    begin, end = time.monotonic(), None
+    for number in itertools.count():
+        speed = encoder.speed(SpeedReading(0, number % 100 / 10))
+        for can_id, data in ((speed.can_id, speed.data), (OTHER_ID, number.to_bytes(8, "big"))):
+            bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        sent.append(time.time())
+        if end is None and heard:
+            end = sent[-1] + seconds
+        if end is not None and sent[-1] > end:
+            return sent
+        assert number < 60 / PERIOD, "no speed came back"
+        while (wait := begin + number * PERIOD - time.monotonic()) > 0:
+            bench.executor.spin_once(timeout_sec=wait)
