@@ -241,6 +241,7 @@ class LoadDetector:
         elif change / found.change < 0.5:
             self._found = self.change = None
             self.withdrawn += 1
+            self._chance.learn(found.significance * self._chance.scale)  # chance did that
         elif found.motion <= MOST_MOTION:
             self.change = self._load_change(found, change, std)
         elif unsettled:
