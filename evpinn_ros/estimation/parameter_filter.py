@@ -27,6 +27,7 @@ several times too small, so a sample counts dt / `CORRELATION_TIME`, whatever th
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
@@ -114,8 +115,7 @@ class ParameterFilter:
         """Let time pass up to a sample: every state relaxes towards its prior."""
         step = self._step(sample)
         self._last_ns = sample.stamp_ns
-        keep = np.exp(-step / self._time_constants)
-        keep[SLOPE] = math.exp(-abs(sample.speed) * step / SLOPE_LENGTH)
+        keep = self._keep(sample, step)
         self.mean = self._prior_mean + keep * (self.mean - self._prior_mean)
         self.covariance = self.covariance * np.outer(keep, keep)
         self.covariance[np.diag_indices(keep.size)] += (1 - keep**2) * self._prior_variance
@@ -186,9 +186,20 @@ class ParameterFilter:
         return self._vehicle.frontal_area
 
     @property
+    def air_density(self) -> float:
+        """Air density of the vehicle file, kg/m^3."""
+        return self._vehicle.air_density
+
+    @property
     def slope(self) -> float:
         """Unknown slope of the road now, rad."""
         return float(self.mean[SLOPE])
+
+    def apparent_slope(self, sample: Sample, power: float) -> float:
+        """Slope of the road, rad, that power, W, of a moving sample speaks of by itself."""
+        flat = replace(sample, grade=0.0)
+        expected, gradient = self._model(flat, 0.0)
+        return float((power - expected) / gradient[SLOPE])
 
     def residual_std(self, sample: Sample) -> float:
         """1-sigma of the residual at a sample, W."""
@@ -252,6 +263,12 @@ class ParameterFilter:
         if not NOISE_RANGE[0] <= noise_scale <= NOISE_RANGE[1]:
             raise ValueError("the saved noise is out of range")
         self.mean, self.covariance, self.noise_scale = mean, covariance, noise_scale
+
+    def _keep(self, sample: Sample, step: float) -> np.ndarray:
+        """Share of its distance from the prior that each state keeps over `step` seconds."""
+        keep = np.exp(-step / self._time_constants)
+        keep[SLOPE] = math.exp(-abs(sample.speed) * step / SLOPE_LENGTH)
+        return keep
 
     def _model(self, sample: Sample | Batch, slope: Any) -> tuple[Any, np.ndarray]:
         """Battery power, W, shape (...), and its gradient, shape (..., 8), at samples."""

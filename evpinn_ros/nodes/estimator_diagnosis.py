@@ -7,6 +7,7 @@ import math
 import statistics
 
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.nodes.diagnosis import (
     SILENT_AFTER,
@@ -74,6 +75,8 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
         return Level.WARN, report.state_problem
     if status.report.suspicion == CURRENT_SIGN:
         return Level.WARN, "accelerating charges the battery: is the sign of current wrong?"
+    if status.report.suspicion == GRADE_SIGN:
+        return Level.WARN, "climbing gives power back: is the sign of grade or pitch wrong?"
     if status.activity is Activity.PREDICTING:
         return Level.WARN, "predicting from speed alone: battery/state is silent"
     if status.activity is Activity.PAUSED:
