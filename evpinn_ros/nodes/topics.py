@@ -238,7 +238,8 @@ SPEED_PROFILE = Topic(
     TRAJECTORY_TYPE,
     "planner",
     False,
-    "joint `distance`: positions m, velocities m/s, `time_from_start`",
+    "joint `distance`: positions m, velocities m/s, `time_from_start`; optional joint "
+    "`elevation`: positions m, else the road is flat",
     "m, m/s",
 )
 FORECAST = Topic(
