@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN, GradeSuspicion
 from evpinn_ros.estimation.joint_step import JointProblem, joint_step
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.load_change import LoadDetector
@@ -69,6 +70,7 @@ class HybridLearner:
         self._last_ns: int | None = None
         self._payload = LoadDetector()
         self._suspicion = SignSuspicion()
+        self._grade_suspicion = GradeSuspicion()
         self._states = StateKeeper()
         self.gated: Counter[str] = Counter()
 
@@ -106,6 +108,7 @@ class HybridLearner:
             self.gated[CURRENT_SIGN] += 1
             return
         self.parameter_filter.update(sample, power, step)
+        self._grade_suspicion.push(self.parameter_filter, sample, power, step)
         left = self.power_filter.update(sample, power, step)
         self._judge(sample, left, step)
         residual_std = self.power_filter.residual_std(sample)
@@ -153,16 +156,22 @@ class HybridLearner:
         return self._states.judge(found, told.deviation()._asdict(), suspected=suspected)
 
     def report(self) -> LearnerReport:
-        """Changes of payload, a current of the wrong sign, and the lag of power."""
+        """Changes of payload, a current or grade of the wrong sign, and the lag of power."""
         lag, lag_std = self.power_filter.lag
         return LearnerReport(
             self._payload.change,
             self._payload.found,
             self._payload.withdrawn,
-            CURRENT_SIGN if self._suspicion.suspected else None,
+            self._suspected(),
             lag,
             lag_std,
         )
+
+    def _suspected(self) -> str | None:
+        """The signal whose sign the data contradict; without current nothing tells of grade."""
+        if self._suspicion.suspected:
+            return CURRENT_SIGN
+        return GRADE_SIGN if self._grade_suspicion.suspected else None
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time; on another road the network is unproven."""
@@ -180,6 +189,9 @@ class HybridLearner:
         return {
             "parameter_filter": self.parameter_filter.export(),
             "power_filter": self.power_filter.export(),
+            "payload": self._payload.export(),
+            "current_suspicion": self._suspicion.export(),
+            "grade_suspicion": self._grade_suspicion.export(),
             "network": self._network.vector().tolist(),
         }
 
@@ -192,6 +204,9 @@ class HybridLearner:
             raise ValueError("the saved network is not finite")
         self.parameter_filter.restore(state["parameter_filter"])
         self.power_filter.restore(state["power_filter"])
+        self._payload.restore(state["payload"], self._vehicle)
+        self._suspicion.restore(state["current_suspicion"])
+        self._grade_suspicion.restore(state["grade_suspicion"])
         self._network.load_vector(weights)
         self._merit = _unproven()
 

@@ -170,6 +170,7 @@ class LoadDetector:
             fork.restore(saved)
             trials.append((_Trial(**_finite(trial)), fork))
         self._chance, self.change, self._found, self._trials = chance, change, found, trials
+        self._standing = STOP  # the car may have stood since
 
     def _begin(self, current: PublishedFilter, sample: Sample) -> None:
         """The car sets off again after a stop."""
