@@ -43,8 +43,10 @@ class LogFile:
     Attributes:
         path: of the log.
         count: frames read so far.
-        skipped: what is not a data frame, by kind: `error_frame`, `remote_frame`, and
-            `impossible_frame`, one of a damaged log that no bus can carry.
+        skipped: frames not read, by kind: `error_frame`, `remote_frame`, `impossible_frame`, one
+            of a damaged log that no bus can carry, and `other_bus`. In a log of several buses
+            each id is read from the bus that showed it first: on another one it may mean
+            something else, and two streams of one id would make one of nonsense.
         problem: why reading stopped before the end, or the sign that the end is missing.
     """
 
@@ -58,6 +60,7 @@ class LogFile:
         self.count = 0
         self.skipped: Counter[str] = Counter()
         self.problem: str | None = None
+        self._buses: dict[tuple[int, bool], Any] = {}
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]
         self._suffix = "".join(suffixes[:-1][-1:] if self._gzipped else suffixes[-1:])
@@ -140,6 +143,8 @@ class LogFile:
                 self.skipped["remote_frame"] += 1
             elif not _is_possible(message):
                 self.skipped["impossible_frame"] += 1
+            elif not self._is_of_first_bus(message):
+                self.skipped["other_bus"] += 1
             else:
                 yield CanFrame(
                     nanoseconds(message.timestamp),
@@ -154,6 +159,10 @@ class LogFile:
             cut_off = not self._gzipped and reader.file_size > self.path.stat().st_size
         if cut_off:
             self.problem = f"{self.path}: cut off after {self.count} frames"
+
+    def _is_of_first_bus(self, message: Any) -> bool:
+        key = message.arbitration_id, message.is_extended_id
+        return bool(self._buses.setdefault(key, message.channel) == message.channel)
 
 
 def _is_possible(message: Any) -> bool:

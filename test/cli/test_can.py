@@ -114,6 +114,15 @@ def test_a_damaged_log_shows_what_it_holds_and_fails(folder):
     assert "Fits: tesla_model_3" in done.stdout and "cut.log: cut off" in done.stderr
 
 
+def test_frames_left_out_are_told(folder):
+    lines = (folder / "tesla_model_3.log").read_text().splitlines(keepends=True)
+    both = "".join(line + line.replace("can0", "can1") for line in lines)
+    (folder / "both.log").write_text(both)
+    done = evpinn("can", "inspect", "both.log", cwd=folder)
+    assert f"both.log: {len(lines)} frames left out: other_bus" in done.stderr
+    assert "Fits: tesla_model_3" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "text"),
     [
@@ -122,6 +131,8 @@ def test_a_damaged_log_shows_what_it_holds_and_fails(folder):
         (("nowhere.log",), 1, "nowhere.log: No such file"),
         (("--interface", "slcan", "--channel", "/dev/none"), 1, "is the adapter plugged in"),
         (("x.log", "--can-profile", "nope"), 1, "no CAN profile named 'nope'"),
+        (("--channel", "can0", "--seconds", "-2"), 2, "--seconds must be above 0"),
+        (("tesla_model_3.log", "--seconds", "nan"), 2, "--seconds must be above 0"),
     ],
 )
 def test_what_cannot_be_looked_at(folder, arguments, code, text):
