@@ -259,6 +259,28 @@ def test_stamps_of_the_epoch_are_believed(scripted):
     assert received[0].stamp_ns == 1549819403028902000
 
 
+def test_an_epoch_that_drifts_is_laid_on_the_clock(scripted):
+    # kvaser adds the time of the opening to a counter, here one that runs 100 ppm slow.
+    steps = range(3601)
+    scripted([message(1549819403 + step * (1 - 1e-4)) for step in steps])
+    clock = iter([1549819403 * 10**9 + step * 10**9 for step in steps])
+    received = []
+    reader = BusReader("kvaser", 0, received.append, lambda: next(clock))
+    with running(reader):
+        wait_for(lambda: len(received) == 3601)
+    assert abs(received[-1].stamp_ns - (1549819403 + 3600) * 10**9) < 2_000_000
+
+
+def test_frames_without_a_stamp_have_their_arrivals(scripted):
+    scripted([message(0.0)] * 3)
+    clock = iter([NOW, NOW + 10_000_000, NOW + 20_000_000])
+    received = []
+    reader = BusReader("virtual", "x", received.append, lambda: next(clock))
+    with running(reader):
+        wait_for(lambda: len(received) == 3)
+    assert [frame.stamp_ns - NOW for frame in received] == [0, 10_000_000, 20_000_000]
+
+
 def test_failing_callback_is_no_failing_bus(scripted):
     scripted([message(0.0), message(0.1)])
 
