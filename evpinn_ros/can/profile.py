@@ -22,7 +22,7 @@ from evpinn_ros.can.request import (
     refuse_overlaps,
     request_rules,
 )
-from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, signal_rule
+from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
 from evpinn_ros.yaml_section import Section, compose
@@ -225,7 +225,10 @@ def _message_rule(section: Section, quantity: str, database: DbcFile) -> Message
 def _signal_rule(section: Section, message: Any, quantity: str) -> SignalRule:
     signal = find_signal(section, "signal", message)
     refuse_other_unit(section, signal)
-    return signal_rule(section, signal.name, quantity, float(signal.scale), float(signal.offset))
+    scale, offset = float(signal.scale), float(signal.offset)
+    rule = signal_rule(section, signal.name, quantity, scale, offset)
+    refuse_impossible(section, rule, int(signal.length), bool(signal.is_signed))
+    return rule
 
 
 def _checksum(section: Section, message: Any) -> tuple[ChecksumRule | None, int]:
