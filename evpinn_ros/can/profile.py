@@ -99,6 +99,11 @@ def load_profile(name_or_path: str | Path) -> CanProfile:
         InputError: no such profile, or its files are wrong; the text has file, line and reason.
     """
     path = Path(name_or_path)
+    if path.suffix.lower() == ".dbc":
+        raise InputError(
+            f"{path}: a DBC file says neither sign nor range; write a profile (.yaml) that names "
+            "it, see docs/can.md"
+        )
     if path.suffix not in (".yaml", ".yml"):
         path = _profile_directory() / f"{name_or_path}.yaml"
         if not path.is_file():

@@ -40,6 +40,11 @@ def test_unknown_name_lists_the_known_ones():
         load_profile("tesla")
 
 
+def test_a_dbc_file_alone_is_no_profile():
+    with pytest.raises(InputError, match=r"my\.dbc: .*; write a profile \(\.yaml\) that names it"):
+        load_profile("my.dbc")
+
+
 def test_missing_file_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"nowhere.yaml: No such file or directory$"):
         load_profile(tmp_path / "nowhere.yaml")

@@ -4,9 +4,12 @@ import itertools
 import json
 import os
 from pathlib import Path
+import pty
+import signal
 import subprocess
 import sys
 import time
+import tty
 
 import can
 import pytest
@@ -175,6 +178,30 @@ def test_a_live_bus_without_a_frame(folder):
         cwd=folder,
     )
     assert done.returncode == 1 and "no frame came: silent" in done.stderr
+
+
+def heard_by_adapter(*options, cwd):
+    """What `evpinn run` tells a serial adapter before it reads."""
+    own, channel = pty.openpty()
+    tty.setraw(channel)
+    command = [sys.executable, "-m", "evpinn_ros", "run", "--vehicle", "nissan_leaf"]
+    bus = ["--can-interface", "slcan", "--can-channel", os.ttyname(channel)]
+    heard = b""
+    with subprocess.Popen([*command, *bus, *options], cwd=cwd, env=ENVIRONMENT) as process:
+        try:
+            while not heard.rstrip(b"\r").endswith((b"O", b"L")):
+                heard += os.read(own, 100)
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+            os.close(own)
+            os.close(channel)
+    return heard.replace(b"\r", b" ").split()[:3]
+
+
+def test_run_hands_options_to_the_adapter(folder):
+    options = ("--bitrate", "250000", "--bus-options", "listen_only=true sleep_after_open=0.05")
+    assert heard_by_adapter(*options, cwd=folder) == [b"C", b"S5", b"L"]
 
 
 @pytest.mark.parametrize("command", [("convert",), ("replay", "--out")])
