@@ -18,7 +18,7 @@ from typing import IO, Any
 import can
 from can.io import mf4
 
-from evpinn_ros.can.frame import CanFrame, nanoseconds
+from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.errors import InputError
 
 _READERS: dict[str, Callable[..., Any]] = {
@@ -44,9 +44,7 @@ class LogFile:
         path: of the log.
         count: frames read so far.
         skipped: frames not read, by kind: `error_frame`, `remote_frame`, `impossible_frame`, one
-            of a damaged log that no bus can carry, and `other_bus`. In a log of several buses
-            each id is read from the bus that showed it first: on another one it may mean
-            something else, and two streams of one id would make one of nonsense.
+            of a damaged log that no bus can carry, and `other_bus` (see `FirstBus`).
         problem: why reading stopped before the end, or the sign that the end is missing.
     """
 
@@ -60,7 +58,7 @@ class LogFile:
         self.count = 0
         self.skipped: Counter[str] = Counter()
         self.problem: str | None = None
-        self._buses: dict[tuple[int, bool], Any] = {}
+        self._first_bus = FirstBus()
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]
         self._suffix = "".join(suffixes[:-1][-1:] if self._gzipped else suffixes[-1:])
@@ -143,7 +141,9 @@ class LogFile:
                 self.skipped["remote_frame"] += 1
             elif not _is_possible(message):
                 self.skipped["impossible_frame"] += 1
-            elif not self._is_of_first_bus(message):
+            elif not self._first_bus.takes(
+                message.arbitration_id, message.is_extended_id, message.channel
+            ):
                 self.skipped["other_bus"] += 1
             else:
                 yield CanFrame(
@@ -159,10 +159,6 @@ class LogFile:
             cut_off = not self._gzipped and reader.file_size > self.path.stat().st_size
         if cut_off:
             self.problem = f"{self.path}: cut off after {self.count} frames"
-
-    def _is_of_first_bus(self, message: Any) -> bool:
-        key = message.arbitration_id, message.is_extended_id
-        return bool(self._buses.setdefault(key, message.channel) == message.channel)
 
 
 def _is_possible(message: Any) -> bool:
