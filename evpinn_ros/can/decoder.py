@@ -62,8 +62,9 @@ class Decoder:
         }
         for quantity, maker in makers.items():
             if quantity in profile.messages:
-                reader = _Reader(quantity, profile.messages[quantity], maker)
-                self._readers.setdefault(reader.key, []).append(reader)
+                rule = profile.messages[quantity]
+                reader = _Reader(quantity, rule, maker)
+                self._readers.setdefault(rule.key, []).append(reader)
 
     def push(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings in a frame, none when it is of another id or may not be used."""
@@ -111,7 +112,6 @@ class _Reader:
 
     def __init__(self, quantity: str, rule: MessageRule, make: _Maker) -> None:
         self.quantity, self.rule, self.make = quantity, rule, make
-        self.key = (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
         counter = () if rule.counter is None else (rule.counter,)
         self._raw = unpacker(rule.message, {*(signal.name for signal in rule.signals), *counter})
         self._counter: int | None = None

@@ -51,6 +51,11 @@ class MessageRule:
     checksum_byte: int
     counter: str | None
 
+    @property
+    def key(self) -> tuple[int, bool]:
+        """The id of the message, and whether it has 29 bits."""
+        return int(self.message.frame_id), bool(self.message.is_extended_frame)
+
 
 @dataclass(frozen=True, slots=True)
 class CanProfile:

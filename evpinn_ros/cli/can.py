@@ -121,7 +121,10 @@ def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
     reader.stop()
     thread.join(LONGEST_STOP)
     if not status.counters.get("frames"):
-        raise InputError(f"no frame came: {status.problem or status.state.value}")
+        silent = (
+            f"{status.state.value}; many cars say nothing at the plug until asked (docs/can.md)"
+        )
+        raise InputError(f"no frame came: {status.problem or silent}")
     return end_ns, status.problem
 
 

@@ -60,7 +60,7 @@ class CanBridgeNode(GuardedNode):
         self._seen: dict[str, str] = {}  # text of each status at the last look
         self._said: dict[str, str] = {}
         self.every(REPORT_PERIOD, self._say_changes)
-        self._threads = [self._start(self._source.run, "can")]
+        self._threads = [self._start(self.guarded(self._read, "source"), "can")]
         if self._bridge.poller is not None and self.values["poll"]:
             self._threads.append(self._start(self._bridge.poller.run, "can poll"))
 
@@ -151,6 +151,15 @@ class CanBridgeNode(GuardedNode):
             logger.warning(status.text)
         else:
             logger.info(status.text)
+
+    def _read(self) -> None:
+        """Read the source until it ends; a log that is shorter than a judgement is judged then."""
+        self._source.run()
+        if isinstance(self._source, LogPlayer):
+            with self._lock:
+                readings = self._bridge.finish()
+            for reading in readings:
+                self.publish(_messages(reading))
 
     def _send(self, frame: CanFrame) -> bool:
         return isinstance(self._source, BusReader) and self._source.send(frame)

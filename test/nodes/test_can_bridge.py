@@ -10,6 +10,7 @@ from rcl_interfaces.msg import Log
 
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
@@ -102,6 +103,15 @@ def test_a_profile_that_contradicts_the_bus_publishes_nothing(bench, bus, said):
     assert int(values["dropped.undecided"]) > 0
     assert not node.published[topics.BATTERY] and not node.published[topics.SPEED]
     assert len([line for line in said if "contradicts" in line]) == 1
+
+
+def test_a_log_too_short_to_judge_is_published_at_its_end(bench, tmp_path):
+    frames = [CanFrame(i * 10**7, 0x3E9, bytes((8, i, *bytes(6)))) for i in range(20)]
+    write_log(tmp_path / "short.log", frames)
+    log = {"log_file": str(tmp_path / "short.log"), "log_rate": 0.0}
+    bench.start(CanBridgeNode, can_profile="chevrolet_bolt", **log)
+    bench.listen(topics.SPEED)
+    bench.pump(lambda: len(bench.heard[topics.SPEED]) == 20)
 
 
 def test_a_profile_that_is_trusted_is_not_judged(bench, bus):
