@@ -133,7 +133,7 @@ class Poller:
         if self._gate is None:
             text = (
                 f"profile {self._profile.key} asks the car; "
-                "set poll:=true to allow it to send read requests"
+                "poll:=true (evpinn run --poll) lets it send read requests"
             )
         elif self.contradicted:
             text = "stopped: the traffic contradicts the profile"

@@ -9,7 +9,7 @@ import threading
 from typing import Any
 
 from evpinn_ros.can.bridge import BridgeStatus, CanBridge
-from evpinn_ros.can.bus import BusReader
+from evpinn_ros.can.bus import BusReader, BusState
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
@@ -58,7 +58,7 @@ class CanBridgeNode(GuardedNode):
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
         self._seen: dict[str, str] = {}  # text of each status at the last look
-        self._said: dict[str, str] = {}
+        self._said = {"bus": BusState.CLOSED.value}  # how it begins is no news
         self.every(REPORT_PERIOD, self._say_changes)
         self._threads = [self._start(self.guarded(self._read, "source"), "can")]
         if self._bridge.poller is not None and self.values["poll"]:

@@ -149,7 +149,8 @@ def test_without_leave_nothing_is_ever_sent(channel, unit):
         status = car.bridge.poller.status()
     assert not any(unit.asked for unit in units)
     assert not status.ok and status.text == (
-        "profile hyundai_kia asks the car; set poll:=true to allow it to send read requests"
+        "profile hyundai_kia asks the car; poll:=true (evpinn run --poll) lets it send "
+        "read requests"
     )
 
 

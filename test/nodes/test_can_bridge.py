@@ -2,7 +2,10 @@
 
 from collections.abc import Iterator
 import itertools
+import os
+import pty
 import time
+import tty
 
 import can
 import pytest
@@ -84,6 +87,17 @@ def test_a_silent_bus_is_said_once(bench, bus, said):
     assert bench.diagnosis(node)["bus"][1].startswith("silent")
     drive(bench, bus, model_3(), lambda: len(said) > 2)
     assert said[2:] == ["receiving"]
+
+
+def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
+    own, channel = pty.openpty()
+    tty.setraw(channel)
+    options = {"interface": "slcan", "channel": os.ttyname(channel)}
+    bench.start(CanBridgeNode, **options, bus_options="sleep_after_open=3.0")
+    bench.pump(lambda: said)
+    os.close(own)
+    os.close(channel)
+    assert said == ["silent: the car sleeps or this is another bus"]
 
 
 def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
