@@ -114,6 +114,12 @@ class _Reader:
         self.quantity, self.rule, self.make = quantity, rule, make
         counter = () if rule.counter is None else (rule.counter,)
         self._raw = unpacker(rule.message, {*(signal.name for signal in rule.signals), *counter})
+        signals = [rule.message.get_signal_by_name(signal.name) for signal in rule.signals]
+        self._pages = [
+            (str(signal.multiplexer_signal), frozenset(signal.multiplexer_ids))
+            for signal in signals
+            if signal.multiplexer_ids
+        ]
         self._counter: int | None = None
         self._repeated = 0
 
@@ -127,7 +133,7 @@ class _Reader:
         self._check_checksum(frame)
         self._check_counter(raw)
         if any(signal.name not in raw for signal in self.rule.signals):
-            if len(frame.data) < self.rule.message.length:
+            if len(frame.data) < self.rule.message.length and not self._is_other_page(raw):
                 raise _DroppedError("short_frame")
             return []
         return [_value(signal, raw[signal.name]) for signal in self.rule.signals]
@@ -142,6 +148,9 @@ class _Reader:
             # file can fail in other ways, and a frame must never stop the bridge.
             paged = self.rule.message.is_multiplexed()
             raise _DroppedError("unknown_multiplexer" if paged else "undecodable") from None
+
+    def _is_other_page(self, raw: dict[str, int]) -> bool:
+        return any(page in raw and raw[page] not in pages for page, pages in self._pages)
 
     def _check_checksum(self, frame: CanFrame) -> None:
         checksum, position = self.rule.checksum, self.rule.checksum_byte

@@ -226,6 +226,15 @@ def test_a_wrong_profile_can_be_insisted_on(folder):
     assert "out_of_range" in done.stderr
 
 
+def test_check_params_checks_the_profile_of_a_vehicle_file_too(tmp_path):
+    text = (CONFIG.parent / "vehicles" / "nissan_leaf.yaml").read_text()
+    assert "can_profile: nissan_leaf" in text
+    own = text.replace("can_profile: nissan_leaf", "can_profile: nowhere.yaml")
+    (tmp_path / "car.yaml").write_text(own)
+    done = evpinn("check-params", tmp_path / "car.yaml", cwd=CONFIG)
+    assert done.returncode == 1 and f"{tmp_path / 'nowhere.yaml'}: No such file" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
