@@ -21,8 +21,9 @@ from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_statu
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
-from evpinn_ros.nodes.messages import Level, reading_message, scalar
+from evpinn_ros.nodes.messages import Level, scalar
 from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.topics import Topic

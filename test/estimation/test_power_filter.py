@@ -17,8 +17,9 @@ from evpinn_ros.estimation.power_filter import (
 )
 from evpinn_ros.estimation.window import Observation, batch
 from evpinn_ros.signals.kinematics import COURSE
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.sample import Sample
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.signals.sample import MeasuredSample, Sample
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.parameters import Parameters
 
 TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
@@ -187,3 +188,23 @@ def test_a_round_trip_is_exact_and_what_does_not_fit_is_refused(vehicle, synthet
         with pytest.raises(ValueError, match="saved"):
             fresh.restore({**saved, **wrong})
         assert fresh.export() == before
+
+
+def test_the_lag_between_speed_and_power_is_estimated(vehicle, drive):
+    """The same drive told twice, the battery 0.2 s later in the second."""
+    lags = []
+    for late_ns in (0, NANOSECONDS // 5):
+        found = PowerFilter(vehicle)
+        stream = SampleStream(StreamSettings(), vehicle.air_density)
+        for reading in drive(3, 200.0).readings:
+            if isinstance(reading, BatteryReading):
+                reading = replace(reading, stamp_ns=reading.stamp_ns + late_ns)
+            for event in stream.push(reading):
+                if isinstance(event, MeasuredSample):
+                    found.advance(event.sample)
+                    found.update(event.sample, event.power, 0.1)
+        lag, lag_std = found.lag
+        lags.append(lag)
+        assert 0.0 < lag_std < 0.05
+    assert abs(lags[0]) < 0.1
+    assert lags[1] - lags[0] == pytest.approx(0.2, abs=0.05)
