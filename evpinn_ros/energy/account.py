@@ -165,10 +165,10 @@ class EnergyAccount:
             silence, before = self._awaits_charge
             self._awaits_charge = None
             self._reconcile(silence, self.gauge.energy_between(before, charge))
-        if not self.meter.silent_at(stamp_ns):
+        lifetime, silent = self.lifetime(), self.meter.silent_at(stamp_ns)
+        if not silent:
             self._charge_before = charge
-        lifetime = self.lifetime()
-        self.gauge.push(stamp_ns, charge, lifetime.net, lifetime.unmeasured_s)
+        self.gauge.push(stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s)
 
     def _see(self, stamp_ns: int) -> None:
         self._newest_ns = max(self._newest_ns, stamp_ns)

@@ -48,14 +48,14 @@ class _Heard(NamedTuple):
         charge: 0..1.
         consumed: net energy, J, measured or predicted.
         variance: of `consumed`, J^2.
-        unmeasured_s: time so far that the battery was not measured, s.
+        unmeasured_s: time so far that the battery was not measured, s; None in such a time.
     """
 
     stamp_ns: int
     charge: float
     consumed: float
     variance: float
-    unmeasured_s: float
+    unmeasured_s: float | None
 
 
 class ChargeGauge:
@@ -88,14 +88,16 @@ class ChargeGauge:
         """1-sigma of one reading, 0..1, from the size of its steps."""
         return self._step / math.sqrt(12.0)
 
-    def push(self, stamp_ns: int, charge: float, consumed: Uncertain, unmeasured_s: float) -> None:
+    def push(
+        self, stamp_ns: int, charge: float, consumed: Uncertain, unmeasured_s: float | None
+    ) -> None:
         """Take a state of charge; one that is not within 0..1 says nothing.
 
         Args:
             stamp_ns: of the reading.
             charge: 0..1.
             consumed: net energy since whenever, J.
-            unmeasured_s: time so far that this energy was not measured, s.
+            unmeasured_s: time so far that this energy was not measured, s; None while it is not.
         """
         if not 0.0 <= charge <= 1.0:
             return
@@ -103,10 +105,11 @@ class ChargeGauge:
         if self._last is not None:
             self._see_step(abs(charge - self._last.charge))
         self._last = heard
-        if self._anchor is None or self._anchor.unmeasured_s != unmeasured_s:
+        anchor = self._anchor
+        if anchor is None or unmeasured_s is None or anchor.unmeasured_s != unmeasured_s:
             self._anchor = heard
         else:
-            self._learn(self._anchor, heard)
+            self._learn(anchor, heard)
 
     def _see_step(self, step: float) -> None:
         if step < SMALLEST_STEP or step > LARGEST_STEP:
