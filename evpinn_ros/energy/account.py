@@ -61,7 +61,7 @@ class AccountSummary:
     """The account at one moment.
 
     Attributes:
-        stamp_ns: newest stamp of all that was pushed.
+        stamp_ns: newest stamp of power.
         since_reset: what was counted since the last reset.
         lifetime: what was counted since ever.
         consumption: energy per distance, J/m, by `1`, `10`, `100` (the last so many km), `trip`
@@ -153,12 +153,10 @@ class EnergyAccount:
 
     def push_speed(self, stamp_ns: int, speed: float) -> None:
         """Take a speed, m/s."""
-        self._see(stamp_ns)
         self.trip.push(stamp_ns, speed, self.meter.state.consumed)
 
     def push_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
-        self._see(stamp_ns)
         if not 0.0 <= charge <= 1.0:
             return
         if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:

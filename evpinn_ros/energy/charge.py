@@ -19,10 +19,11 @@ CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # of silence, after which a state of charg
 LEAST_CHANGE = 0.1  # of the state of charge, that says something of capacity
 LEAST_STEPS = 10  # of its rounding, in that change
 FIRST_STEP = 0.01  # of the readings, before one was seen
-SMALLEST_STEP, LARGEST_STEP = 1e-4, 0.05
+SMALLEST_STEP, LARGEST_STEP = 0.005, 0.05  # finer ones are drawn between readings
 CAPACITY_PRIOR = 0.2  # relative 1-sigma of the vehicle file: usable or gross, new or aged
 CAPACITY_SPREAD = 0.05  # relative 1-sigma of one reading beside rounding; see docs/benchmarks.md
 CAPACITY_LIMITS = (1e6, 5e9)  # J
+OUTLIER = 3.0  # sigma
 
 
 class Uncertain(NamedTuple):
@@ -112,8 +113,9 @@ class ChargeGauge:
             self._learn(anchor, heard)
 
     def _see_step(self, step: float) -> None:
-        if step < SMALLEST_STEP or step > LARGEST_STEP:
+        if not 0.0 < step <= LARGEST_STEP:
             return
+        step = max(step, SMALLEST_STEP)
         self._step = min(self._step, step) if self._step_seen else step
         self._step_seen = True
 
@@ -130,12 +132,17 @@ class ChargeGauge:
         self.learned += 1
 
     def _average(self, found: Uncertain) -> None:
-        """Weigh by variance, and never be surer than one reading's spread over four."""
+        """Weigh by variance, and never be surer than one reading's spread over four.
+
+        What lies far off is as unsure as that: a winter trip of the i3 says 29 kWh, others 23.
+        """
         if not self.capacity.known:
             self.capacity = found
             return
-        gain = self.capacity.sigma**2 / (self.capacity.sigma**2 + found.sigma**2)
-        value = self.capacity.value + gain * (found.value - self.capacity.value)
+        difference = found.value - self.capacity.value
+        variance = max(found.sigma, abs(difference) / OUTLIER) ** 2
+        gain = self.capacity.sigma**2 / (self.capacity.sigma**2 + variance)
+        value = self.capacity.value + gain * difference
         sigma = max(self.capacity.sigma * math.sqrt(1 - gain), CAPACITY_SPREAD * value / 4)
         self.capacity = Uncertain(value, sigma)
 

@@ -23,8 +23,8 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import energy_sigma
 
-MEMORY = 50e3  # m, an assumption: about a trip
-FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.2, 5  # relative 1-sigma of pieces, and what it weighs
+MEMORY = 30e3  # m; twelve BMW i3 trips do not tell it well: docs/benchmarks.md
+FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
 QUANTILE = 1.6449  # of 90 %
@@ -60,7 +60,7 @@ class Cost(NamedTuple):
 def cost_spread(pieces: Sequence[Stretch]) -> float:
     """Relative 1-sigma of the cost of pieces of road around their mean.
 
-    What was seen is averaged with a prior of 20 % that weighs as five pieces.
+    What was seen is averaged with a prior of 25 % that weighs as five pieces.
     """
     variance = FIRST_SPREAD_PIECES * FIRST_SPREAD**2
     mean = sum(piece.energy for piece in pieces) / max(sum(p.distance for p in pieces), 1.0)

@@ -138,6 +138,12 @@ class TripLog:
         self._energy = CompensatedSum()
         self._begin(EnergyIntegral(self._max_gap))
 
+    def begin_anew(self) -> None:
+        """Join nothing to the speed before: time jumped."""
+        before, speed = self._speed.exported(), EnergyIntegral(self._max_gap)
+        speed.restore(before)
+        self._begin(speed)
+
     def exported(self) -> dict[str, Any]:
         """Everything `restore` needs."""
         return {

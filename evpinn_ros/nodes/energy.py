@@ -64,6 +64,7 @@ class EnergyNode(GuardedNode):
         self._keeper = StateKeeper(Path(path).expanduser() if path else None, self.account)
         self._load()
         self._guard = StampGuard(topics.POWER_SMOOTHED)
+        self._speed_guard = StampGuard(topics.SPEED)
         self._answered = self._refused = 0
         self._plan_problem: str | None = None
         self.advertise(*PUBLISHES)
@@ -77,7 +78,7 @@ class EnergyNode(GuardedNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
-        self.on_clock_going_back(self._guard.clock_went_back)
+        self.on_clock_going_back(self._on_clock_going_back)
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
@@ -87,7 +88,7 @@ class EnergyNode(GuardedNode):
             reconciled=self.account.reconciled,
             learned_capacity=self.account.gauge.learned,
             file_problem=self._keeper.problem,
-            health=self.health(self._guard.dropped),
+            health=self.health(self._guard.dropped + self._speed_guard.dropped),
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
             state_of_charge=self.forecaster.state_of_charge,
@@ -117,31 +118,31 @@ class EnergyNode(GuardedNode):
         if "power" not in vector.values:
             raise BadMessage("no_power")
         power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
-        push = self._push_measured if topic is topics.POWER_MEASURED else self._push_predicted
-        self._in_order(topic, vector.stamp_ns, partial(push, vector.stamp_ns, power, sigma))
-
-    def _in_order(self, topic: Topic, stamp_ns: int, push: Callable[[], None]) -> None:
-        """Push now, later or never, as the stamp's place among the others says."""
+        item = topic, vector.stamp_ns, power, sigma
         if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
-            push()
+            self._push(*item)
             return
         threshold = self.values["time_jump_threshold"]
-        for passed in self._guard.push(topic, stamp_ns, push, threshold):
+        for passed in self._guard.push(topic, vector.stamp_ns, item, threshold):
             if isinstance(passed, Jump):
                 self._on_jump(passed)
             else:
-                passed()
+                self._push(*passed)
 
-    def _push_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
-        self.account.push_measured(stamp_ns, power, sigma)
-
-    def _push_predicted(self, stamp_ns: int, power: float, sigma: float) -> None:
+    def _push(self, topic: Topic, stamp_ns: int, power: float, sigma: float) -> None:
+        if topic is topics.POWER_MEASURED:
+            self.account.push_measured(stamp_ns, power, sigma)
+            return
         self.account.push_predicted(stamp_ns, power, sigma)
         self.forecaster.hear_sigma(sigma)
         self.publish(energy_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
             self.publish(summary_messages(new_message, summary))
+
+    def _on_clock_going_back(self) -> None:
+        self._guard.clock_went_back()
+        self._speed_guard.clock_went_back()
 
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]
@@ -162,14 +163,18 @@ class EnergyNode(GuardedNode):
         self.forecaster.hear_identifiable(values, sigmas)
 
     def _on_speed(self, message: Any) -> None:
+        """Speed has a guard of its own: in a fast replay it is seconds ahead of power."""
         reading = speed_reading(message)
-        push = partial(self.account.push_speed, reading.stamp_ns, reading.speed)
-        self._in_order(topics.SPEED, reading.stamp_ns, push)
+        threshold = self.values["time_jump_threshold"]
+        for passed in self._speed_guard.push(topics.SPEED, reading.stamp_ns, reading, threshold):
+            if isinstance(passed, Jump):
+                self.account.trip.begin_anew()
+            else:
+                self.account.push_speed(passed.stamp_ns, passed.speed)
 
     def _on_battery(self, message: Any) -> None:
         reading = battery_reading(message)
-        push = partial(self.account.push_charge, reading.stamp_ns, reading.state_of_charge)
-        self._in_order(topics.BATTERY, reading.stamp_ns, push)
+        self.account.push_charge(reading.stamp_ns, reading.state_of_charge)
 
     def _on_path(self, message: Any) -> None:
         self._answer(message, lambda: path_plan(message, self.values["nominal_speed"]))

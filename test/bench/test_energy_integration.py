@@ -1,3 +1,4 @@
+from pathlib import Path
 import time
 
 import pytest
@@ -6,6 +7,7 @@ from evpinn_ros.bench import energy_integration
 from evpinn_ros.bench.energy_integration import integration_rows
 from evpinn_ros.bench.logs import find_logs
 
+URBAN = Path(__file__).parents[2] / "bags" / "urban"
 ROWS_OF_ANY_CAR = {"drift in 24 h at 10 Hz", "quadrature of 10 Hz against 100 Hz, worst drive"}
 
 
@@ -20,7 +22,7 @@ def test_a_bundled_drive_gives_every_figure_of_a_car(monkeypatch):
     monkeypatch.setattr(energy_integration, "DAY", 60)
     monkeypatch.setattr(energy_integration, "STRIDE", 100.0)
     monkeypatch.setattr(energy_integration, "SILENCE", 60.0)
-    logs = find_logs("bags/urban", "tesla_model_3_lr")
+    logs = find_logs(str(URBAN), "tesla_model_3_lr")
     rows = {row.name: row for row in integration_rows([logs], time.thread_time)}
     silent = "tesla_model_3_lr, battery silent for 60 s"
     assert rows[f"{silent}: median"].cases >= 2

@@ -167,6 +167,26 @@ def test_planners_hear_consumption_and_range_only_when_known(bench):
     assert status[1] == "state of charge heard" and status[2]["projected"] == "False"
 
 
+def test_a_wrong_stamp_of_speed_costs_no_distance(bench):
+    node = bench.start(EnergyNode)
+    drive(bench, node, range(20))
+    wrong = SpeedReading((START + 86_400) * NANOSECONDS, SPEED)
+    bench.deliver(node, topics.SPEED, speed_message(new_message, wrong))
+    drive(bench, node, range(20, 41))
+    assert node.account.since_reset().distance == pytest.approx(40 * SPEED)
+
+
+def test_a_bag_that_starts_over_is_counted_on(bench):
+    node = bench.start(EnergyNode, time_jump_policy="hold")
+    for _ in range(2):
+        drive(bench, node, range(30))
+    totals = node.account.since_reset()
+    # The second stamp after the jump confirms it; what was held is counted then.
+    assert totals.net.value == pytest.approx(2 * 29 * POWER)
+    # Speed jumps before power does, and at the jump of power distance joins nothing once more.
+    assert totals.distance == pytest.approx((2 * 29 - 1) * SPEED)
+
+
 def test_a_silence_and_what_became_of_it_is_in_the_diagnostics(bench):
     node = bench.start(EnergyNode)
     drive(bench, node, range(30))
