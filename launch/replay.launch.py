@@ -16,14 +16,21 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from evpinn_ros.nodes.topics import INPUTS, NAMESPACE, POWER_MEASURED, POWER_SMOOTHED
+from evpinn_ros.nodes.topics import (
+    BATTERY,
+    INPUTS,
+    NAMESPACE,
+    POWER_MEASURED,
+    POWER_SMOOTHED,
+    SPEED,
+)
 from evpinn_ros.share import share_directory
 from launch import LaunchDescription
 
 CLOCK_RATE = "100"  # Hz
 DELAY = "3"  # s for the nodes to load and to be discovered; the bag's first messages matter
 QUEUE = 1000  # messages of each stream that may wait, so that a fast replay loses none
-QUEUED = {"estimator": INPUTS, "energy": (POWER_MEASURED, POWER_SMOOTHED)}
+QUEUED = {"estimator": INPUTS, "energy": (SPEED, BATTERY, POWER_MEASURED, POWER_SMOOTHED)}
 ARGUMENTS = {
     "vehicle": ("", "Vehicle by name or path; empty: as in params_file."),
     "params_file": (str(share_directory() / "config" / "evpinn.param.yaml"), "Parameters."),

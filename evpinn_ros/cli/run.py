@@ -74,6 +74,7 @@ def run(
         "poll": poll or None,
         "mode": mode.value if mode is not None else None,
         "state_file": str(state) if state is not None else None,
+        "energy_file": str(state.with_suffix(".energy.json")) if state is not None else None,
     }
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []

@@ -1,7 +1,8 @@
 """What was consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
 The measured integral stays where it is while the battery is silent; the predicted ones go on
-from speed alone.
+from speed alone, and bridge the silence. When speed is silent as well, nothing is known of what
+was taken: that time is counted, and no line is drawn across it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from typing import Any, NamedTuple
 
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
-from evpinn_ros.energy.uncertainty import CORRELATION_TIME, CorrelatedError
+from evpinn_ros.energy.saved import number, numbers, or_none, section
+from evpinn_ros.energy.silence import Bridge, Silence, Silences
+from evpinn_ros.energy.uncertainty import CORRELATION_TIME, CorrelatedError, LastingShare
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -33,15 +36,18 @@ class EnergyState:
     Attributes:
         stamp_ns: newest stamp pushed, 0 before the first.
         measured: integral of measured power, sigma from the sensor's; power NaN while silent.
-        predicted: quadrature of predicted power; for sigma see `energy.uncertainty`.
+        predicted: quadrature of predicted power; for sigma see `energy.uncertainty`. The part of
+            it that lasts is counted for the time the battery was silent.
         rknn: the Runge-Kutta network on the same power; its power is the last step's mean.
         regenerated: as positive J and W; of measured power, and of predicted power for the time
             the battery was silent. Its sigma is that of the net energy it is a part of.
         consumed: net energy by the same rule, J: measured where possible, predicted elsewhere.
             Where they join, one sample may count twice or not at all.
+        consumed_sigma: its 1-sigma, J.
         gaps: steps too long to integrate, of measured and predicted power together.
         dropped: samples dropped (out of order or not finite), of both together.
         unmeasured_s: time since reset without measured power, s.
+        unknown_s: the part of it without predicted power either, s: energy that nobody counted.
         measuring: False while the state is `predicting`.
     """
 
@@ -51,9 +57,11 @@ class EnergyState:
     rknn: Flow
     regenerated: Flow
     consumed: float
+    consumed_sigma: float
     gaps: int
     dropped: int
     unmeasured_s: float
+    unknown_s: float
     measuring: bool
 
 
@@ -62,6 +70,10 @@ class EnergyMeter:
 
     Time that goes back is dropped and counted sample by sample; whoever knows that a bag started
     over calls `reset`.
+
+    Attributes:
+        lasting: how much of a silence's energy stays wrong.
+        last_silence: the last silence that ended, None before.
     """
 
     def __init__(
@@ -99,12 +111,15 @@ class EnergyMeter:
         self._rknn, self._rknn_power = CompensatedSum(), math.nan
         self._measured_error = CorrelatedError(self._tau)
         self._predicted_error = CorrelatedError(self._tau)
-        self._begin(bridged=(0.0, 0.0), unmeasured_s=0.0)
+        self.lasting = LastingShare()
+        self._begin(Silences())
 
-    def _begin(self, bridged: tuple[float, float], unmeasured_s: float) -> None:
+    def _begin(self, silences: Silences) -> None:
         self._newest_ns = 0
         self._silent_since_ns: int | None = None
-        self._bridged, self._unmeasured_s = bridged, unmeasured_s
+        self.last_silence: Silence | None = None
+        self._silences = silences  # those that ended
+        self._silence_error = CorrelatedError(self._tau)
         self._anchor = self._predicted_parts()
 
     def push_predicted(self, stamp_ns: int, power: float, sigma: float) -> None:
@@ -119,6 +134,7 @@ class EnergyMeter:
         self._rknn.add(energy)
         self._rknn_power = energy / step.dt
         self._predicted_error.push(sigma, step.dt)
+        self._silence_error.push(sigma, step.dt)
 
     def push_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
@@ -128,56 +144,77 @@ class EnergyMeter:
         if self._measured.dropped > dropped:
             return
         if step is None:
-            self._bridged = self._bridged_until_now()
-            self._unmeasured_s += self._silence(stamp_ns)
+            self._end_silence(stamp_ns)
         else:
             self._measured_error.push(sigma, step.dt)
         self._silent_since_ns = stamp_ns
+        self._silence_error = CorrelatedError(self._tau)
         self._anchor = self._predicted_parts()
+
+    def _end_silence(self, stamp_ns: int) -> None:
+        ended = self._silence_until(stamp_ns)
+        self._silences = self._silences.after(ended)
+        if ended.duration > self._timeout:
+            self.last_silence = ended
+
+    def _silence_until(self, stamp_ns: int) -> Silence:
+        """The silence since the last word of the battery, as if it ended at this stamp."""
+        bridge = self._predicted_parts().less(self._anchor)
+        short = self._silence_error.sigma
+        sigma = math.hypot(short, self.lasting.value * bridge.gross)
+        return Silence(stamp_ns, self._silence(stamp_ns), bridge, short, sigma)
+
+    def silent_at(self, stamp_ns: int) -> bool:
+        """Whether the battery has said nothing within its timeout before this stamp."""
+        heard = self._measured.last_stamp_ns is not None
+        return not heard or self._silence(stamp_ns) > self._timeout
 
     @property
     def measuring(self) -> bool:
         """Whether the battery has been heard within its timeout."""
-        heard = self._measured.last_stamp_ns is not None
-        return heard and self._silence(self._newest_ns) <= self._timeout
+        return not self.silent_at(self._newest_ns)
 
     @property
     def state(self) -> EnergyState:
         """The state now."""
-        measuring = self.measuring
+        measuring, now = self.measuring, self._until_now()
         measured_power = self._measured.last_power if measuring else math.nan
         power = measured_power if measuring else self._predicted.last_power
-        energy, regenerated = self._bridged if measuring else self._bridged_until_now()
-        sigma = self._predicted_error.sigma
+        consumed_sigma = math.hypot(self._measured_error.sigma, math.sqrt(now.variance))
+        sigma = math.hypot(self._predicted_error.sigma, math.sqrt(now.lasting_variance))
         return EnergyState(
             stamp_ns=self._newest_ns,
             measured=Flow(self._measured.energy, measured_power, self._measured_error.sigma),
             predicted=Flow(self._predicted.energy, self._predicted.last_power, sigma),
             rknn=Flow(self._rknn.value, self._rknn_power, sigma),
             regenerated=Flow(
-                self._measured.regenerated + regenerated,
+                self._measured.regenerated + now.bridged.regenerated,
                 power if math.isnan(power) else max(-power, 0.0),
-                self._measured_error.sigma if measuring else sigma,
+                consumed_sigma,
             ),
-            consumed=self._measured.energy + energy,
+            consumed=self._measured.energy + now.bridged.energy,
+            consumed_sigma=consumed_sigma,
             gaps=self._measured.gaps + self._predicted.gaps,
             dropped=self._measured.dropped + self._predicted.dropped,
-            unmeasured_s=self._unmeasured_until_now(),
+            unmeasured_s=now.seconds,
+            unknown_s=max(now.seconds - now.bridged.covered_s, 0.0),
             measuring=measuring,
         )
 
     def exported(self) -> dict[str, Any]:
-        """Everything `restore` needs, as plain numbers."""
-        bridged = self._bridged if self.measuring else self._bridged_until_now()
+        """Everything `restore` needs, as plain numbers; None for what is unknown."""
+        now = self._until_now()
         return {
             "measured": self._measured.exported(),
             "predicted": self._predicted.exported(),
             "rknn": self._rknn.value,
-            "measured_sigma": self._measured_error.sigma,
-            "predicted_sigma": self._predicted_error.sigma,
-            "bridged_energy": bridged[0],
-            "bridged_regenerated": bridged[1],
-            "unmeasured_s": self._unmeasured_until_now(),
+            "measured_sigma": or_none(self._measured_error.sigma),
+            "predicted_sigma": or_none(self._predicted_error.sigma),
+            "bridged": list(now.bridged),
+            "bridged_sigma": or_none(math.sqrt(now.variance)),
+            "lasting_sigma": or_none(math.sqrt(now.lasting_variance)),
+            "unmeasured_s": now.seconds,
+            "lasting": [self.lasting.silences, self.lasting.squares],
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -187,32 +224,31 @@ class EnergyMeter:
             InputError: something is missing or not a number; nothing is changed then.
         """
         measured, predicted = EnergyIntegral(self._timeout), EnergyIntegral(self._max_gap)
-        measured.restore(_section(saved, "measured"))
-        predicted.restore(_section(saved, "predicted"))
-        rknn, energy, regenerated, unmeasured_s = (
-            _number(saved, name)
-            for name in ("rknn", "bridged_energy", "bridged_regenerated", "unmeasured_s")
+        measured.restore(section(saved, "measured"))
+        predicted.restore(section(saved, "predicted"))
+        rknn, unmeasured_s = (number(saved, name) for name in ("rknn", "unmeasured_s"))
+        measured_sigma, predicted_sigma, bridged_sigma, lasting_sigma = (
+            number(saved, f"{name}_sigma", may_be_unknown=True)
+            for name in ("measured", "predicted", "bridged", "lasting")
         )
-        sigmas = [_number(saved, f"{name}_sigma", True) for name in ("measured", "predicted")]
+        bridged = Bridge(*numbers(saved, "bridged", len(Bridge._fields)))
+        lasting = _lasting(numbers(saved, "lasting", 2))
         self._measured, self._predicted = measured, predicted
         self._rknn, self._rknn_power = CompensatedSum(rknn), math.nan
-        self._measured_error, self._predicted_error = (
-            CorrelatedError(self._tau, sigma) for sigma in sigmas
-        )
-        self._begin((energy, regenerated), unmeasured_s)
+        self._measured_error = CorrelatedError(self._tau, measured_sigma)
+        self._predicted_error = CorrelatedError(self._tau, predicted_sigma)
+        self.lasting = lasting
+        self._begin(Silences(bridged, bridged_sigma**2, lasting_sigma**2, unmeasured_s))
 
-    def _predicted_parts(self) -> tuple[float, float]:
-        return self._predicted.energy, self._predicted.regenerated
+    def _until_now(self) -> Silences:
+        """All silences, the present one among them."""
+        if self.measuring:
+            return self._silences
+        return self._silences.after(self._silence_until(self._newest_ns))
 
-    def _bridged_until_now(self) -> tuple[float, float]:
-        """Predicted net and regenerated energy, J, of all silences and since the battery spoke."""
-        now = zip(self._bridged, self._predicted_parts(), self._anchor, strict=True)
-        energy, regenerated = (total + new - anchor for total, new, anchor in now)
-        return energy, regenerated
-
-    def _unmeasured_until_now(self) -> float:
-        pending = 0.0 if self.measuring else self._silence(self._newest_ns)
-        return self._unmeasured_s + pending
+    def _predicted_parts(self) -> Bridge:
+        whole = self._predicted
+        return Bridge(whole.energy, whole.regenerated, whole.gross, whole.covered_s)
 
     def _silence(self, stamp_ns: int) -> float:
         """Time from the last word of the battery (or the first stamp) to this stamp, s."""
@@ -220,17 +256,8 @@ class EnergyMeter:
         return 0.0 if since is None else max(stamp_ns - since, 0) / NANOSECONDS
 
 
-def _section(saved: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    section = saved.get(name)
-    if not isinstance(section, Mapping):
-        raise InputError(f"saved energy: '{name}' is missing")
-    return section
-
-
-def _number(saved: Mapping[str, Any], name: str, may_be_nan: bool = False) -> float:
-    value = saved.get(name)
-    if not isinstance(value, (int, float)):
-        raise InputError(f"saved energy: '{name}' is {value!r}, expected a number")
-    if not math.isfinite(value) and not (may_be_nan and math.isnan(value)):
-        raise InputError(f"saved energy: '{name}' is {value!r}")
-    return float(value)
+def _lasting(numbers: list[float]) -> LastingShare:
+    try:
+        return LastingShare(int(numbers[0]), numbers[1])
+    except ValueError as error:
+        raise InputError(f"saved energy: {error}") from error

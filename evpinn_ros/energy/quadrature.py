@@ -15,6 +15,7 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MAX_GAP = 2.0  # s
+SAVED = ("drawn", "regenerated", "covered_s", "gaps", "gap_s", "out_of_order", "not_finite")
 
 
 class CompensatedSum:
@@ -90,6 +91,7 @@ class EnergyIntegral:
         self._max_gap = max_gap
         self._last: tuple[int, float] | None = None
         self._drawn, self._regenerated = CompensatedSum(), CompensatedSum()
+        self._covered = CompensatedSum()
         self.gaps, self.gap_s, self.out_of_order, self.not_finite = 0, 0.0, 0, 0
 
     @property
@@ -106,6 +108,16 @@ class EnergyIntegral:
     def regenerated(self) -> float:
         """Integral of the power where it is negative, as positive J."""
         return self._regenerated.value
+
+    @property
+    def gross(self) -> float:
+        """Drawn and regenerated energy together, J."""
+        return self.drawn + self.regenerated
+
+    @property
+    def covered_s(self) -> float:
+        """Time that was integrated, s."""
+        return self._covered.value
 
     @property
     def dropped(self) -> int:
@@ -142,6 +154,7 @@ class EnergyIntegral:
         drawn, regenerated = step.parts
         self._drawn.add(drawn)
         self._regenerated.add(regenerated)
+        self._covered.add(since)
         return step
 
     def _since(self, stamp_ns: int) -> float:
@@ -152,8 +165,7 @@ class EnergyIntegral:
 
         Without it an integral restored the next morning does not count the night as a gap.
         """
-        names = ("drawn", "regenerated", "gaps", "gap_s", "out_of_order", "not_finite")
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in SAVED}
 
     def restore(self, saved: Mapping[str, float]) -> None:
         """Continue from what `exported` gave.
@@ -161,12 +173,13 @@ class EnergyIntegral:
         Raises:
             InputError: a value is missing, negative or not finite; nothing is changed then.
         """
-        for name in self.exported():
+        for name in SAVED:
             value = saved.get(name)
             if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
                 raise InputError(f"saved energy: '{name}' is {value!r}, expected a number >= 0")
         self._last = None
         self._drawn = CompensatedSum(float(saved["drawn"]))
         self._regenerated = CompensatedSum(float(saved["regenerated"]))
+        self._covered = CompensatedSum(float(saved["covered_s"]))
         self.gaps, self.gap_s = int(saved["gaps"]), float(saved["gap_s"])
         self.out_of_order, self.not_finite = int(saved["out_of_order"]), int(saved["not_finite"])

@@ -259,7 +259,9 @@ class LoadDetector:
 
 
 def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Saved numbers; ValueError when one is not finite."""
-    if not all(math.isfinite(value) for value in values.values()):
+    """Saved numbers; ValueError when they are none, or one is not finite."""
+    if not isinstance(values, Mapping) or not all(
+        math.isfinite(value) for value in values.values()
+    ):
         raise ValueError("the saved payload is not finite")
     return dict(values)

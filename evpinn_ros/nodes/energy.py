@@ -5,19 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from std_srvs.srv import Trigger
 
+from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status
-from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
-from evpinn_ros.nodes.estimate_messages import energy_messages
+from evpinn_ros.nodes.energy_diagnosis import (
+    EnergyReport,
+    charge_status,
+    meter_status,
+    plan_status,
+)
+from evpinn_ros.nodes.estimate_messages import energy_messages, summary_messages
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.messages import (
@@ -25,9 +32,11 @@ from evpinn_ros.nodes.messages import (
     battery_message,
     battery_reading,
     read_named_vector,
+    speed_reading,
 )
 from evpinn_ros.nodes.plan_messages import forecast_message, path_plan, speed_profile_plan
 from evpinn_ros.nodes.running import run
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
@@ -41,32 +50,45 @@ class EnergyNode(GuardedNode):
     """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Start at zero; `kwargs` go to rclpy's Node.
+        """Start from the energy file or at zero; `kwargs` go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong.
         """
         super().__init__("energy", **kwargs)
+        vehicle = load_vehicle(self.values["vehicle"])
         self.meter = EnergyMeter(load_rknn(), max_gap=self.values["max_gap"])
-        self.forecaster = Forecaster(load_vehicle(self.values["vehicle"]))
+        self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
+        self.forecaster = Forecaster(vehicle)
+        path = self.values["energy_file"]
+        self._keeper = StateKeeper(Path(path).expanduser() if path else None, self.account)
+        self._load()
         self._guard = StampGuard(topics.POWER_SMOOTHED)
+        self._speed_guard = StampGuard(topics.SPEED)
         self._answered = self._refused = 0
         self._plan_problem: str | None = None
         self.advertise(*PUBLISHES)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
+        self.listen(topics.SPEED, self._on_speed)
         self.listen(topics.BATTERY, self._on_battery)
         self.listen(topics.PLAN, self._on_path)
         self.listen(topics.SPEED_PROFILE, self._on_speed_profile)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.on_clock_going_back(self._guard.clock_went_back)
+        self.create_service(Trigger, "~/save", self._on_save)
+        self.every(SAVE_PERIOD, self.save)
+        self.on_clock_going_back(self._on_clock_going_back)
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
         report = EnergyReport(
-            state=self.meter.state,
-            health=self.health(self._guard.dropped),
+            state=self.account.state,
+            account=self.account.summary(),
+            reconciled=self.account.reconciled,
+            learned_capacity=self.account.gauge.learned,
+            file_problem=self._keeper.problem,
+            health=self.health(self._guard.dropped + self._speed_guard.dropped),
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
             state_of_charge=self.forecaster.state_of_charge,
@@ -75,14 +97,28 @@ class EnergyNode(GuardedNode):
             refused=self._refused,
             plan_problem=self._plan_problem,
         )
-        return [meter_status(report), plan_status(report)]
+        return [meter_status(report), charge_status(report), plan_status(report)]
+
+    def save(self) -> None:
+        """Write what was counted, if there is a file for it; a failure shows in diagnostics."""
+        if self.values["energy_file"]:
+            self._keeper.save()
+
+    def close(self) -> None:
+        """Save."""
+        self.save()
+
+    def _load(self) -> None:
+        self._keeper.load()
+        if self._keeper.problem is not None:
+            self.get_logger().warning(f"energy counts from zero: {self._keeper.problem}")
 
     def _take_power(self, topic: Topic, message: Any) -> None:
         vector = read_named_vector(message)
         if "power" not in vector.values:
             raise BadMessage("no_power")
-        power = vector.values["power"], vector.sigmas.get("power", math.nan)
-        item = topic, vector.stamp_ns, *power
+        power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
+        item = topic, vector.stamp_ns, power, sigma
         if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
             self._push(*item)
             return
@@ -95,19 +131,26 @@ class EnergyNode(GuardedNode):
 
     def _push(self, topic: Topic, stamp_ns: int, power: float, sigma: float) -> None:
         if topic is topics.POWER_MEASURED:
-            self.meter.push_measured(stamp_ns, power, sigma)
+            self.account.push_measured(stamp_ns, power, sigma)
             return
-        self.meter.push_predicted(stamp_ns, power, sigma)
+        self.account.push_predicted(stamp_ns, power, sigma)
         self.forecaster.hear_sigma(sigma)
-        self.publish(energy_messages(new_message, self.meter.state))
+        self.publish(energy_messages(new_message, self.account.state))
+        summary = self.account.tick()
+        if summary is not None:
+            self.publish(summary_messages(new_message, summary))
+
+    def _on_clock_going_back(self) -> None:
+        self._guard.clock_went_back()
+        self._speed_guard.clock_went_back()
 
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]
         self.get_logger().warning(f"time went back by {jump.seconds:.1f} s: {policy}")
         if policy == JumpPolicy.RESET.value:
-            self.meter.reset()
+            self._keeper.start_over()
         else:
-            self.meter.restore(self.meter.exported())
+            self.account.begin_next_stretch()
 
     def _on_identifiable(self, message: Any) -> None:
         vector = read_named_vector(message)
@@ -119,8 +162,19 @@ class EnergyNode(GuardedNode):
         )
         self.forecaster.hear_identifiable(values, sigmas)
 
+    def _on_speed(self, message: Any) -> None:
+        """Speed has a guard of its own: in a fast replay it is seconds ahead of power."""
+        reading = speed_reading(message)
+        threshold = self.values["time_jump_threshold"]
+        for passed in self._speed_guard.push(topics.SPEED, reading.stamp_ns, reading, threshold):
+            if isinstance(passed, Jump):
+                self.account.trip.begin_anew()
+            else:
+                self.account.push_speed(passed.stamp_ns, passed.speed)
+
     def _on_battery(self, message: Any) -> None:
-        self.forecaster.hear_battery(battery_reading(message).state_of_charge)
+        reading = battery_reading(message)
+        self.account.push_charge(reading.stamp_ns, reading.state_of_charge)
 
     def _on_path(self, message: Any) -> None:
         self._answer(message, lambda: path_plan(message, self.values["nominal_speed"]))
@@ -141,6 +195,7 @@ class EnergyNode(GuardedNode):
 
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
+        self.forecaster.hear_battery(self.account.charge().value)
         answer = self.forecaster.answer(plan)
         result = answer.forecast
         times_ns = np.rint((result.time - result.time[0]) * NANOSECONDS).astype(int).tolist()
@@ -153,9 +208,15 @@ class EnergyNode(GuardedNode):
             yield topics.FORECAST_BATTERY, battery
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        self.meter.reset()
+        self.account.reset_trip()
         response.success = True
-        response.message = "energy counts from zero"
+        response.message = "energy counts from zero; the lifetime's goes on"
+        return response
+
+    def _on_save(self, _: Any, response: Any) -> Any:
+        reason = self._keeper.save()
+        response.success = reason is None
+        response.message = reason or f"written to {self.values['energy_file']}"
         return response
 
 

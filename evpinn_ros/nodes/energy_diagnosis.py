@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
+from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import SILENT_AFTER, Health, Status, rounded, with_health
 from evpinn_ros.nodes.messages import Level
 
@@ -17,7 +19,11 @@ class EnergyReport:
     """All that the diagnosis of the energy node rests on.
 
     Attributes:
-        state: of the meter.
+        state: of the meter, corrected where a silence was reconciled.
+        account: totals, consumption, state of charge, range.
+        reconciled: the last silence of the battery that ended, None before.
+        learned_capacity: how many changes of the state of charge the capacity rests on.
+        file_problem: why the energy file was not used or not written, None if all is well.
         health: of the node.
         power_age: s since the last power/smoothed, NaN before the first.
         jumps: times that time went back.
@@ -29,6 +35,10 @@ class EnergyReport:
     """
 
     state: EnergyState
+    account: AccountSummary
+    reconciled: Reconciled | None
+    learned_capacity: int
+    file_problem: str | None
     health: Health
     power_age: float
     jumps: int
@@ -43,23 +53,80 @@ def meter_status(report: EnergyReport) -> Status:
     """The health of the energy meter."""
     state = report.state
     values = {
-        "consumed_wh": rounded(state.consumed / JOULES_PER_WH),
+        "consumed_wh": _wh(state.consumed),
+        "consumed_sigma_wh": _wh(state.consumed_sigma),
+        "lifetime_wh": _wh(report.account.lifetime.net.value),
+        "lifetime_km": rounded(report.account.lifetime.distance / 1e3),
         "measuring": state.measuring,
         "unmeasured_s": rounded(state.unmeasured_s),
+        "unknown_s": rounded(state.unknown_s),
         "gaps": state.gaps,
         "dropped": state.dropped,
         "power_age_s": rounded(report.power_age),
         "time_jumps": report.jumps,
+        **_silence_values(report.reconciled),
     }
+    if report.file_problem is not None:
+        values["energy_file"] = report.file_problem
     if math.isnan(report.power_age):
         verdict = Level.WARN, "waiting for power/smoothed"
     elif report.power_age > SILENT_AFTER:
         verdict = Level.WARN, f"no power/smoothed for {report.power_age:.0f} s"
     elif not state.measuring:
         verdict = Level.WARN, "predicting: no power/measured"
+    elif report.file_problem is not None:
+        verdict = Level.WARN, report.file_problem
+    elif report.reconciled is not None and report.reconciled.verdict is Verdict.CONTRADICTED:
+        verdict = Level.WARN, f"the last silence: {Verdict.CONTRADICTED.value}"
     else:
         verdict = Level.OK, "measuring"
     return with_health(Status("meter", *verdict, values), report.health)
+
+
+def _silence_values(reconciled: Reconciled | None) -> dict[str, object]:
+    """The last silence of the battery: what was predicted, what is known, what became of it."""
+    if reconciled is None:
+        return {}
+    silence = reconciled.silence
+    return {
+        "silence": reconciled.verdict.value,
+        "silence_s": rounded(silence.duration),
+        "silence_unknown_s": rounded(silence.unknown_s),
+        "silence_predicted_wh": _wh(silence.bridge.energy),
+        "silence_predicted_sigma_wh": _wh(silence.sigma),
+        "silence_by_charge_wh": _wh(reconciled.by_charge.value),
+        "silence_by_charge_sigma_wh": _wh(reconciled.by_charge.sigma),
+        "silence_correction_wh": _wh(reconciled.correction),
+    }
+
+
+def charge_status(report: EnergyReport) -> Status:
+    """What is known of the battery's charge, and how far it goes."""
+    account = report.account
+    values = {
+        "state_of_charge": rounded(account.charge.value),
+        "projected": account.projected,
+        "capacity_wh": _wh(account.capacity.value),
+        "capacity_sigma_wh": _wh(account.capacity.sigma),
+        "capacity_learned_from": report.learned_capacity,
+        "usable_wh": _wh(account.usable.value),
+    }
+    if account.remaining is not None:
+        distance, _, lower, upper = (metres / 1e3 for metres in account.remaining)
+        values |= {
+            "distance_to_empty_km": rounded(distance),
+            "band_km": f"{lower:.0f} to {upper:.0f}",
+        }
+    if not account.charge.known:
+        return Status("charge", Level.OK, "the state of charge is unknown", values)
+    if account.projected:
+        text = "state of charge projected by the energy taken: none was heard for a minute"
+        return Status("charge", Level.OK, text, values)
+    return Status("charge", Level.OK, "state of charge heard", values)
+
+
+def _wh(joules: float) -> object:
+    return rounded(joules / JOULES_PER_WH)
 
 
 def plan_status(report: EnergyReport) -> Status:

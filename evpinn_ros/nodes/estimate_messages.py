@@ -6,7 +6,9 @@ from collections.abc import Iterator
 import math
 from typing import TYPE_CHECKING, Any
 
-from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.energy.account import AccountSummary, Totals
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.meter import EnergyState, Flow
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import NewMessage, named_vector, scalar
@@ -22,6 +24,7 @@ POWER_TOPICS = {
     PowerKind.SMOOTHED: topics.POWER_SMOOTHED,
 }
 FLOWS = ("measured", "predicted", "rknn", "regenerated")
+JOULES_PER_METRE = 3.6  # in a Wh/km
 
 
 def output_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, Any]]:
@@ -69,6 +72,8 @@ def _parameter_messages(new: NewMessage, found: ParameterSet) -> Iterator[tuple[
 def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
     """The messages of an energy state; a flow not known yet is left out of the vector."""
     flows = {name: getattr(state, name) for name in FLOWS}
+    power = state.measured.power if state.measuring else state.predicted.power
+    flows["consumed"] = Flow(state.consumed, power, state.consumed_sigma)
     known = {
         name: flow
         for name, flow in flows.items()
@@ -87,3 +92,50 @@ def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic
             ),
         )
     yield topics.ENERGY_CONSUMED, scalar(new, state.consumed)
+
+
+def summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tuple[Topic, Any]]:
+    """The messages of an energy account; what is not known yet is left out."""
+    totals = _totals("", summary.since_reset) | _totals("lifetime_", summary.lifetime)
+    yield topics.ENERGY_TOTALS, _vector(new, summary.stamp_ns, totals)
+    driven = {
+        f"wh_per_km_{name}": cost / JOULES_PER_METRE for name, cost in summary.consumption.items()
+    }
+    driven |= {
+        "distance_trip": summary.since_reset.distance,
+        "distance_lifetime": summary.lifetime.distance,
+    }
+    consumption = named_vector(new, summary.stamp_ns, list(driven), list(driven.values()))
+    yield topics.ENERGY_CONSUMPTION, consumption
+    found = {
+        "usable_energy": summary.usable,
+        "state_of_charge": summary.charge,
+        "capacity": summary.capacity,
+    }
+    if summary.remaining is not None:
+        distance, sigma, lower, upper = summary.remaining
+        found |= {
+            "distance_to_empty": Uncertain(distance, sigma),
+            "distance_lower": Uncertain(lower, 0.0),
+            "distance_upper": Uncertain(upper, 0.0),
+        }
+    known = {name: value for name, value in found.items() if value.known}
+    if known:
+        yield topics.ENERGY_RANGE, _vector(new, summary.stamp_ns, known)
+
+
+def _totals(prefix: str, totals: Totals) -> dict[str, Uncertain]:
+    """Drawn and regenerated energy are as unsure as the net energy that they are parts of."""
+    net = totals.net
+    return {
+        f"{prefix}net": net,
+        f"{prefix}drawn": Uncertain(totals.drawn, net.sigma),
+        f"{prefix}regenerated": Uncertain(totals.regenerated, net.sigma),
+    }
+
+
+def _vector(new: NewMessage, stamp_ns: int, found: dict[str, Uncertain]) -> Any:
+    values = [each.value for each in found.values()]
+    return named_vector(
+        new, stamp_ns, list(found), values, [each.sigma for each in found.values()]
+    )

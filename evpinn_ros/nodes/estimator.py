@@ -20,14 +20,13 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import estimator_settings
-from evpinn_ros.nodes.state_keeper import StateKeeper
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import load_vehicle
 
-SAVE_PERIOD = 60.0  # s
 LISTENS_TO = (
     topics.SPEED,
     topics.BATTERY,

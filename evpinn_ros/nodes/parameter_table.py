@@ -176,6 +176,12 @@ ENERGY = (
         100.0,
         read_only=False,
     ),
+    Parameter(
+        "energy_file",
+        "",
+        "Where totals, consumption and learned capacity are kept between drives: read at the "
+        "start, written once a minute, at ~/save and at the end. Empty: nowhere.",
+    ),
     TIME_JUMP_POLICY,
     TIME_JUMP_THRESHOLD,
 )

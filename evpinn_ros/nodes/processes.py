@@ -102,8 +102,8 @@ def _await_listeners(recorder: RecorderNode, executor: SingleThreadedExecutor) -
     """Wait until estimator and energy are there, so that they miss nothing."""
     speed, power = (topic.under() for topic in (topics.SPEED, topics.POWER_SMOOTHED))
     given_up = time.monotonic() + START_TIMEOUT
-    # The recorder listens to all, and to power/smoothed twice.
-    while recorder.count_subscribers(speed) < 2 or recorder.count_subscribers(power) < 3:
+    # The recorder listens to all, and to power/smoothed twice; both nodes listen to speed.
+    while recorder.count_subscribers(speed) < 3 or recorder.count_subscribers(power) < 3:
         if time.monotonic() > given_up:
             raise InputError(f"the nodes did not come up within {START_TIMEOUT:g} s")
         executor.spin_once(timeout_sec=SPIN)

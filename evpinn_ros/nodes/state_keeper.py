@@ -1,4 +1,4 @@
-"""Keeps what an estimator learned in a file, and never loses what it cannot use."""
+"""Keeps what a node learned or counted in a file, and never loses what it cannot use."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any, Protocol
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.state_file import read_state, write_state
 
+SAVE_PERIOD = 60.0  # s
+
 
 class Stateful(Protocol):
-    """Something whose state can be saved: `OnlineEstimator`."""
+    """Something whose state can be saved: `OnlineEstimator`, `EnergyAccount`."""
 
     def export(self) -> Mapping[str, Any]:
         """State to save."""
@@ -24,7 +26,7 @@ class Stateful(Protocol):
 
 
 class StateKeeper:
-    """The state file of one estimator.
+    """The state file of one node.
 
     Attributes:
         problem: why the file was not used or not written, None if all is well.
@@ -67,7 +69,7 @@ class StateKeeper:
     def save(self) -> str | None:
         """Write the state; gives the reason when that fails."""
         if self._path is None:
-            return "no state_file is set"
+            return "no file for it is set"
         try:
             self._set_refused_aside(self._path)
             write_state(self._path, self._owner.export())

@@ -226,11 +226,39 @@ ENERGY_STATE = Topic(
     NAMED_VECTOR_TYPE,
     "energy",
     False,
-    "`measured, predicted, rknn, regenerated`: position J, velocity W, effort 1-sigma J",
+    "since the last reset `measured, predicted, rknn, regenerated, consumed` (measured where "
+    "possible, predicted elsewhere): position J, velocity W, effort 1-sigma J",
     "J",
 )
 ENERGY_CONSUMED = Topic(
     "energy/consumed", SCALAR_TYPE, "energy", False, "energy drawn since the last reset", "J"
+)
+ENERGY_TOTALS = Topic(
+    "energy/totals",
+    NAMED_VECTOR_TYPE,
+    "energy",
+    False,
+    "1 Hz: `net, drawn, regenerated` since the last reset and, as `lifetime_...`, since ever",
+    "J",
+)
+ENERGY_CONSUMPTION = Topic(
+    "energy/consumption",
+    NAMED_VECTOR_TYPE,
+    "energy",
+    False,
+    "1 Hz: `wh_per_km_1`, `_10`, `_100` over the last so many km, `_trip` since the last reset, "
+    "`_lifetime`; each once that distance was driven, the last two after 1 km. "
+    "`distance_trip`, `distance_lifetime`",
+    "Wh/km, m",
+)
+ENERGY_RANGE = Topic(
+    "energy/range",
+    NAMED_VECTOR_TYPE,
+    "energy",
+    False,
+    "1 Hz: `distance_to_empty` with `distance_lower`, `distance_upper` of its 90 % band, "
+    "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; what is unknown is left out",
+    "m, J, 1",
 )
 PLAN = Topic("plan", PATH_TYPE, "planner", False, "stamped poses; z is elevation", "m")
 SPEED_PROFILE = Topic(
@@ -274,6 +302,9 @@ TOPICS = (
     POWER_SMOOTHED,
     ENERGY_STATE,
     ENERGY_CONSUMED,
+    ENERGY_TOTALS,
+    ENERGY_CONSUMPTION,
+    ENERGY_RANGE,
     PLAN,
     SPEED_PROFILE,
     FORECAST,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.replay.chain import ChainOutput
@@ -95,6 +96,8 @@ class History:
 
     def add_output(self, output: ChainOutput) -> None:
         """Take what the chain said of the last reading."""
+        if isinstance(output, AccountSummary):
+            return
         time = self.seconds(output.stamp_ns)
         if isinstance(output, EnergyState):
             predicted, rknn = output.predicted.energy, output.rknn.energy

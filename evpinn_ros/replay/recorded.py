@@ -67,9 +67,11 @@ def _add_output(history: History, topic: Topic, message: Any) -> None:
                 stamp_ns=vector.stamp_ns,
                 **flows,
                 consumed=math.nan,
+                consumed_sigma=math.nan,
                 gaps=0,
                 dropped=0,
                 unmeasured_s=math.nan,
+                unknown_s=math.nan,
                 measuring="measured" in vector.values,
             )
         )

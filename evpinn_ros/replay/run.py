@@ -12,9 +12,10 @@ from typing import Any
 from evpinn_ros.bags.convert import reading_messages
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages
+from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
 from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.replay.chain import Chain, ChainOutput
 from evpinn_ros.replay.history import Drive, History
@@ -136,6 +137,8 @@ def _record(writer: BagWriter, reading: Reading, outputs: list[ChainOutput]) -> 
     for output in outputs:
         if isinstance(output, EnergyState):
             messages += energy_messages(new_message, output)
+        elif isinstance(output, AccountSummary):
+            messages += summary_messages(new_message, output)
         else:
             messages += output_messages(new_message, output)
     for topic, message in messages:

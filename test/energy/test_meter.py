@@ -5,6 +5,7 @@ import pytest
 
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.energy.uncertainty import PRIOR_SHARE
 from evpinn_ros.errors import InputError
 
 RKNN = load_rknn()
@@ -19,13 +20,27 @@ def meter(**settings):
     return EnergyMeter(RKNN, **settings)
 
 
-def drive(to, seconds, *, measured=10e3, predicted=11e3, silent=NEVER, sigma=1e3):
-    """Push 10 Hz samples for the seconds of a range; no battery in those of `silent`."""
+def drive(
+    to,
+    seconds,
+    *,
+    measured=10e3,
+    predicted=11e3,
+    silent=NEVER,
+    blind=NEVER,
+    sigma=1e3,
+    measured_sigma=math.nan,
+):
+    """Push 10 Hz samples for the seconds of a range.
+
+    No battery in those of `silent`, and no speed, so no prediction, in those of `blind`.
+    """
     for tick in range(seconds.start * 10, seconds.stop * 10 + 1):
         stamp = START + tick * 100_000_000
         if tick / 10 <= silent.start or tick / 10 > silent.stop:
-            to.push_measured(stamp, measured)
-        to.push_predicted(stamp, predicted, sigma)
+            to.push_measured(stamp, measured, measured_sigma)
+        if tick / 10 <= blind.start or tick / 10 > blind.stop:
+            to.push_predicted(stamp, predicted, sigma)
     return to
 
 
@@ -82,11 +97,44 @@ def test_a_battery_that_returns_is_bridged_by_the_prediction():
     assert state.gaps == 1
 
 
+def test_sigma_grows_while_silent_and_does_not_shrink_when_the_battery_returns():
+    """The lasting 6 % of the gross energy counts for the silence alone."""
+    driven = drive(meter(), range(300), measured_sigma=10.0)
+    speaking = driven.state
+    drive(driven, range(300, 900), silent=range(300, 900), measured_sigma=10.0)
+    silent = driven.state
+    assert silent.consumed_sigma == pytest.approx(
+        math.hypot(PRIOR_SHARE * 600 * 11e3, math.sqrt(2 * 5 * 595) * 1e3), rel=1e-2
+    )
+    assert silent.predicted.sigma > silent.consumed_sigma > 20 * speaking.consumed_sigma
+    later = drive(driven, range(901, 960), measured_sigma=10.0).state
+    assert later.consumed_sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
+    assert driven.last_silence.sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
+
+
+def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_it():
+    driven = drive(meter(), range(900), silent=range(100, 800), blind=range(200, 500))
+    state = driven.state
+    assert state.unknown_s == pytest.approx(300.0, abs=0.3)
+    assert state.unmeasured_s == pytest.approx(700.0, abs=0.3)
+    assert state.consumed == pytest.approx(200 * 10e3 + 400 * 11e3, abs=2 * SEAM)
+    assert driven.last_silence.unknown_s == pytest.approx(300.0, abs=0.3)
+
+
+def test_speed_that_is_silent_while_the_battery_speaks_costs_nothing():
+    state = drive(meter(), range(900), blind=range(200, 500)).state
+    assert (state.unknown_s, state.unmeasured_s) == (0.0, 0.0)
+    assert state.consumed == pytest.approx(900 * 10e3)
+
+
 def test_regenerated_is_measured_then_predicted():
-    state = drive(meter(), range(30), measured=-5e3, predicted=-4e3, silent=range(10, 30)).state
+    driven = drive(
+        meter(), range(30), measured=-5e3, predicted=-4e3, silent=range(10, 30), measured_sigma=0.0
+    )
+    state = driven.state
     assert state.regenerated.energy == pytest.approx(10 * 5e3 + 20 * 4e3, abs=SEAM)
     assert state.regenerated.power == 4e3
-    assert state.regenerated.sigma == state.predicted.sigma  # a part of it, while silent
+    assert state.regenerated.sigma == state.consumed_sigma  # a part of it
     assert state.predicted.energy == pytest.approx(-30 * 4e3)
 
 
@@ -151,6 +199,9 @@ def test_saved_and_restored_it_goes_on(silent):
         {"rknn": math.inf},
         {"unmeasured_s": math.nan},
         {"predicted": {}},
+        {"bridged": [0.0]},
+        {"lasting": [-1, 0.0]},
+        {"bridged_sigma": "wide"},
     ],
 )
 def test_a_wrong_saved_state_is_refused_and_changes_nothing(wrong):

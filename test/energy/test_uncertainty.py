@@ -5,7 +5,12 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.uncertainty import CorrelatedError, energy_sigma
+from evpinn_ros.energy.uncertainty import (
+    PRIOR_SHARE,
+    CorrelatedError,
+    LastingShare,
+    energy_sigma,
+)
 
 
 def test_limits_of_the_model():
@@ -52,3 +57,25 @@ def test_start_sigma_adds_as_an_independent_error():
     for each in (error, fresh):
         each.push(100.0, 2.0)
     assert error.sigma == pytest.approx(math.hypot(300.0, fresh.sigma))
+
+
+def test_the_lasting_share_starts_at_its_prior_and_follows_what_it_sees():
+    share = LastingShare()
+    assert share.value == PRIOR_SHARE
+    for error in (0.15, -0.15) * 50:
+        share.push(error * 1e6, 1e4, 1e6)
+    assert share.value == pytest.approx(0.145, abs=0.01)
+    assert LastingShare(share.silences, share.squares).value == share.value
+
+
+def test_a_silence_that_cannot_tell_teaches_nothing():
+    share = LastingShare()
+    for known, gross in ((1e6, 1e6), (math.nan, 1e6), (1e4, 0.0)):
+        share.push(5e5, known, gross)
+    assert share.silences == 0
+
+
+@pytest.mark.parametrize("wrong", [(-1, 0.0), (1, math.nan), (1, math.inf), (1, -1.0)])
+def test_an_impossible_lasting_share_is_refused(wrong):
+    with pytest.raises(ValueError, match="silences"):
+        LastingShare(*wrong)

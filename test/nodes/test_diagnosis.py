@@ -7,7 +7,9 @@ import pytest
 
 from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusState, BusStatus
-from evpinn_ros.energy.meter import EnergyState, Flow
+from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
+from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.load_change import LoadChange
@@ -29,8 +31,9 @@ STATUS = EstimatorStatus(
     newest_ns=1,
 )
 FLOW = Flow(3600.0, 100.0, 10.0)
-STATE = EnergyState(1, FLOW, FLOW, FLOW, FLOW, 3600.0, 0, 0, 0.0, True)
-ENERGY = EnergyReport(STATE, WELL, 0.1, 0, 0.8, True, 3, 0, None)
+STATE = EnergyState(1, FLOW, FLOW, FLOW, FLOW, 3600.0, 0.0, 0, 0, 0.0, 0.0, True)
+ACCOUNT = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
+ENERGY = EnergyReport(STATE, ACCOUNT.summary(), None, 0, None, WELL, 0.1, 0, 0.8, True, 3, 0, None)
 BRIDGE = BridgeStatus(True, "receiving", 9, 2, 1, {}, {"speed": SignalStatus(9, 50.0, 0.0, False)})
 
 

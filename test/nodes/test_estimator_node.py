@@ -92,7 +92,7 @@ def test_reset_forgets_what_was_learned(bench):
 def test_save_gives_the_reason_when_it_cannot(bench, tmp_path):
     bench.start(EstimatorNode)
     answer = bench.call(Trigger, "/ev/estimator/save")
-    assert not answer.success and answer.message == "no state_file is set"
+    assert not answer.success and answer.message == "no file for it is set"
 
 
 def test_what_was_learned_is_saved_and_read_again(bench, tmp_path):

@@ -1,0 +1,284 @@
+"""One car's account of energy: since reset and since ever, per kilometre, and what is left.
+
+It joins the meter to distance and to the state of charge, and is what outlives a restart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+import math
+from typing import Any, NamedTuple
+
+from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, Uncertain
+from evpinn_ros.energy.meter import EnergyMeter, EnergyState
+from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
+from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
+from evpinn_ros.energy.saved import numbers, or_none, section
+from evpinn_ros.energy.silence import Silence
+from evpinn_ros.energy.trip import Stretch, TripLog
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import NANOSECONDS
+
+STATE_VERSION = 1
+LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
+SUMMARY_NS = NANOSECONDS  # between two summaries
+
+
+class Totals(NamedTuple):
+    """What was counted over some time.
+
+    Attributes:
+        drawn: J.
+        regenerated: as positive J.
+        variance: of the net energy, J^2.
+        distance: m.
+        driven: net energy of the time in which distance is known, J.
+        unmeasured_s: time that the battery was silent, s.
+        unknown_s: the part of it that speed was silent too, s.
+    """
+
+    drawn: float = 0.0
+    regenerated: float = 0.0
+    variance: float = 0.0
+    distance: float = 0.0
+    driven: float = 0.0
+    unmeasured_s: float = 0.0
+    unknown_s: float = 0.0
+
+    @property
+    def net(self) -> Uncertain:
+        """Drawn less regenerated energy, J."""
+        return Uncertain(self.drawn - self.regenerated, math.sqrt(self.variance))
+
+    def plus(self, other: Totals) -> Totals:
+        """Both together."""
+        return Totals(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+@dataclass(frozen=True, slots=True)
+class AccountSummary:
+    """The account at one moment.
+
+    Attributes:
+        stamp_ns: newest stamp of power.
+        since_reset: what was counted since the last reset.
+        lifetime: what was counted since ever.
+        consumption: energy per distance, J/m, by `1`, `10`, `100` (the last so many km), `trip`
+            and `lifetime`; what is not known yet is not among them.
+        charge: state of charge, 0..1; its value NaN while unknown, and so below.
+        projected: whether that is no reading but follows from the energy taken since.
+        capacity: energy of the full battery, J.
+        usable: energy left in it, J.
+        remaining: distance to empty, None while it is unknown.
+    """
+
+    stamp_ns: int
+    since_reset: Totals
+    lifetime: Totals
+    consumption: Mapping[str, float]
+    charge: Uncertain
+    projected: bool
+    capacity: Uncertain
+    usable: Uncertain
+    remaining: Remaining | None
+
+
+class EnergyAccount:
+    """Counts the energy of one car; knows no ROS.
+
+    Attributes:
+        meter: integrates power, since the last reset.
+        trip: distance and consumption.
+        gauge: state of charge and capacity.
+        reconciled: of the last silence of the battery that ended, None before.
+    """
+
+    def __init__(self, meter: EnergyMeter, vehicle: str, capacity: float) -> None:
+        """Start at zero.
+
+        Args:
+            meter: to be used by nobody else.
+            vehicle: whose account this is; that of another car is refused.
+            capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
+        """
+        self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
+        self._vehicle = vehicle
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all, as if nothing had ever been pushed."""
+        self.meter.reset()
+        self.trip = TripLog()
+        self.gauge.reset()
+        self._begin(Totals(), 0.0, 0.0)
+
+    def _begin(self, before: Totals, correction: float, variance_taken: float) -> None:
+        self._before_reset = before
+        # What reconciling added to this trip, and took of its variance.
+        self._correction, self._variance_taken = correction, variance_taken
+        self._newest_ns = self._summary_ns = 0
+        self.reconciled: Reconciled | None = None
+        self._seen: Silence | None = None
+        self._awaits_charge: tuple[Silence, float] | None = None
+        self._charge_before = math.nan  # the last one heard while the battery was measured
+
+    def reset_trip(self) -> None:
+        """Count from zero; the lifetime, what was learned and the last kilometres stay."""
+        lifetime, lasting, newest_ns = self.lifetime(), self.meter.lasting, self._newest_ns
+        self.meter.reset()
+        self.meter.lasting = lasting
+        self.trip.reset_trip()
+        self._begin(lifetime, 0.0, 0.0)
+        self._newest_ns = newest_ns
+
+    def begin_next_stretch(self) -> None:
+        """Keep all that was counted, and join nothing to what comes: time jumped."""
+        self.restore(self.export())
+
+    def push_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
+        """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
+        self._see(stamp_ns)
+        self.meter.push_measured(stamp_ns, power, sigma)
+        ended = self.meter.last_silence
+        if ended is not None and ended is not self._seen:
+            self._seen = ended
+            self.reconciled = reconcile(ended, UNKNOWN)
+            self._awaits_charge = (ended, self._charge_before)
+
+    def push_predicted(self, stamp_ns: int, power: float, sigma: float) -> None:
+        """Take one prediction of power and its 1-sigma, W."""
+        self._see(stamp_ns)
+        self.meter.push_predicted(stamp_ns, power, sigma)
+
+    def push_speed(self, stamp_ns: int, speed: float) -> None:
+        """Take a speed, m/s."""
+        self.trip.push(stamp_ns, speed, self.meter.state.consumed)
+
+    def push_charge(self, stamp_ns: int, charge: float) -> None:
+        """Take a state of charge, 0..1; NaN says nothing."""
+        if not 0.0 <= charge <= 1.0:
+            return
+        if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
+            silence, before = self._awaits_charge
+            self._awaits_charge = None
+            self._reconcile(silence, self.gauge.energy_between(before, charge))
+        lifetime, silent = self.lifetime(), self.meter.silent_at(stamp_ns)
+        if not silent:
+            self._charge_before = charge
+        self.gauge.push(stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s)
+
+    def _see(self, stamp_ns: int) -> None:
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+
+    def _reconcile(self, silence: Silence, by_charge: Uncertain) -> None:
+        found = self.reconciled = reconcile(silence, by_charge)
+        error = silence.bridge.energy - by_charge.value
+        known = math.hypot(silence.short_sigma, by_charge.sigma)
+        if found.comparable:
+            self.meter.lasting.push(error, known, silence.bridge.gross)
+        if found.verdict is Verdict.JOINED:
+            self.trip.correct(found.correction)
+        self._correction += found.correction
+        self._variance_taken += found.variance_taken
+
+    @property
+    def state(self) -> EnergyState:
+        """The meter's, with what reconciling added."""
+        state = self.meter.state
+        sigma = state.consumed_sigma
+        if not math.isnan(sigma):
+            sigma = math.sqrt(max(sigma**2 - self._variance_taken, 0.0))
+        return replace(state, consumed=state.consumed + self._correction, consumed_sigma=sigma)
+
+    def since_reset(self) -> Totals:
+        """What was counted since the last reset."""
+        state, stretch = self.state, self.trip.total
+        return Totals(
+            drawn=state.consumed + state.regenerated.energy,
+            regenerated=state.regenerated.energy,
+            variance=state.consumed_sigma**2,
+            distance=stretch.distance,
+            driven=stretch.energy,
+            unmeasured_s=state.unmeasured_s,
+            unknown_s=state.unknown_s,
+        )
+
+    def lifetime(self) -> Totals:
+        """What was counted since ever."""
+        return self._before_reset.plus(self.since_reset())
+
+    def charge(self) -> Uncertain:
+        """State of charge now, 0..1, its value NaN while unknown."""
+        return self.gauge.charge(self._newest_ns, self.lifetime().net)
+
+    def tick(self) -> AccountSummary | None:
+        """The summary, when the last is a second of stamps old."""
+        if self._newest_ns - self._summary_ns < SUMMARY_NS:
+            return None
+        self._summary_ns = self._newest_ns
+        return self.summary()
+
+    def summary(self) -> AccountSummary:
+        """The account now."""
+        since_reset, lifetime = self.since_reset(), self.lifetime()
+        charge = self.gauge.charge(self._newest_ns, lifetime.net)
+        usable = self.gauge.usable(charge)
+        consumption = self._consumption(since_reset, lifetime)
+        return AccountSummary(
+            self._newest_ns,
+            since_reset,
+            lifetime,
+            consumption,
+            charge,
+            self.gauge.projected(self._newest_ns),
+            self.gauge.capacity,
+            usable,
+            self._remaining(usable, consumption),
+        )
+
+    def _consumption(self, since_reset: Totals, lifetime: Totals) -> dict[str, float]:
+        found = {f"{w.length / 1e3:g}": w.total for w in self.trip.windows if w.known}
+        for name, totals in (("trip", since_reset), ("lifetime", lifetime)):
+            if totals.distance >= LEAST_DISTANCE:
+                found[name] = Stretch(totals.distance, totals.driven)
+        return {name: stretch.energy / stretch.distance for name, stretch in found.items()}
+
+    def _remaining(self, usable: Uncertain, consumption: Mapping[str, float]) -> Remaining | None:
+        """It needs what the last 10 km cost; the long run is 100 km, or before them all."""
+        recent = consumption.get("10", math.nan)
+        long = consumption.get("100", consumption.get("lifetime", math.nan))
+        spread = cost_spread(self.trip.windows[-1].whole)
+        return remaining(usable, Cost(recent, long, spread))
+
+    def export(self) -> dict[str, Any]:
+        """State to save, of numbers, text, lists and mappings only."""
+        return {
+            "version": STATE_VERSION,
+            "vehicle": self._vehicle,
+            "meter": self.meter.exported(),
+            "trip": self.trip.exported(),
+            "charge": self.gauge.exported(),
+            "correction": [self._correction, self._variance_taken],
+            "before_reset": [or_none(value) for value in self._before_reset],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a saved state.
+
+        Raises:
+            InputError: it is of another version or vehicle, or does not fit; the account is not
+                to be used then before `reset`.
+        """
+        wanted = (STATE_VERSION, self._vehicle)
+        found = tuple(state.get(key) for key in ("version", "vehicle"))
+        if found != wanted:
+            raise InputError(f"saved for (version, vehicle) {found}, not for {wanted}")
+        self.meter.restore(section(state, "meter"))
+        self.trip.restore(section(state, "trip"))
+        self.gauge.restore(section(state, "charge"))
+        correction, variance_taken = numbers(state, "correction", 2)
+        before = Totals(*numbers(state, "before_reset", len(Totals._fields), may_be_unknown=True))
+        if before.distance < 0 or before.variance < 0:
+            raise InputError("saved energy: 'before_reset' is negative")
+        self._begin(before, correction, variance_taken)

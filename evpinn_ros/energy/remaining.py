@@ -1,0 +1,108 @@
+"""How far the car gets with what is left in its battery.
+
+What a metre costs ahead begins as it was lately and returns to what it is in the long run, over
+`MEMORY`. So the energy of the next d metres is
+
+    E(d) = c_long d + (c_recent - c_long) L (1 - exp(-d / L)),    L = MEMORY
+
+and the distance to empty is where it is the energy left. The error of the cost is taken as a
+process over distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
+(`energy.uncertainty`, metres for seconds); the band is where E, 1.645 sigma of it and of the
+energy left up or down, meets the energy left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.trip import Stretch
+from evpinn_ros.energy.uncertainty import energy_sigma
+
+MEMORY = 30e3  # m; twelve BMW i3 trips do not tell it well: docs/benchmarks.md
+FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
+FARTHEST = 2.0**21  # m; what is beyond is no answer
+HALVINGS = 21  # down to a metre
+QUANTILE = 1.6449  # of 90 %
+
+
+class Remaining(NamedTuple):
+    """Distance to empty, m: the value, its 1-sigma, and the 90 % band."""
+
+    distance: float
+    sigma: float
+    lower: float
+    upper: float
+
+
+class Cost(NamedTuple):
+    """Energy per distance, J/m: lately, in the long run, and its relative 1-sigma."""
+
+    recent: float
+    long: float
+    spread: float
+
+    def energy(self, distance: float) -> float:
+        """Energy of the metres ahead, J."""
+        passing = MEMORY * -math.expm1(-distance / MEMORY)
+        return self.long * distance + (self.recent - self.long) * passing
+
+    def sigma(self, distance: float) -> float:
+        """1-sigma of that, J."""
+        level = self.spread * max(self.recent, self.long)
+        return float(energy_sigma(np.array(distance), level, MEMORY))
+
+
+def cost_spread(pieces: Sequence[Stretch]) -> float:
+    """Relative 1-sigma of the cost of pieces of road around their mean.
+
+    What was seen is averaged with a prior of 25 % that weighs as five pieces.
+    """
+    variance = FIRST_SPREAD_PIECES * FIRST_SPREAD**2
+    mean = sum(piece.energy for piece in pieces) / max(sum(p.distance for p in pieces), 1.0)
+    if mean > 0:
+        variance += sum((piece.energy / piece.distance / mean - 1) ** 2 for piece in pieces)
+    return math.sqrt(variance / (FIRST_SPREAD_PIECES + len(pieces)))
+
+
+def remaining(usable: Uncertain, cost: Cost) -> Remaining | None:
+    """Distance to empty, None while it cannot be known.
+
+    Args:
+        usable: energy left, J.
+        cost: of the road ahead.
+    """
+    numbers = (usable.value, usable.sigma, *cost)
+    if not all(map(math.isfinite, numbers)) or min(cost.recent, cost.long) <= 0:
+        return None
+
+    def over(quantile: float) -> Callable[[float], float]:
+        def energy(distance: float) -> float:
+            uncertain = math.hypot(cost.sigma(distance), usable.sigma)
+            return cost.energy(distance) + quantile * uncertain - usable.value
+
+        return energy
+
+    # The sooner it crosses zero the earlier the car stands: upwards for each of the three.
+    found = [_first_zero(over(quantile)) for quantile in (QUANTILE, 0.0, -QUANTILE)]
+    lower, distance, upper = found
+    if lower is None or distance is None or upper is None:
+        return None
+    return Remaining(distance, (upper - lower) / (2 * QUANTILE), lower, upper)
+
+
+def _first_zero(function: Callable[[float], float]) -> float | None:
+    """Where a function that rises in the end crosses zero; 0 if it is above from the start."""
+    if function(0.0) >= 0:
+        return 0.0
+    if function(FARTHEST) <= 0:
+        return None
+    low, high = 0.0, FARTHEST
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if function(middle) < 0 else (low, middle)
+    return (low + high) / 2

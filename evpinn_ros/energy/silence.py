@@ -1,0 +1,77 @@
+"""Time without the battery, and what the prediction says of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Bridge(NamedTuple):
+    """What the prediction says of a silence, or of many.
+
+    Attributes:
+        energy: net, J.
+        regenerated: as positive J.
+        gross: drawn and regenerated together, J.
+        covered_s: time that the prediction covers, s.
+    """
+
+    energy: float = 0.0
+    regenerated: float = 0.0
+    gross: float = 0.0
+    covered_s: float = 0.0
+
+    def plus(self, other: Bridge) -> Bridge:
+        """Both together."""
+        return Bridge(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def less(self, other: Bridge) -> Bridge:
+        """What came since another."""
+        return Bridge(*(a - b for a, b in zip(self, other, strict=True)))
+
+
+class Silence(NamedTuple):
+    """One silence of the battery that ended.
+
+    Attributes:
+        end_ns: stamp of the battery's first word after it.
+        duration: s.
+        bridge: what the prediction says of it.
+        short_sigma: 1-sigma of its energy by errors of power that pass, J.
+        sigma: the same with the error that lasts, J.
+    """
+
+    end_ns: int
+    duration: float
+    bridge: Bridge
+    short_sigma: float
+    sigma: float
+
+    @property
+    def unknown_s(self) -> float:
+        """Time of it that nothing is known of, for speed was silent too, s."""
+        return max(self.duration - self.bridge.covered_s, 0.0)
+
+
+class Silences(NamedTuple):
+    """All silences together.
+
+    Attributes:
+        bridged: what the prediction says of them.
+        variance: of its energy, J^2.
+        lasting_variance: the part of that by errors that last through a silence, J^2.
+        seconds: their duration.
+    """
+
+    bridged: Bridge = Bridge()
+    variance: float = 0.0
+    lasting_variance: float = 0.0
+    seconds: float = 0.0
+
+    def after(self, silence: Silence) -> Silences:
+        """With one more."""
+        return Silences(
+            self.bridged.plus(silence.bridge),
+            self.variance + silence.sigma**2,
+            self.lasting_variance + silence.sigma**2 - silence.short_sigma**2,
+            self.seconds + silence.duration,
+        )

@@ -1,0 +1,31 @@
+from pathlib import Path
+import time
+
+import pytest
+
+from evpinn_ros.bench import energy_integration
+from evpinn_ros.bench.energy_integration import integration_rows
+from evpinn_ros.bench.logs import find_logs
+
+URBAN = Path(__file__).parents[2] / "bags" / "urban"
+
+
+def test_figures_that_need_no_data():
+    drift, quadrature, *gaps = integration_rows([], time.thread_time)
+    assert drift.name.startswith("drift") and drift.figure <= 1e-6
+    assert quadrature.name.startswith("quadrature") and 0.0 < quadrature.figure <= 1e-4
+    assert gaps[-1].name.endswith("worst") and 0.0 < gaps[-1].figure <= 1.5  # goal: 0.5
+
+
+def test_a_bundled_drive_gives_every_figure_of_a_car(monkeypatch):
+    monkeypatch.setattr(energy_integration, "DAY", 60)
+    monkeypatch.setattr(energy_integration, "STRIDE", 100.0)
+    monkeypatch.setattr(energy_integration, "SILENCE", 60.0)
+    logs = find_logs(str(URBAN), "tesla_model_3_lr")
+    rows = {row.name: row for row in integration_rows([logs], time.thread_time)}
+    silent = "tesla_model_3_lr, battery silent for 60 s"
+    assert rows[f"{silent}: median"].cases >= 2
+    assert 0.0 < rows[f"{silent}: median"].figure <= rows[f"{silent}: worst"].figure < 50.0
+    assert 0.0 <= rows[f"{silent}: in the 90 % band"].figure <= 100.0
+    gaps = rows["tesla_model_3_lr, battery at 1 Hz with 10% in gaps: worst"]
+    assert gaps.figure == pytest.approx(0.0, abs=2.0) and gaps.cases == 1

@@ -1,0 +1,173 @@
+import json
+import math
+
+import pytest
+
+from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.reconciliation import Verdict
+from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.errors import InputError
+
+START = 1_700_000_000_000_000_000
+CAPACITY = 70e6  # J
+SPEED = 20.0  # m/s
+NEVER = range(0)
+RKNN = load_rknn()
+
+
+def account(capacity=CAPACITY, vehicle="bmw_i3"):
+    return EnergyAccount(EnergyMeter(RKNN), vehicle, capacity)
+
+
+def drive(
+    to, seconds, *, power=10e3, predicted=10.5e3, silent=NEVER, blind=NEVER, first_charge=0.9
+):
+    """2 Hz; the battery with its charge is silent in one range, speed in another.
+
+    The state of charge falls as the power says, from second 0 on, in steps of 1 / 500.
+    """
+    for tick in range(seconds.start * 2, seconds.stop * 2 + 1):
+        t, stamp = tick / 2, START + tick * 500_000_000
+        if not silent.start < t < silent.stop:
+            charge = first_charge - power * t / CAPACITY
+            to.push_charge(stamp, round(charge * 500) / 500)
+            to.push_measured(stamp, power, 30.0)
+        if not blind.start < t < blind.stop:
+            to.push_speed(stamp, SPEED)
+            to.push_predicted(stamp, predicted, 1e3)
+    return to
+
+
+def test_before_anything_nothing_is_known():
+    summary = account().summary()
+    assert summary.since_reset == summary.lifetime
+    assert summary.since_reset.net == (0.0, 0.0)
+    assert summary.consumption == {} and summary.remaining is None
+    assert not summary.charge.known and not summary.usable.known
+
+
+def test_totals_and_consumption_of_a_drive():
+    summary = drive(account(), range(600)).summary()
+    assert summary.since_reset.net.value == pytest.approx(6e6)
+    assert summary.since_reset.drawn == pytest.approx(6e6)
+    assert summary.since_reset.distance == pytest.approx(12e3)
+    assert set(summary.consumption) == {"1", "10", "trip", "lifetime"}
+    assert all(cost == pytest.approx(500.0, rel=1e-3) for cost in summary.consumption.values())
+    assert summary.usable.value == pytest.approx((0.9 - 6 / 70) * CAPACITY, rel=0.01)
+    expected = summary.usable.value / 500.0
+    assert summary.remaining.lower < expected < summary.remaining.upper
+    assert summary.remaining.distance == pytest.approx(expected, rel=1e-2)
+
+
+def test_a_reset_of_the_trip_leaves_the_lifetime_and_the_charge():
+    counted = drive(account(), range(600))
+    charge = counted.charge()
+    counted.reset_trip()
+    assert counted.since_reset().net.value == 0.0
+    assert counted.lifetime().net.value == pytest.approx(6e6)
+    assert counted.charge() == charge
+    drive(counted, range(600, 1200))
+    assert counted.since_reset().net.value == pytest.approx(6e6)
+    assert counted.lifetime().net.value == pytest.approx(12e6)
+    assert counted.lifetime().distance == pytest.approx(24e3)
+    assert counted.summary().consumption["10"] == pytest.approx(500.0, rel=1e-3)
+
+
+def test_a_silence_is_reconciled_with_the_state_of_charge():
+    """The prediction is 20 % low over a silence of 20 minutes; charge tells most of that."""
+    counted = drive(account(), range(3600))  # learns the capacity
+    assert counted.gauge.learned
+    before = counted.lifetime().net.value
+    drive(counted, range(3600, 6000), predicted=9e3, silent=range(3600, 4800))
+    found = counted.reconciled
+    assert found.verdict is Verdict.JOINED
+    assert found.silence.duration == pytest.approx(1200.0, abs=1.0)
+    assert found.silence.bridge.energy == pytest.approx(10.8e6, rel=0.01)
+    assert found.by_charge.value == pytest.approx(12e6, abs=2 * found.by_charge.sigma)
+    error = counted.lifetime().net.value - before - 24e6
+    assert abs(error) < 0.5 * 1.2e6
+    assert counted.meter.lasting.silences == 1
+    net = counted.since_reset().net
+    assert net.sigma < counted.meter.state.consumed_sigma
+    uncorrected = sum(window.total.energy for window in counted.trip.windows[:1])
+    assert uncorrected == pytest.approx(1e3 * 500.0, rel=0.1)  # no jump in the last kilometre
+
+
+def test_without_a_state_of_charge_a_silence_stays_predicted():
+    counted = drive(account(math.nan), range(1200), silent=range(300, 900))
+    assert counted.reconciled.verdict is Verdict.PREDICTED
+    assert counted.since_reset().net.value == pytest.approx(6e6 + 6.3e6, rel=0.01)
+
+
+def test_speed_silent_too_is_counted_and_told_by_the_charge():
+    counted = drive(account(), range(3600))
+    drive(counted, range(3600, 6000), silent=range(3600, 4800), blind=range(3600, 4800))
+    assert counted.reconciled.verdict is Verdict.CHARGE_ALONE
+    assert counted.since_reset().unknown_s == pytest.approx(1200.0, abs=2.0)
+    assert counted.since_reset().net.value == pytest.approx(60e6, rel=0.02)
+    assert counted.since_reset().distance == pytest.approx((6000 - 1200) * SPEED, rel=1e-3)
+
+
+def test_the_charge_is_projected_while_the_battery_is_silent():
+    counted = drive(account(), range(600))
+    heard = counted.charge()
+    drive(counted, range(600, 1200), silent=range(600, 1300))
+    summary = counted.summary()
+    assert summary.projected
+    assert summary.charge.value == pytest.approx(heard.value - 6.3e6 / CAPACITY, abs=0.003)
+    assert summary.charge.sigma > heard.sigma
+
+
+def test_saved_and_restored_the_totals_are_the_same_and_go_on():
+    first = drive(account(), range(900), silent=range(300, 500))
+    first.reset_trip()
+    drive(first, range(900, 1800))
+    second = account()
+    second.restore(json.loads(json.dumps(first.export(), allow_nan=False)))
+    one, other = first.summary(), second.summary()
+    assert other.since_reset == pytest.approx(one.since_reset)
+    assert other.lifetime == pytest.approx(one.lifetime)
+    assert other.consumption == pytest.approx(one.consumption)
+    assert other.capacity == one.capacity
+    drive(second, range(90_000, 90_600))
+    assert second.lifetime().net.value == pytest.approx(one.lifetime.net.value + 6e6)
+    assert second.lifetime().distance == pytest.approx(one.lifetime.distance + 12e3)
+
+
+def test_without_a_sigma_of_power_totals_are_kept_all_the_same():
+    first = account()
+    for tick in range(20):
+        first.push_measured(START + tick * 500_000_000, 1e3, math.nan)
+    first.reset_trip()
+    second = account()
+    second.restore(json.loads(json.dumps(first.export(), allow_nan=False)))
+    assert second.lifetime().net.value == pytest.approx(9.5e3)
+    assert math.isnan(second.lifetime().net.sigma)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"vehicle": "tesla_model_s"}, "not for"),
+        ({"version": 99}, "not for"),
+        ({"meter": None}, "'meter' is missing"),
+        ({"trip": []}, "'trip' is missing"),
+        ({"charge": {}}, "charge"),
+        ({"correction": [1.0]}, "correction"),
+        ({"before_reset": [1.0] * 6 + ["x"]}, "before_reset"),
+        ({"before_reset": [-1.0] * 7}, "negative"),
+    ],
+)
+def test_a_wrong_saved_account_is_refused(wrong, reason):
+    saved = drive(account(), range(60)).export()
+    with pytest.raises(InputError, match=reason):
+        account().restore({**saved, **wrong})
+
+
+def test_a_jump_of_time_joins_nothing():
+    counted = drive(account(), range(600))
+    counted.begin_next_stretch()
+    drive(counted, range(600))
+    assert counted.since_reset().net.value == pytest.approx(12e6)
+    assert counted.since_reset().unmeasured_s == 0.0

@@ -1,0 +1,79 @@
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.remaining import (
+    FIRST_SPREAD,
+    MEMORY,
+    Cost,
+    cost_spread,
+    remaining,
+)
+from evpinn_ros.energy.trip import Stretch
+
+USABLE = Uncertain(60e6, 1e6)
+EVEN = Cost(500.0, 500.0, 0.2)
+costs = st.floats(200.0, 1500.0)
+
+
+def test_at_an_even_cost_it_is_energy_over_cost():
+    told = remaining(USABLE, EVEN)
+    assert told.distance == pytest.approx(120e3, abs=1.0)
+    assert told.lower < 0.9 * told.distance and told.upper > 1.1 * told.distance
+    assert told.sigma == pytest.approx((told.upper - told.lower) / (2 * 1.6449))
+
+
+def test_without_any_doubt_the_band_is_the_value():
+    told = remaining(USABLE._replace(sigma=0.0), EVEN._replace(spread=0.0))
+    assert told.lower == pytest.approx(told.distance, abs=2.0)
+    assert told.upper == pytest.approx(told.distance, abs=2.0)
+
+
+@given(costs, costs, st.floats(1e5, 4e8), st.floats(0.0, 0.3), st.floats(0.0, 0.4))
+def test_the_energy_of_the_distance_is_what_is_left(recent, long, usable, doubt, spread):
+    cost = Cost(recent, long, spread)
+    told = remaining(Uncertain(usable, doubt * usable), cost)
+    if told is None:  # so much that its upper end is beyond what is told
+        assert usable * (1 + 3 * doubt) > 200.0 * 3e5
+        return
+    assert 0.0 <= told.lower <= told.distance <= told.upper
+    assert cost.energy(told.distance) == pytest.approx(usable, abs=2 * max(recent, long))
+    low, high = sorted((recent, long))
+    assert usable / high - 2.0 <= told.distance <= usable / low + 2.0
+
+
+def test_what_is_recent_counts_near_and_the_long_run_far():
+    cost = Cost(1000.0, 500.0, 0.2)
+    near = remaining(Uncertain(2e6, 0.0), cost).distance
+    far = remaining(Uncertain(300e6, 0.0), cost).distance
+    assert near == pytest.approx(2e6 / 1000.0, rel=0.02)
+    assert far == pytest.approx((300e6 - 500.0 * MEMORY) / 500.0, rel=0.02)
+
+
+def test_an_empty_battery_goes_nowhere():
+    assert remaining(Uncertain(0.0, 0.0), EVEN).distance == 0.0
+
+
+@pytest.mark.parametrize(
+    ("usable", "cost"),
+    [
+        (Uncertain(math.nan, math.nan), EVEN),
+        (USABLE, Cost(math.nan, 500.0, 0.2)),
+        (USABLE, Cost(500.0, -20.0, 0.2)),
+        (USABLE, Cost(0.0, 500.0, 0.2)),
+        (USABLE, Cost(1.0, 1.0, 0.2)),  # 60 000 km
+    ],
+)
+def test_what_cannot_be_known_is_not_told(usable, cost):
+    assert remaining(usable, cost) is None
+
+
+def test_spread_of_the_cost_goes_from_the_prior_to_the_pieces():
+    assert cost_spread([]) == pytest.approx(FIRST_SPREAD)
+    even = [Stretch(5e3, 3e6)] * 20
+    assert cost_spread(even) == pytest.approx(FIRST_SPREAD * math.sqrt(5 / 25))
+    rough = [Stretch(5e3, 1e6), Stretch(5e3, 5e6)] * 10
+    assert cost_spread(rough) == pytest.approx(0.6, abs=0.1)

@@ -1,0 +1,206 @@
+"""The energy node's account: what outlives a restart, and what planners hear of it."""
+
+from itertools import pairwise
+import json
+import math
+
+import pytest
+from std_srvs.srv import Trigger
+
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.messages import (
+    Level,
+    battery_message,
+    named_vector,
+    read_named_vector,
+    speed_message,
+)
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+
+START = 1_700_000_000
+SPEED = 25.0  # m/s
+POWER = 15e3  # W
+SUMMARY = (topics.ENERGY_TOTALS, topics.ENERGY_CONSUMPTION, topics.ENERGY_RANGE)
+
+
+def drive(bench, node, seconds, *, battery=True):
+    """A message of each kind a second; returns when the node has dealt with them."""
+    for second in seconds:
+        stamp = (START + second) * NANOSECONDS
+        bench.deliver(node, topics.SPEED, speed_message(new_message, SpeedReading(stamp, SPEED)))
+        if battery:
+            reading = BatteryReading(stamp, 350.0, -POWER / 350.0, 0.8)
+            bench.deliver(node, topics.BATTERY, battery_message(new_message, reading))
+            bench.deliver(node, topics.POWER_MEASURED, power(stamp, POWER))
+        bench.deliver(node, topics.POWER_SMOOTHED, power(stamp, POWER + 1e3))
+
+
+def power(stamp, watts):
+    return named_vector(new_message, stamp, ["power"], [watts], [100.0])
+
+
+def stop(bench, node):
+    """As the executable does at SIGINT."""
+    bench.executor.remove_node(node)
+    bench.nodes.remove(node)
+    node.close()
+    node.destroy_node()
+
+
+def values(message):
+    return read_named_vector(message).values
+
+
+def test_a_planner_hears_consistent_totals_across_a_restart(bench, tmp_path):
+    """Subscribed before, during and after: energy since reset never starts over or jumps."""
+    path = str(tmp_path / "energy.json")
+    first = bench.start(EnergyNode, energy_file=path)
+    before = []
+    bench.node.create_subscription(
+        bench_type(topics.ENERGY_TOTALS), topics.ENERGY_TOTALS.under(), before.append, 100
+    )
+    bench.pump(lambda: first.count_subscribers(topics.ENERGY_TOTALS.under()) > 0)
+    drive(bench, first, range(60))
+    bench.pump(lambda: len(before) == first.published[topics.ENERGY_TOTALS])
+    stop(bench, first)
+    during = []
+    bench.node.create_subscription(
+        bench_type(topics.ENERGY_TOTALS), topics.ENERGY_TOTALS.under(), during.append, 100
+    )
+    heard = len(before)
+    second = bench.start(EnergyNode, energy_file=path)
+    bench.pump(lambda: second.count_subscribers(topics.ENERGY_TOTALS.under()) > 1)
+    drive(bench, second, range(65, 90))
+    after = []
+    bench.node.create_subscription(
+        bench_type(topics.ENERGY_TOTALS), topics.ENERGY_TOTALS.under(), after.append, 100
+    )
+    bench.pump(lambda: second.count_subscribers(topics.ENERGY_TOTALS.under()) > 2)
+    drive(bench, second, range(90, 120))
+    bench.pump(lambda: len(during) == second.published[topics.ENERGY_TOTALS])
+    bench.pump(lambda: len(before) == heard + len(during))
+    bench.pump(lambda: after and after[-1] == during[-1])
+    assert before[heard:] == during and during[-len(after) :] == after
+    net = [values(each)["net"] for each in before]
+    steps = [b - a for a, b in pairwise(net)]
+    assert min(steps) >= 0.0 and max(steps) <= 2 * POWER
+    # 59 s and 54 s of driving; the five seconds between nobody heard.
+    assert net[-1] == pytest.approx((59 + 54) * POWER)
+    assert values(before[-1])["lifetime_net"] == net[-1]
+
+
+def bench_type(topic):
+    return type(new_message(topic.type_name))
+
+
+def test_a_kill_costs_what_came_after_the_last_save(bench, tmp_path):
+    path = tmp_path / "energy.json"
+    first = bench.start(EnergyNode, energy_file=str(path))
+    drive(bench, first, range(20))
+    assert bench.call(Trigger, "/ev/energy/save").success
+    drive(bench, first, range(20, 30))
+    saved = path.read_bytes()
+    stop(bench, first)
+    path.write_bytes(saved)  # what a kill would have left
+    second = bench.start(EnergyNode, energy_file=str(path))
+    assert second.account.since_reset().net.value == pytest.approx(19 * POWER)
+
+
+def test_reset_starts_the_trip_and_not_the_lifetime(bench, tmp_path):
+    path = tmp_path / "energy.json"
+    node = bench.start(EnergyNode, energy_file=str(path))
+    drive(bench, node, range(60))
+    assert bench.call(Trigger, "/ev/energy/reset").success
+    totals = node.account.summary()
+    assert totals.since_reset.net.value == 0.0
+    assert totals.lifetime.net.value == pytest.approx(59 * POWER)
+    assert totals.consumption["1"] == pytest.approx(POWER / SPEED)
+    assert bench.call(Trigger, "/ev/energy/save").success
+    assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
+
+
+def test_without_a_file_save_says_so(bench):
+    bench.start(EnergyNode)
+    answer = bench.call(Trigger, "/ev/energy/save")
+    assert not answer.success and answer.message == "no file for it is set"
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"version": 1, "vehicle": "bmw_i3"}'])
+def test_a_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, content):
+    path = tmp_path / "energy.json"
+    path.write_text(content)
+    node = bench.start(EnergyNode, energy_file=str(path))
+    drive(bench, node, range(5))
+    level, text, told = bench.diagnosis(node)["meter"]
+    assert level is Level.WARN and str(path) in text and told["energy_file"] == text
+    assert bench.call(Trigger, "/ev/energy/save").success
+    assert (tmp_path / "energy.json.refused").read_text() == content
+    assert bench.diagnosis(node)["meter"][0] is Level.OK
+
+
+def test_planners_hear_consumption_and_range_only_when_known(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*SUMMARY)
+    drive(bench, node, range(30))
+    bench.settle()
+    consumption = values(bench.heard[topics.ENERGY_CONSUMPTION][-1])
+    assert set(consumption) == {"distance_trip", "distance_lifetime"}
+    known = values(bench.heard[topics.ENERGY_RANGE][-1])
+    assert set(known) == {"usable_energy", "state_of_charge", "capacity"}
+    drive(bench, node, range(30, 411))  # 10 km are full
+    bench.settle()
+    consumption = values(bench.heard[topics.ENERGY_CONSUMPTION][-1])
+    cost = POWER / SPEED / 3.6  # energy is known one sample later than speed
+    assert consumption["wh_per_km_1"] == pytest.approx(cost, rel=5e-3)
+    assert consumption["wh_per_km_10"] == pytest.approx(cost, rel=5e-3)
+    assert "wh_per_km_100" not in consumption
+    vector = bench.heard[topics.ENERGY_RANGE][-1]
+    told = values(vector)
+    assert told["state_of_charge"] == pytest.approx(0.8, abs=1e-6)
+    expected = told["usable_energy"] * SPEED / POWER
+    assert told["distance_to_empty"] == pytest.approx(expected, rel=1e-2)
+    assert told["distance_lower"] < expected < told["distance_upper"]
+    assert len(vector.effort) == len(vector.name)
+    status = bench.diagnosis(node)["charge"]
+    assert status[1] == "state of charge heard" and status[2]["projected"] == "False"
+
+
+def test_a_wrong_stamp_of_speed_costs_no_distance(bench):
+    node = bench.start(EnergyNode)
+    drive(bench, node, range(20))
+    wrong = SpeedReading((START + 86_400) * NANOSECONDS, SPEED)
+    bench.deliver(node, topics.SPEED, speed_message(new_message, wrong))
+    drive(bench, node, range(20, 41))
+    assert node.account.since_reset().distance == pytest.approx(40 * SPEED)
+
+
+def test_a_bag_that_starts_over_is_counted_on(bench):
+    node = bench.start(EnergyNode, time_jump_policy="hold")
+    for _ in range(2):
+        drive(bench, node, range(30))
+    totals = node.account.since_reset()
+    # The second stamp after the jump confirms it; what was held is counted then.
+    assert totals.net.value == pytest.approx(2 * 29 * POWER)
+    # Speed jumps before power does, and at the jump of power distance joins nothing once more.
+    assert totals.distance == pytest.approx((2 * 29 - 1) * SPEED)
+
+
+def test_a_silence_and_what_became_of_it_is_in_the_diagnostics(bench):
+    node = bench.start(EnergyNode)
+    drive(bench, node, range(30))
+    drive(bench, node, range(30, 130), battery=False)
+    assert "predicting" in bench.diagnosis(node)["meter"][1]
+    _, text, told = bench.diagnosis(node)["charge"]
+    assert "projected" in text and told["projected"] == "True"
+    assert float(told["state_of_charge"]) < 0.8
+    drive(bench, node, range(130, 135))
+    told = bench.diagnosis(node)["meter"][2]
+    assert told["silence"] == "joined with the state of charge"
+    assert float(told["silence_s"]) == pytest.approx(101.0)
+    predicted = float(told["silence_predicted_wh"])
+    assert predicted == pytest.approx(101 * (POWER + 1e3) / 3600, rel=0.02)
+    assert float(told["silence_by_charge_wh"]) == 0.0  # it did not move a step
+    assert -0.5 * predicted < float(told["silence_correction_wh"]) < 0.0
+    assert not math.isnan(float(told["silence_by_charge_sigma_wh"]))
