@@ -204,7 +204,7 @@ class HybridLearner:
             raise ValueError("the saved network is not finite")
         self.parameter_filter.restore(state["parameter_filter"])
         self.power_filter.restore(state["power_filter"])
-        self._payload.restore(state["payload"], self._vehicle)
+        self._payload.restore(state["payload"])
         self._suspicion.restore(state["current_suspicion"])
         self._grade_suspicion.restore(state["grade_suspicion"])
         self._network.load_vector(weights)

@@ -29,7 +29,6 @@ from typing import Any
 
 from evpinn_ros.estimation.published_filter import PublishedFilter
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 STOP = 5.0  # s of standstill, or of silence, in which someone may get in or out
@@ -151,25 +150,19 @@ class LoadDetector:
         return settled
 
     def export(self) -> dict[str, Any]:
-        """State to save: a change that is being confirmed goes on after a restart."""
+        """State to save; stops on trial are given up with the process."""
         return {
             "chance": asdict(self._chance),
             "change": None if self.change is None else asdict(self.change),
             "found": None if self._found is None else asdict(self._found),
-            "trials": [[asdict(trial), fork.export()] for trial, fork in self._trials],
         }
 
-    def restore(self, state: Mapping[str, Any], vehicle: Vehicle) -> None:
+    def restore(self, state: Mapping[str, Any]) -> None:
         """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
         chance = Chance(**_finite(state["chance"]))
         change = None if state["change"] is None else LoadChange(**_finite(state["change"]))
         found = None if state["found"] is None else _Trial(**_finite(state["found"]))
-        trials: deque[tuple[_Trial, PublishedFilter]] = deque(maxlen=FORKS)
-        for trial, saved in state["trials"]:
-            fork = PublishedFilter(vehicle)
-            fork.restore(saved)
-            trials.append((_Trial(**_finite(trial)), fork))
-        self._chance, self.change, self._found, self._trials = chance, change, found, trials
+        self._chance, self.change, self._found = chance, change, found
         self._standing = STOP  # the car may have stood since
 
     def _begin(self, current: PublishedFilter, sample: Sample) -> None:

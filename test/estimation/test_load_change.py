@@ -76,30 +76,28 @@ def test_what_comes_back_is_withdrawn_or_taken_back(driver):
     assert driver.load.found == 2 or driver.load.withdrawn == 1
 
 
-def test_a_change_that_is_being_confirmed_survives_a_restart(driver, vehicle):
-    """The computer restarts forty seconds into the new load."""
-    driver.drive(2050.0, 1, seconds=40.0)
-    assert driver.load.found == 0
-    saved, filter_state = json.loads(json.dumps(driver.load.export())), driver.filter.export()
-    driver.load, driver.filter = LoadDetector(), PublishedFilter(vehicle)
-    driver.load.restore(saved, vehicle)
-    driver.filter.restore(filter_state)
-    assert driver.load.export() == saved
-    driver.drive(2050.0, 2, seconds=120.0)
+def test_a_change_on_probation_survives_a_restart(driver, vehicle):
+    """At every moment of finding it, what is saved can be restored."""
+    for seed, seconds in ((1, 40.0), (2, 40.0), (3, 40.0)):
+        driver.drive(2050.0, seed, seconds=seconds)
+        saved, filter_state = json.loads(json.dumps(driver.load.export())), driver.filter.export()
+        again, filter_again = LoadDetector(), PublishedFilter(vehicle)
+        again.restore(saved)
+        filter_again.restore(filter_state)
+        assert again.export() == saved and filter_again.export() == filter_state
     assert driver.load.found == 1
-    assert driver.load.change.delta_mass == pytest.approx(150.0, abs=50.0)
+    assert again.change == driver.load.change is not None
 
 
-def test_a_saved_detector_that_does_not_fit_is_refused(driver, vehicle):
+def test_a_saved_detector_that_does_not_fit_is_refused(driver):
     saved = driver.load.export()
     other = LoadDetector()
     for wrong in (
         {"chance": {"stops": math.nan, "squares": 1.0}},
-        {"trials": [[{"stamp_ns": 1}, {}]]},
         {"change": {"stamp_ns": 1, "delta_mass": math.inf, "std": 1.0}},
     ):
         with pytest.raises((KeyError, TypeError, ValueError)):
-            other.restore({**saved, **wrong}, vehicle)
+            other.restore({**saved, **wrong})
     assert other.export() == LoadDetector().export()
 
 
