@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from evpinn_ros.energy.meter import EnergyMeter
@@ -17,8 +18,8 @@ from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
-from evpinn_ros.nodes.estimate_messages import energy_messages
-from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.estimate_messages import energy_messages, read_model
+from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.messages import (
     BadMessage,
@@ -26,7 +27,12 @@ from evpinn_ros.nodes.messages import (
     battery_reading,
     read_named_vector,
 )
-from evpinn_ros.nodes.plan_messages import forecast_message, path_plan, speed_profile_plan
+from evpinn_ros.nodes.plan_messages import (
+    forecast_message,
+    path_plan,
+    refuse_long,
+    speed_profile_plan,
+)
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
@@ -48,7 +54,8 @@ class EnergyNode(GuardedNode):
         """
         super().__init__("energy", **kwargs)
         self.meter = EnergyMeter(load_rknn(), max_gap=self.values["max_gap"])
-        self.forecaster = Forecaster(load_vehicle(self.values["vehicle"]))
+        self._vehicle = load_vehicle(self.values["vehicle"])
+        self.forecaster = Forecaster(self._vehicle)
         self._guard = StampGuard(topics.POWER_SMOOTHED)
         self._answered = self._refused = 0
         self._plan_problem: str | None = None
@@ -56,9 +63,10 @@ class EnergyNode(GuardedNode):
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
+        self.listen(topics.MODEL, self._on_model)
         self.listen(topics.BATTERY, self._on_battery)
-        self.listen(topics.PLAN, self._on_path)
-        self.listen(topics.SPEED_PROFILE, self._on_speed_profile)
+        for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
+            self.listen(topic, partial(self._on_plan, topic, read), raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_clock_going_back(self._guard.clock_went_back)
 
@@ -70,7 +78,7 @@ class EnergyNode(GuardedNode):
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
             state_of_charge=self.forecaster.state_of_charge,
-            learned=self.forecaster.learned,
+            basis=self.forecaster.basis,
             answered=self._answered,
             refused=self._refused,
             plan_problem=self._plan_problem,
@@ -122,15 +130,18 @@ class EnergyNode(GuardedNode):
     def _on_battery(self, message: Any) -> None:
         self.forecaster.hear_battery(battery_reading(message).state_of_charge)
 
-    def _on_path(self, message: Any) -> None:
-        self._answer(message, lambda: path_plan(message, self.values["nominal_speed"]))
+    def _on_model(self, message: Any) -> None:
+        self.forecaster.hear_model(read_model(message, self._vehicle.key))
 
-    def _on_speed_profile(self, message: Any) -> None:
-        self._answer(message, lambda: speed_profile_plan(message))
+    def _path(self, message: Any) -> Plan:
+        return path_plan(message, self.values["nominal_speed"])
 
-    def _answer(self, message: Any, read: Callable[[], Plan]) -> None:
+    def _on_plan(self, topic: Topic, read: Callable[[Any], Plan], data: bytes) -> None:
+        """Answer a plan, given as bytes: how long it is can be told before it is unpacked."""
         try:
-            plan = read()
+            refuse_long(len(data))
+            message = deserialize_message(data, message_class(topic.type_name))
+            plan = read(message)
         except PlanError as error:
             self._refused += 1
             self._plan_problem = str(error)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.energy.plan import (
+    MAX_POINTS,
     NOMINAL_SPEED,
     Plan,
     PlanError,
@@ -22,6 +23,7 @@ from evpinn_ros.nodes.messages import NewMessage, finite, not_negative
 from evpinn_ros.nodes.topics import TRAJECTORY_TYPE
 from evpinn_ros.signals.readings import NANOSECONDS
 
+MAX_BYTES = 160 * MAX_POINTS  # twice a pose with a short name of its frame
 FORECAST_JOINT = "energy"
 DISTANCE_JOINT = "distance"
 ELEVATION_JOINT = "elevation"
@@ -58,6 +60,16 @@ def forecast_message(
         for time_ns, energy, power, sigma in zip(times_ns, energies, powers, sigmas, strict=True)
     ]
     return new(TRAJECTORY_TYPE, header=request_header, joint_names=[FORECAST_JOINT], points=points)
+
+
+def refuse_long(size: int) -> None:
+    """Refuse a serialised plan, of `size` bytes, that is not worth unpacking.
+
+    Raises:
+        PlanError: it holds more than `MAX_POINTS` points.
+    """
+    if size > MAX_BYTES:
+        raise PlanError(f"{size / 1e6:.0f} MB are more than {MAX_POINTS} points")
 
 
 def path_plan(message: Any, nominal_speed: float = NOMINAL_SPEED) -> Plan:
