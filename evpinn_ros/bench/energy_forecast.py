@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, vehicle_model
+from evpinn_ros.energy.power_model import PowerModel, combined_model
 from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
@@ -37,12 +37,20 @@ MIN_DURATION = 10.0  # s
 
 @dataclass(frozen=True, slots=True)
 class Foretold:
-    """One drive: measured and forecast energy and its 1-sigma, J, and its length, m."""
+    """One drive.
+
+    Attributes:
+        measured_j: energy of the battery, J.
+        forecast_j: before it was driven.
+        sigma_j: 1-sigma of that.
+        combinations_j: a forecast that knows the five published combinations alone.
+        distance_m: m.
+    """
 
     measured_j: float
     forecast_j: float
     sigma_j: float
-    vehicle_file_j: float
+    combinations_j: float
     distance_m: float
 
     @property
@@ -72,19 +80,21 @@ class ForecastBenchmark:
         """
         drive = list(readings())
         plan, measured = driven_plan(drive), _measured(drive)
-        linear = self._estimator.linear_power()
-        prior = vehicle_model(self._vehicle, FIRST_RESIDUAL)
-        model = prior if linear is None else PowerModel(linear)
+        known, linear = self._estimator.parameters(), self._estimator.linear_power()
+        combinations = combined_model(
+            known.identifiable, known.identifiable_std, self._vehicle, FIRST_RESIDUAL
+        )
+        model = combinations if linear is None else PowerModel(linear)
         density = self._vehicle.air_density
         found = forecast_plan(plan, model, density)
-        before = forecast_plan(plan, prior, density)
+        simple = forecast_plan(plan, combinations, density)
         self._estimator.handle_time_jump()
         for reading in drive:
             for _ in self._estimator.push(reading):
                 pass
         distance = float(plan.distance[-1])
         energy, sigma = float(found.energy[-1]), float(found.sigma[-1])
-        return Foretold(measured, energy, sigma, float(before.energy[-1]), distance)
+        return Foretold(measured, energy, sigma, float(simple.energy[-1]), distance)
 
 
 def driven_plan(readings: Iterable[Reading]) -> Plan:

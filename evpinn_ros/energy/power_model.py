@@ -31,6 +31,7 @@ from evpinn_ros.vehicle.physics import GRAVITY
 
 SPEED_STEP, SPEEDS = 1.0, 49  # m/s, cells of the table
 ACCELERATION_STEP, ACCELERATIONS = 0.25, 33  # m/s^2, around zero
+TINY = 1e-6  # m/s
 PHYSICS = len(FEATURES)
 
 
@@ -119,10 +120,9 @@ class PowerModel:
         """The features but the last, each of the motion's shape."""
         car, v = self.linear, motion.speed
         drag = 0.5 * motion.air_density * v * v * v
-        # v cos(grade); a little more than zero, where a root has no slope
-        rolling = GRAVITY * xp.sqrt(
-            xp.clip(v * v - motion.climb * motion.climb, 0.0, None) + 1e-12
-        )
+        # v cos(grade), as a root that has a slope at standstill too
+        level = xp.clip(v * v - motion.climb * motion.climb, 0.0, None)
+        rolling = GRAVITY * (xp.sqrt(level + TINY**2) - TINY)
         force = GRAVITY * motion.climb + car.rotating_mass_factor * motion.acceleration * v
         wheel = car.drag_area * drag + car.rolling_mass * rolling + car.mass * force
         driving = (wheel > 0) * 1.0

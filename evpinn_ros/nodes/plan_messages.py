@@ -55,7 +55,7 @@ def forecast_message(
             positions=[finite(energy)],
             velocities=[finite(power)],
             effort=[] if math.isnan(sigma) else [not_negative(sigma)],
-            time_from_start=_duration(new, time_ns),
+            time_from_start=duration_message(new, time_ns),
         )
         for time_ns, energy, power, sigma in zip(times_ns, energies, powers, sigmas, strict=True)
     ]
@@ -108,6 +108,12 @@ def speed_profile_plan(message: Any) -> Plan:
     )
 
 
+def duration_message(new: NewMessage, nanoseconds: int) -> Any:
+    """builtin_interfaces/Duration."""
+    seconds, rest = divmod(int(nanoseconds), NANOSECONDS)
+    return new("builtin_interfaces/msg/Duration", sec=seconds, nanosec=rest)
+
+
 def _column(points: Sequence[Any], field: str, joint: int) -> np.ndarray:
     for index, point in enumerate(points):
         if len(getattr(point, field)) <= joint:
@@ -119,8 +125,3 @@ def _seconds(stamps: Sequence[Any]) -> np.ndarray:
     """Seconds since the first stamp; exact, where seconds since 1970 would be 240 ns coarse."""
     whole = np.array([int(s.sec) * NANOSECONDS + int(s.nanosec) for s in stamps], dtype=np.int64)
     return (whole - whole[:1]) / NANOSECONDS
-
-
-def _duration(new: NewMessage, nanoseconds: int) -> Any:
-    seconds, rest = divmod(int(nanoseconds), NANOSECONDS)
-    return new("builtin_interfaces/msg/Duration", sec=seconds, nanosec=rest)
