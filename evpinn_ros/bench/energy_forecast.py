@@ -6,7 +6,7 @@ What the car knows of itself then is what it learned on the drives before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,14 +72,15 @@ class ForecastBenchmark:
         self._vehicle = vehicle
         self._estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(clock))
 
-    def drive(self, readings: Callable[[], Iterable[Reading]]) -> Foretold:
-        """Foretell a drive, whose readings can be had twice, and learn from it.
+    def drive(self, readings: Iterable[Reading]) -> Foretold:
+        """Foretell a drive, and learn from it.
 
         Raises:
             InputError: too short to be a drive.
         """
-        drive = list(readings())
+        drive = list(readings)
         plan, measured = driven_plan(drive), _measured(drive)
+        self._estimator.handle_time_jump()  # it is another day
         known, linear = self._estimator.parameters(), self._estimator.linear_power()
         combinations = combined_model(
             known.identifiable, known.identifiable_std, self._vehicle, FIRST_RESIDUAL
@@ -88,7 +89,6 @@ class ForecastBenchmark:
         density = self._vehicle.air_density
         found = forecast_plan(plan, model, density)
         simple = forecast_plan(plan, combinations, density)
-        self._estimator.handle_time_jump()
         for reading in drive:
             for _ in self._estimator.push(reading):
                 pass

@@ -81,7 +81,7 @@ def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
         for number, log in enumerate(logs, start=1):
             try:
                 source = open_source(log.path, car, log.can_profile)
-                found[str(log.path)] = benchmark.drive(source.readings)
+                found[str(log.path)] = benchmark.drive(source.readings())
             except InputError as error:
                 note(f"evpinn: {log.path}: {error}")
             progress(number)
@@ -159,6 +159,7 @@ def _plans(plans: int) -> dict[str, Any]:
         ("p50", f"{load.p50_ms:.1f} ms", ""),
         ("p99", f"{load.p99_ms:.1f} ms", "20 ms"),
         ("largest", f"{load.largest_ms:.1f} ms", ""),
+        ("the node's processor", f"{load.node_ms:.1f} ms", ""),
     ]
     _show_figures(f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows)
     return load._asdict()

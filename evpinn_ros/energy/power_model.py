@@ -12,7 +12,7 @@ The variance of the energy of a trip adds up
 - slopes and winds that no plan holds, which change within some hundred metres.
 
 The cells are 1 m/s by 0.25 m/s^2: with the units of the power filter, 4 m/s and 0.7 m/s^2 wide,
-force is within 1 % of the network's largest, and energy of a trip much closer. Beyond 48 m/s and
+force is within 2 % of the network's largest, and energy of a trip much closer. Beyond 48 m/s and
 4 m/s^2 the edge of the table holds.
 """
 
@@ -110,11 +110,12 @@ class PowerModel:
         noise = car.standing_noise**2 + car.moving_noise**2 * square_speed
         # What the drift is at the start, the directions hold.
         drift = _walked(elapsed, car.drift_time) - _begun(elapsed, car.drift_time) ** 2
-        return (
+        variance = (
             noise * _walked(elapsed, CORRELATION_TIME)
             + car.drift_std**2 * drift
             + car.slope_force**2 * _walked(distance, car.slope_length)
         )
+        return namespace(variance).clip(variance, 0.0, None)  # rounding, of the first moments
 
     def _features(self, motion: Motion, xp: Any) -> list[Any]:
         """The features but the last, each of the motion's shape."""

@@ -17,7 +17,12 @@ from evpinn_ros.nodes.estimate_messages import model_message
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import header
 from evpinn_ros.nodes.plan_messages import DISTANCE_JOINT, ELEVATION_JOINT, duration_message
-from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
+from evpinn_ros.nodes.processes import (
+    START_TIMEOUT,
+    node_process,
+    own_network,
+    processor_seconds,
+)
 from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.vehicle.files import load_vehicle
@@ -30,13 +35,18 @@ PAUSE = 0.02  # s between plans
 
 
 class PlanLoad(NamedTuple):
-    """How many plans of how many points were answered, and after how many ms."""
+    """How many plans of how many points were answered, and after how many ms.
+
+    Attributes:
+        node_ms: of the processor that the node took for one, whatever else the machine did.
+    """
 
     plans: int
     points: int
     p50_ms: float
     p99_ms: float
     largest_ms: float
+    node_ms: float
 
 
 def measure_plans(plans: int, points: int, progress: Callable[[float], None]) -> PlanLoad:
@@ -51,17 +61,21 @@ def measure_plans(plans: int, points: int, progress: Callable[[float], None]) ->
     rclpy.init(args=[])
     planner = _Planner()
     try:
-        with node_process("energy", {"vehicle": VEHICLE}):
+        with node_process("energy", {"vehicle": VEHICLE}) as node:
             planner.await_node()
-            times = []
+            times, begin = [], 0.0
             for number in range(WARM_UP + plans):
+                if number == WARM_UP:
+                    begin = processor_seconds(node.pid)
                 times.append(planner.ask(speed_profile(number, points)))
                 progress(number)
                 time.sleep(PAUSE)
+            node_seconds = processor_seconds(node.pid) - begin
     finally:
         rclpy.try_shutdown()
     p50, p99, largest = np.quantile(times[WARM_UP:], (0.5, 0.99, 1.0)).tolist()
-    return PlanLoad(plans, points, 1e3 * p50, 1e3 * p99, 1e3 * largest)
+    each = node_seconds / plans
+    return PlanLoad(plans, points, *(1e3 * seconds for seconds in (p50, p99, largest, each)))
 
 
 def speed_profile(number: int, points: int) -> Any:
