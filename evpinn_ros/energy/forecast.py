@@ -144,10 +144,10 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     time, speed, elevation = profiles
     xp = namespace(speed)
     duration = xp.diff(time)
-    if bool((duration <= 0).any()):
+    if not bool((duration > 0).all()):
         raise PlanError("time does not rise")
-    if bool((speed < 0).any()):
-        raise PlanError("speed is negative")
+    if not bool((xp.isfinite(speed) & (speed >= 0)).all()):
+        raise PlanError("speed is negative or not finite")
     duration = xp.broadcast_to(duration, (speed.shape[0], speed.shape[1] - 1))
     middle = 0.5 * (speed[:, 1:] + speed[:, :-1])
     climb = xp.zeros_like(middle) if elevation is None else xp.diff(elevation) / duration

@@ -56,13 +56,11 @@ class PowerModel:
 
     Attributes:
         linear: what it was made from.
-        learned: whether the network and all its physics were learned, not the combinations alone.
     """
 
     def __init__(self, linear: LinearPower) -> None:
         """Tabulate the network."""
         self.linear = linear
-        self.learned = linear.has_network
         both = np.concatenate((linear.mean[None], linear.directions))
         self._coefficients = both[:, :PHYSICS]
         self._table = _table(linear, both[:, PHYSICS:]) if linear.has_network else None
@@ -89,8 +87,7 @@ class PowerModel:
         found = xp.stack(columns, -1) @ like(self._coefficients[:, : PHYSICS - 1].T, columns[0])
         if self._table is None:
             return found
-        share = motion.speed * duration
-        held = _held(motion, share, xp)
+        held = _held(motion, motion.speed * duration, xp)
         return found + held @ like(self._table, held)
 
     def with_present_drift(self, energies: Any, elapsed: Any) -> Any:

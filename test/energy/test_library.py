@@ -154,13 +154,16 @@ def test_numpy_alone_never_loads_torch():
         ({"speed": np.ones(3)}, "must be"),
         ({"speed": -np.ones((2, 3))}, "speed is negative"),
         ({"speed": np.full((2, 3), np.nan)}, "not finite"),
+        ({"speed": np.full((2, 3), np.inf)}, "not finite"),
+        ({"time": np.array([0.0, np.nan, 2.0])}, "time does not rise"),
         ({"elevation": np.full((2, 3), np.inf)}, "not finite"),
     ],
 )
+@MODELS
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_what_is_no_profile_is_refused(change, reason):
+def test_what_is_no_profile_is_refused(change, reason, model):
     with pytest.raises(PlanError, match=reason):
-        forecast(Profiles(np.arange(3.0), np.ones((2, 3)))._replace(**change), CAR)
+        forecast(Profiles(np.arange(3.0), np.ones((2, 3)))._replace(**change), CAR, model)
 
 
 # What holds for the physics and for every learned model, exactly.
