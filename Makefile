@@ -38,9 +38,10 @@ bags: $(INSTALLED)
 	@rm -rf bags/urban bags/highway
 	@sed -n '/^evpinn /,/[^\\]$$/p' bags/README.md | PATH="$(CURDIR)/$(BIN):$$PATH" bash -eux
 
-# The picture of the README and the reference pages, from code.
+# The pictures of the README and the reference pages, from code.
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
+	@$(BIN)/python docs/eco_speed.py
 	@$(BIN)/python docs/generate.py
 
 clean:

@@ -28,6 +28,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *shared_files("config", "launch", "bags"),
+        # Where `ros2 run` looks. Not as `scripts`: the first line of those is left to pip.
+        (f"lib/{NAME}", ["examples/eco_speed_planner.py"]),
     ],
     zip_safe=False,
     python_requires=">=3.10",

@@ -98,15 +98,14 @@ class Section:
 
     def whole(self, key: str, lower: int, upper: int) -> int:
         """The whole number under `key`, also as 0x7E4, within [lower, upper]."""
-        try:
-            value = int(self.text(key), 0)
-        except ValueError:
-            raise self.error_at(
-                key, f"'{key}' must be a whole number, such as 17 or 0x11"
-            ) from None
+        value = self._whole(key, self._value(key))
         if not lower <= value <= upper:
             raise self.error_at(key, f"{self._title}: {key} is outside [{lower:#x}, {upper:#x}]")
         return value
+
+    def whole_numbers(self, key: str) -> tuple[int, ...]:
+        """The list of whole numbers under `key`, also as 0x7E4."""
+        return tuple(self._whole(key, item) for item in self._list(key))
 
     def truth(self, key: str) -> bool:
         """The truth value under `key`."""
@@ -114,16 +113,26 @@ class Section:
 
     def numbers(self, key: str, lower: float, upper: float) -> tuple[float, ...]:
         """The list of numbers under `key`, each within [lower, upper]."""
-        node = self._value(key)
-        if not isinstance(node, yaml.SequenceNode):
-            raise self.error(f"'{key}' must be a list [...] of numbers", node)
-        return tuple(self._number(key, item, lower, upper) for item in node.value)
+        return tuple(self._number(key, item, lower, upper) for item in self._list(key))
 
     def refuse_unknown(self, known: Collection[str]) -> None:
         """Raise when the section has a key that is not in `known`."""
         for name, (key, _) in self._items.items():
             if name not in known:
                 raise self.error(f"unknown key '{name}'; known are {', '.join(known)}", key)
+
+    def _list(self, key: str) -> list[yaml.Node]:
+        node = self._value(key)
+        if not isinstance(node, yaml.SequenceNode):
+            raise self.error(f"'{key}' must be a list [...] of numbers", node)
+        return list(node.value)
+
+    def _whole(self, key: str, node: yaml.Node) -> int:
+        try:
+            return int(node.value, 0)
+        except (TypeError, ValueError):
+            reason = f"'{key}' must be a whole number, such as 17 or 0x11"
+            raise self.error(reason, node) from None
 
     def _number(self, key: str, node: yaml.Node, lower: float, upper: float) -> float:
         try:

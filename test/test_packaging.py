@@ -22,6 +22,7 @@ MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 DEPENDS = {tag.text for tag in MANIFEST.iter("exec_depend")}
 ROS_PACKAGES = {name for name in DEPENDS if not name.startswith("python3-")}
 EXECUTABLES = {"can_bridge", "energy", "estimator", "evpinn"}
+EXAMPLES = {path.name for path in (ROOT / "examples").glob("*.py")}
 
 # What is imported: its name at the package index and its rosdep key, where it has one.
 NAMES = {
@@ -118,13 +119,14 @@ def test_manifest_is_an_ament_python_package() -> None:
 
 
 def test_manifest_declares_what_is_imported() -> None:
-    imported = third_party_imports("evpinn_ros") | third_party_imports("launch")
+    folders = "evpinn_ros", "launch", "examples"
+    imported = set().union(*map(third_party_imports, folders))
     keys = {NAMES[name][1] for name in imported - ROS_PACKAGES} - {None}
     assert keys <= DEPENDS
 
 
 def test_wheel_declares_what_is_imported(wheel: ZipFile) -> None:
-    imported = third_party_imports("evpinn_ros")
+    imported = third_party_imports("evpinn_ros") | third_party_imports("examples")
     needed = {NAMES[name][0] for name in imported - ROS_PACKAGES}
     needed |= {f"ros-{name.replace('_', '-')}" for name in imported & ROS_PACKAGES}
     assert needed <= requirements(wheel, without_extra="dev")
@@ -164,7 +166,8 @@ def test_colcon_installs_the_package(installed: Path) -> None:
     assert (prefix / "share/evpinn_ros/config/vehicles/generic.yaml").is_file()
     assert (prefix / "share/evpinn_ros/package.xml").is_file()
     assert (prefix / "share/ament_index/resource_index/packages/evpinn_ros").is_file()
-    assert {path.name for path in (prefix / "lib/evpinn_ros").iterdir()} == EXECUTABLES
+    executables = {path.name for path in (prefix / "lib/evpinn_ros").iterdir()}
+    assert executables == EXECUTABLES | EXAMPLES
 
 
 def test_colcon_install_uses_its_own_files(installed: Path) -> None:
@@ -175,6 +178,12 @@ def test_colcon_install_uses_its_own_files(installed: Path) -> None:
 
 def test_installed_command_runs(installed: Path) -> None:
     assert "replay" in in_workspace(installed, "evpinn_ros/lib/evpinn_ros/evpinn", "--help")
+
+
+def test_installed_example_is_what_one_reads(installed: Path) -> None:
+    example = installed / "evpinn_ros" / "lib" / "evpinn_ros" / "eco_speed_planner.py"
+    assert example.read_bytes() == (ROOT / "examples" / example.name).read_bytes()
+    assert os.access(example, os.X_OK)
 
 
 def test_installed_nodes_load(installed: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN, FRAME_TYPE
-from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.frame import CanFrame, FirstBus
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -52,27 +52,25 @@ class CanLog(Protocol):
 
 
 class BagFrames:
-    """The frames of the one `can_msgs/Frame` topic of a bag; a `CanLog`.
+    """The frames of the `can_msgs/Frame` topics of a bag; a `CanLog`.
 
-    Stamps are those of the messages' headers, or the log time where a header has none.
+    Of several topics each id is read from one, see `FirstBus`. Stamps are those of the messages'
+    headers, or the log time where a header has none.
     """
 
     def __init__(self, path: Path) -> None:
-        """Find the topic.
+        """Find the topics.
 
         Raises:
-            InputError: not a bag, no frames in it, or frames of several buses.
+            InputError: not a bag, or no frames in it.
         """
         self.path = path
         self.count = 0
         self.skipped: Counter[str] = Counter()
         self._reader = BagReader(path)
-        topics = _frame_topics(self._reader)
-        if not topics:
+        self._topics = _frame_topics(self._reader)
+        if not self._topics:
             raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}) in this bag")
-        if len(topics) > 1:
-            raise InputError(f"{path}: frames of several buses, keep one: {', '.join(topics)}")
-        self._topics = topics
 
     @property
     def problem(self) -> str | None:
@@ -85,11 +83,15 @@ class BagFrames:
         Raises:
             InputError: there is none.
         """
+        first_bus = FirstBus()
         with self._reader:
             for record in self._reader.records(self._topics):
                 message = record.message
                 if message.is_error or message.is_rtr:
                     self.skipped["error_frame" if message.is_error else "remote_frame"] += 1
+                    continue
+                if not first_bus.takes(message.id, message.is_extended, record.topic):
+                    self.skipped["other_bus"] += 1
                     continue
                 stamp = message.header.stamp
                 stamp_ns = stamp.sec * NANOSECONDS + stamp.nanosec

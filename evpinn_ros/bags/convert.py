@@ -12,16 +12,19 @@ from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.messages import BadMessage, reading_message, scalar, to_reading
+from evpinn_ros.nodes.messages import BadMessage, scalar
+from evpinn_ros.nodes.reading_messages import reading_message, to_reading
 from evpinn_ros.nodes.topics import NAMESPACE, Topic
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    PressureReading,
     Reading,
     SpeedReading,
     TemperatureReading,
+    WindReading,
 )
 
 READING_TOPICS: dict[type[Reading], Topic] = {
@@ -30,6 +33,8 @@ READING_TOPICS: dict[type[Reading], Topic] = {
     GradeReading: topics.IMU,
     AltitudeReading: topics.FIX,
     TemperatureReading: topics.TEMPERATURE,
+    PressureReading: topics.PRESSURE,
+    WindReading: topics.WIND,
     AuxiliaryReading: topics.AUXILIARY_POWER,
 }
 NOT_A_MESSAGE = "not_finite_or_out_of_range"

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.bench.online import RANDOM_SPLIT, Run
 from evpinn_ros.replay.history import Drive, PowerSeries
-from evpinn_ros.replay.scoring import Span, drive_scores, null_scores, scored
+from evpinn_ros.replay.scoring import Span, drive_scores, null_scores, scored, worst_window
 
 Score: TypeAlias = dict[str, Any]
 
@@ -37,7 +37,8 @@ def total_scores(logs: Sequence[Mapping[str, Score]]) -> dict[str, Score]:
     """Scores of each method over all logs that it has a score for, weighted by samples.
 
     The energy error is the sum of the errors of the logs, each without its sign, over the sum of
-    their energies: a log too high and one too low do not cancel.
+    their energies: a log too high and one too low do not cancel. The worst five minutes are those
+    of all logs.
     """
     names = dict.fromkeys(name for log in logs for name in log)
     return {name: _total([log[name] for log in logs if name in log]) for name in names}
@@ -51,6 +52,7 @@ def _score(run: Run, name: str, warm_up: float) -> Score:
     return {
         **_part(drive, drive.smoothed, found["power"], warm_up),
         "energy_error_percent": energy["error_percent"],
+        "worst_5min_percent": worst_window(drive),
         "measured_j": energy["measured_j"],
         "predicted_j": energy["predicted_j"],
         "now": _part(drive, drive.newest, found["power_now"], warm_up),
@@ -73,7 +75,9 @@ def _split_score(run: Run, warm_up: float) -> Score:
     unknown = dict.fromkeys(MEANS)
     return {
         **{"samples": readings, "rmse_w": rmse, **unknown},
-        **dict.fromkeys(("energy_error_percent", "measured_j", "predicted_j")),
+        **dict.fromkeys(
+            ("energy_error_percent", "worst_5min_percent", "measured_j", "predicted_j")
+        ),
         "now": {"samples": 0, "rmse_w": None, **unknown},
         "us_per_sample": None,
     }
@@ -85,11 +89,13 @@ def _total(scores: Sequence[Score]) -> Score:
         for score in scores
         if score["measured_j"] is not None
     ]
+    worst = [score["worst_5min_percent"] for score in scores]
     measured = sum(abs(joules) for _, joules in energies)
     errors = sum(abs(predicted - joules) for predicted, joules in energies)
     return {
         **_total_part(scores),
         "energy_error_percent": 100.0 * errors / measured if measured else None,
+        "worst_5min_percent": max((one for one in worst if one is not None), default=None),
         "measured_j": measured if energies else None,
         "predicted_j": sum(predicted for predicted, _ in energies) if energies else None,
         "now": _total_part([score["now"] for score in scores]),

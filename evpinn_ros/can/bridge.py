@@ -114,6 +114,8 @@ class CanBridge:
                 self.poller.note(readings)
             if self._guard is not None:
                 readings = self._guard.pass_on(frame, readings)
+                if self.poller is not None:
+                    self.poller.contradicted = self._guard.contradiction is not None
         return self._watched(readings)
 
     def finish(self) -> tuple[Reading, ...]:

@@ -4,9 +4,9 @@ Nothing is sent unless `send` is called, which the poller does through its gate,
 polling is allowed. Otherwise an adapter that takes `listen_only` (slcan does) should be given it,
 so that it does not even acknowledge the car's frames.
 
-Stamps follow one rule, chosen at the first frame after every opening: a driver that stamps with
-the epoch (more than 1e9 s) is believed; any other counts from a zero of its own, and a `ClockMap`
-lays it on the node's clock.
+Stamps follow one rule, chosen at the first frame after every opening: the epoch (more than 1e9 s)
+of a driver that reads this computer's clock is believed. Every other one counts by a quartz of its
+adapter, and a `ClockMap` lays it on the node's clock. A frame without a stamp has its arrival's.
 """
 
 from __future__ import annotations
@@ -48,6 +48,12 @@ DRIVERS: Mapping[str, str] = {
     "vector": "Vector's XL Driver Library",
 }
 """What python-can needs beside itself for the adapters people have most."""
+
+OUR_CLOCK = frozenset(
+    ("iscan", "neousys", "seeedstudio", "slcan", "socketcan", "udp_multicast", "virtual")
+)
+"""Drivers of python-can 4.6 that stamp each frame by this computer's clock. Others that tell the
+epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counter: they drift."""
 
 
 class BusState(Enum):
@@ -138,7 +144,7 @@ class BusReader:
 
     def _begin(self) -> None:
         """Forget what was known of the bus that was open before."""
-        self._has_epoch: bool | None = None
+        self._believed: bool | None = None
         self._clock = ClockMap()
         self._silent_s = 0.0
         self._errors = self._garbled = 0
@@ -258,17 +264,21 @@ class BusReader:
             self._problem = f"{self._name}: reader of the frames failed: {error!r}"
 
     def _frame(self, message: Any) -> CanFrame:
-        stamp_ns = nanoseconds(message.timestamp)
-        if self._has_epoch is None:
-            self._has_epoch = message.timestamp > EPOCH_S
-        if not self._has_epoch:
-            stamp_ns = self._clock.push(stamp_ns, self._now_ns())
         return CanFrame(
-            stamp_ns,
+            self._stamp_ns(message.timestamp),
             message.arbitration_id,
             bytes(message.data),
             message.is_extended_id,
         )
+
+    def _stamp_ns(self, seconds: float) -> int:
+        if seconds == 0.0:  # python-can's default: a gs_usb without clock gives no other
+            return self._now_ns()
+        if self._believed is None:
+            self._believed = self._interface in OUR_CLOCK and seconds > EPOCH_S
+        if self._believed:
+            return nanoseconds(seconds)
+        return self._clock.push(nanoseconds(seconds), self._now_ns())
 
     def _close(self, state: BusState) -> None:
         bus, self._bus = self._bus, None

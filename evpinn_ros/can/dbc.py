@@ -38,10 +38,7 @@ class DbcFile:
             database = cantools.database.load_file(path, database_format="dbc", strict=False)
         except OSError as error:
             raise root.error_at("dbc", f"{path}: {error.strerror}") from error
-        except (
-            cantools.database.Error,
-            cantools.database.UnsupportedDatabaseFormatError,
-        ) as error:
+        except NOT_DBC as error:
             raise root.error_at("dbc", f"{path}: not a DBC file: {error}") from error
         except (ValueError, KeyError) as error:
             raise root.error_at("dbc", f"{path}: broken DBC file: {error}") from error

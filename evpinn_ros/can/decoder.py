@@ -62,8 +62,9 @@ class Decoder:
         }
         for quantity, maker in makers.items():
             if quantity in profile.messages:
-                reader = _Reader(quantity, profile.messages[quantity], maker)
-                self._readers.setdefault(reader.key, []).append(reader)
+                rule = profile.messages[quantity]
+                reader = _Reader(quantity, rule, maker)
+                self._readers.setdefault(rule.key, []).append(reader)
 
     def push(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings in a frame, none when it is of another id or may not be used."""
@@ -111,9 +112,14 @@ class _Reader:
 
     def __init__(self, quantity: str, rule: MessageRule, make: _Maker) -> None:
         self.quantity, self.rule, self.make = quantity, rule, make
-        self.key = (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
         counter = () if rule.counter is None else (rule.counter,)
         self._raw = unpacker(rule.message, {*(signal.name for signal in rule.signals), *counter})
+        signals = [rule.message.get_signal_by_name(signal.name) for signal in rule.signals]
+        self._pages = [
+            (str(signal.multiplexer_signal), frozenset(signal.multiplexer_ids))
+            for signal in signals
+            if signal.multiplexer_ids
+        ]
         self._counter: int | None = None
         self._repeated = 0
 
@@ -127,7 +133,7 @@ class _Reader:
         self._check_checksum(frame)
         self._check_counter(raw)
         if any(signal.name not in raw for signal in self.rule.signals):
-            if len(frame.data) < self.rule.message.length:
+            if len(frame.data) < self.rule.message.length and not self._is_other_page(raw):
                 raise _DroppedError("short_frame")
             return []
         return [_value(signal, raw[signal.name]) for signal in self.rule.signals]
@@ -142,6 +148,9 @@ class _Reader:
             # file can fail in other ways, and a frame must never stop the bridge.
             paged = self.rule.message.is_multiplexed()
             raise _DroppedError("unknown_multiplexer" if paged else "undecodable") from None
+
+    def _is_other_page(self, raw: dict[str, int]) -> bool:
+        return any(page in raw and raw[page] not in pages for page, pages in self._pages)
 
     def _check_checksum(self, frame: CanFrame) -> None:
         checksum, position = self.rule.checksum, self.rule.checksum_byte

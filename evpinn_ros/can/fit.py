@@ -186,7 +186,7 @@ class Evidence:
         messages = (
             MessageFit(
                 quantity,
-                int(self._profile.messages[quantity].message.frame_id),
+                self._profile.messages[quantity].key[0],
                 tally.frames,
                 tally.good,
                 dict(tally.bad),

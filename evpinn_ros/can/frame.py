@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 EPOCH_S = 1e9
 """Times above this count from 1970, times below it from the start of a log or an adapter."""
@@ -23,6 +24,20 @@ class CanFrame:
     can_id: int
     data: bytes
     extended: bool = False
+
+
+class FirstBus:
+    """Takes each id of a recording of several buses from the one that showed it first.
+
+    On another bus the id may mean something else, and two streams of one id make one of nonsense.
+    """
+
+    def __init__(self) -> None:
+        self._buses: dict[tuple[int, bool], Any] = {}
+
+    def takes(self, can_id: int, extended: bool, bus: Any) -> bool:
+        """Whether a frame of this bus, by whatever name the recording gives it, is to be read."""
+        return bool(self._buses.setdefault((can_id, extended), bus) == bus)
 
 
 def nanoseconds(seconds: float) -> int:

@@ -114,10 +114,7 @@ class FitGuard:
         evidence = Evidence(other)
         decoder = Decoder(other, evidence)
         self._others.append(evidence)
-        for key in {
-            (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
-            for rule in other.messages.values()
-        }:
+        for key in {rule.key for rule in other.messages.values()}:
             self._decoders.setdefault(key, []).append(decoder)
 
     def _weigh(

@@ -198,10 +198,7 @@ class _Candidate:
     def __init__(self, profile: CanProfile) -> None:
         self.key, self._experimental = profile.key, profile.experimental
         self.evidence = Evidence(profile)
-        self._keys = {
-            (int(rule.message.frame_id), bool(rule.message.is_extended_frame))
-            for rule in profile.messages.values()
-        }
+        self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder = Decoder(profile, self.evidence)
         self._asks, self._asked = bool(profile.asked), _Asked(profile)
         self._values: dict[str, _Values] = {}

@@ -18,7 +18,7 @@ from typing import IO, Any
 import can
 from can.io import mf4
 
-from evpinn_ros.can.frame import CanFrame, nanoseconds
+from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.errors import InputError
 
 _READERS: dict[str, Callable[..., Any]] = {
@@ -43,8 +43,8 @@ class LogFile:
     Attributes:
         path: of the log.
         count: frames read so far.
-        skipped: what is not a data frame, by kind: `error_frame`, `remote_frame`, and
-            `impossible_frame`, one of a damaged log that no bus can carry.
+        skipped: frames not read, by kind: `error_frame`, `remote_frame`, `impossible_frame`, one
+            of a damaged log that no bus can carry, and `other_bus` (see `FirstBus`).
         problem: why reading stopped before the end, or the sign that the end is missing.
     """
 
@@ -58,6 +58,7 @@ class LogFile:
         self.count = 0
         self.skipped: Counter[str] = Counter()
         self.problem: str | None = None
+        self._first_bus = FirstBus()
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]
         self._suffix = "".join(suffixes[:-1][-1:] if self._gzipped else suffixes[-1:])
@@ -140,6 +141,10 @@ class LogFile:
                 self.skipped["remote_frame"] += 1
             elif not _is_possible(message):
                 self.skipped["impossible_frame"] += 1
+            elif not self._first_bus.takes(
+                message.arbitration_id, message.is_extended_id, message.channel
+            ):
+                self.skipped["other_bus"] += 1
             else:
                 yield CanFrame(
                     nanoseconds(message.timestamp),

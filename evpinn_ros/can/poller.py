@@ -46,6 +46,9 @@ class Poller:
 
     `run` is for a thread of its own, `push` for the thread that reads the bus; `stop` and
     `status` may be called from any other.
+
+    Attributes:
+        contradicted: set by who knows that this is another car: then nothing is asked.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Poller:
             send: puts a frame on the bus; None to listen alone.
             clock: s, never goes back.
         """
+        self.contradicted = False
         self._profile, self._clock = profile, clock
         self._decoder = AnswerDecoder(profile)
         self._restraint = Restraint()
@@ -129,15 +133,17 @@ class Poller:
         if self._gate is None:
             text = (
                 f"profile {self._profile.key} asks the car; "
-                "set poll:=true to allow it to send read requests"
+                "poll:=true (evpinn run --poll) lets it send read requests"
             )
+        elif self.contradicted:
+            text = "stopped: the traffic contradicts the profile"
         elif reason is not None:
             text = f"stopped: {reason}; goes on when the bus wakes, or with a new start"
         elif retired:
             text = ", ".join(f"{name} refused: {why}" for name, why in retired.items())
         else:
             text = "asking"
-        ok = self._gate is not None and reason is None and not retired
+        ok = self._gate is not None and self._may_ask and not retired
         return PollStatus(ok, text, dict(counters))
 
     @property
@@ -147,7 +153,7 @@ class Poller:
 
     @property
     def _may_ask(self) -> bool:
-        return self._restraint.reason is None
+        return not self.contradicted and self._restraint.reason is None
 
     def _transmit(self, frame: CanFrame) -> bool:
         assert self._gate is not None

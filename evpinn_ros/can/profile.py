@@ -22,7 +22,7 @@ from evpinn_ros.can.request import (
     refuse_overlaps,
     request_rules,
 )
-from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, signal_rule
+from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
 from evpinn_ros.yaml_section import Section, compose
@@ -50,6 +50,11 @@ class MessageRule:
     checksum: ChecksumRule | None
     checksum_byte: int
     counter: str | None
+
+    @property
+    def key(self) -> tuple[int, bool]:
+        """The id of the message, and whether it has 29 bits."""
+        return int(self.message.frame_id), bool(self.message.is_extended_frame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +104,11 @@ def load_profile(name_or_path: str | Path) -> CanProfile:
         InputError: no such profile, or its files are wrong; the text has file, line and reason.
     """
     path = Path(name_or_path)
+    if path.suffix.lower() == ".dbc":
+        raise InputError(
+            f"{path}: a DBC file says neither sign nor range; write a profile (.yaml) that names "
+            "it, see docs/can.md"
+        )
     if path.suffix not in (".yaml", ".yml"):
         path = _profile_directory() / f"{name_or_path}.yaml"
         if not path.is_file():
@@ -225,7 +235,10 @@ def _message_rule(section: Section, quantity: str, database: DbcFile) -> Message
 def _signal_rule(section: Section, message: Any, quantity: str) -> SignalRule:
     signal = find_signal(section, "signal", message)
     refuse_other_unit(section, signal)
-    return signal_rule(section, signal.name, quantity, float(signal.scale), float(signal.offset))
+    scale, offset = float(signal.scale), float(signal.offset)
+    rule = signal_rule(section, signal.name, quantity, scale, offset)
+    refuse_impossible(section, rule, int(signal.length), bool(signal.is_signed))
+    return rule
 
 
 def _checksum(section: Section, message: Any) -> tuple[ChecksumRule | None, int]:

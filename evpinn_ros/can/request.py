@@ -11,7 +11,7 @@ from itertools import combinations, pairwise
 import re
 from typing import Literal
 
-from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, signal_rule
+from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
 from evpinn_ros.yaml_section import Section
 
 READ_SERVICES: Mapping[int, int] = {0x01: 1, 0x21: 1, 0x22: 2}
@@ -148,13 +148,16 @@ def answer_field(
         reason = f"ends behind min_length = {request.min_length} of request '{request.name}'"
         raise section.error_at("first_byte", reason)
     offset = section.number("offset", -1e6, 1e6) if section.has("offset") else 0.0
+    signed = kind["sign"] == "s"
+    rule = replace(signal_rule(section, quantity, quantity), offset=offset)
+    refuse_impossible(section, rule, 8 * length, signed)
     return AnswerField(
         request=request,
         first=first,
         length=length,
-        signed=kind["sign"] == "s",
+        signed=signed,
         byte_order="big" if kind["little"] is None else "little",
-        signal=replace(signal_rule(section, quantity, quantity), offset=offset),
+        signal=rule,
     )
 
 

@@ -84,7 +84,7 @@ def signal_rule(
     bounds = section.numbers("valid", -1e6, 1e6)
     if len(bounds) != 2 or not bounds[0] < bounds[1]:
         raise section.error_at("valid", "'valid' must be [lowest, highest]")
-    no_value = _raw_values(section, "not_available") if section.has("not_available") else ()
+    no_value = section.whole_numbers("not_available") if section.has("not_available") else ()
     factor = section.number("scale", 1e-6, 1e6) if section.has("scale") else 1.0
     lower, upper = sorted(bound * si for bound in bounds)
     return SignalRule(
@@ -98,8 +98,18 @@ def signal_rule(
     )
 
 
-def _raw_values(section: Section, key: str) -> tuple[int, ...]:
-    numbers = section.numbers(key, -(2**63), 2**64)
-    if not all(number.is_integer() for number in numbers):
-        raise section.error_at(key, f"'{key}' holds raw bits: whole numbers")
-    return tuple(int(number) for number in numbers)
+def refuse_impossible(section: Section, rule: SignalRule, bits: int, signed: bool) -> None:
+    """Raise when the raw bits of a rule can never be what its keys name.
+
+    Raises:
+        InputError: a raw value of `not_available` that so many bits cannot hold, which would never
+            be found, or a `valid` that no raw value reaches, which would drop everything.
+    """
+    lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    raw = f"{bits} bits, {'signed' if signed else 'unsigned'}, are {lowest} to {highest}"
+    for value in rule.not_available:
+        if not lowest <= value <= highest:
+            raise section.error_at("not_available", f"{value} is no raw value: {raw}")
+    ends = rule.value(lowest), rule.value(highest)
+    if max(ends) < rule.lower or min(ends) > rule.upper:
+        raise section.error_at("valid", f"no raw value is within 'valid': {raw}")

@@ -24,7 +24,7 @@ from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
 HEADERS = (
-    *("n", "RMSE\nW", "MAE\nW", "energy\n%", "in band\n%"),
+    *("RMSE\nW", "MAE\nW", "energy\n%", "worst\n5 min %", "in band\n%"),
     *("now:\nRMSE W", "MAE\nW", "in band\n%", "us"),
 )
 MARKDOWN_WIDTH = 200
@@ -53,10 +53,10 @@ def online(
 ) -> None:
     """Hold the learner against its peers: each sample is predicted, then learned from.
 
-    Every log starts from the priors of its vehicle. Energy is the error over the whole log; `now`
-    the prediction of the newest moment; `us` the processor's microseconds per sample, for paper
-    and hybrid with all that a node does. What cannot be scored is named and left out, and the
-    exit code is 1.
+    Every log starts from the priors of its vehicle. Energy is the error over the whole log, and
+    the worst over any five minutes, in percent of all that went in and out; `now` the prediction
+    of the newest moment; `us` the processor's microseconds per sample, for paper and hybrid with
+    all that a node does. What cannot be scored is named and left out, and the exit code is 1.
 
     Example: evpinn bench online bags/urban --vehicle tesla_model_3_lr --methods null,ekf5,hybrid
     """
@@ -164,10 +164,10 @@ def _show(title: str, scores: Mapping[str, Score], markdown: bool) -> None:
 def _row(score: Score) -> list[str]:
     now = score["now"]
     return [
-        str(score["samples"]),
         _number(score["rmse_w"]),
         _number(score["mae_w"]),
         _number(score["energy_error_percent"], "+.2f"),
+        _number(score["worst_5min_percent"], ".1f"),
         _number(score["coverage_90"], ".1%"),
         _number(now["rmse_w"]),
         _number(now["mae_w"]),

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Annotated
 
+import numpy as np
 from rich.table import Table
 import typer
 
+from evpinn_ros.bench.coverage import filter_alone
+from evpinn_ros.bench.floor import ASKED, floors
 from evpinn_ros.bench.truth import (
     VEHICLES,
+    Comparison,
     Summary,
     compare,
     false_alarms,
@@ -16,17 +21,30 @@ from evpinn_ros.bench.truth import (
     summaries,
 )
 from evpinn_ros.cli.console import results
+from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import RMS_GRADE
 
 FIRST_SEED = 7000
 IN_TIME, NEAR = 90.0, 25.0  # s of motion and kg within which a change of load is to be told
 
 
 def truth(
-    drives: Annotated[int, typer.Option(min=1, help="Simulated drives.")] = 24,
+    drives: Annotated[
+        int, typer.Option("--drives", "--cars", min=1, help="Drives, each of another car.")
+    ] = 24,
     kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
     from_priors: Annotated[
         bool, typer.Option(help="Draw cars from the priors: are the intervals true?")
+    ] = False,
+    alone: Annotated[
+        bool,
+        typer.Option("--filter-alone", help="Cars that are what the filter believes, no others."),
+    ] = False,
+    rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
+    altitude: Annotated[bool, typer.Option(help="With a barometer.")] = False,
+    floor: Annotated[
+        bool, typer.Option(help="Also what an oracle could tell, the floor of the data.")
     ] = False,
     load: Annotated[bool, typer.Option(help="Also change the load at a stop, by 150 kg.")] = False,
     hours: Annotated[
@@ -38,8 +56,22 @@ def truth(
     Example: evpinn bench truth --drives 50 --from-priors
     """
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
-    found = compare(kind, VEHICLES, seeds, from_priors=from_priors)
+    if alone:
+        results.print(_table(summaries(filter_alone(VEHICLES, seeds))))
+        return
+    compared = compare(
+        kind,
+        VEHICLES,
+        seeds,
+        from_priors=from_priors,
+        rms_grade=rms_grade,
+        altitude=altitude,
+    )
+    found = list(compared)
     results.print(_table(summaries(found)))
+    results.print(_unobservable(found))
+    if floor:
+        _print_floor(kind, seeds, rms_grade, altitude)
     if load:
         steps = list(load_steps(VEHICLES, seeds))
         in_time = sum(step.detected_after <= IN_TIME for step in steps)
@@ -52,6 +84,20 @@ def truth(
         quiet = list(false_alarms(kind, VEHICLES, range(FIRST_SEED, FIRST_SEED + hours)))
         alarms, withdrawn = sum(one[1] for one in quiet), sum(one[2] for one in quiet)
         results.print(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
+
+
+def _unobservable(found: Sequence[Comparison]) -> str:
+    """In how many drives C_d was said not to be told by the data, at the end."""
+    end = max(one.seconds for one in found)
+    shares = [one.prior_share for one in found if one.name == "c_d" and one.seconds == end]
+    flagged = sum(share > UNOBSERVABLE_ABOVE for share in shares)
+    return f"C_d flagged as unobservable: {flagged} of {len(shares)} drives"
+
+
+def _print_floor(kind: DriveKind, seeds: Iterable[int], rms_grade: float, altitude: bool) -> None:
+    rows = list(floors(kind, VEHICLES, seeds, rms_grade=rms_grade, altitude=altitude))
+    least = (f"{name} {np.median([row[name] for row in rows]):.2f} %" for name in ASKED)
+    results.print(f"Floor of the median after 120 s: {', '.join(least)}")
 
 
 def _table(rows: list[Summary]) -> Table:

@@ -23,6 +23,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 
 BITRATE = 500_000  # bit/s, of every car in config/can
 LISTEN = 10.0  # s, if not told otherwise
+LONGEST = 1e6  # s
 LONGEST_STOP = 5.0  # s to wait for the driver
 
 can = typer.Typer(no_args_is_help=True, help="Look at a CAN bus: inspect.")
@@ -75,6 +76,8 @@ def inspect(
     inspection = Inspection(profiles.values(), bitrate or BITRATE)
     if (source is None) == (channel is None):
         raise typer.BadParameter("give either SOURCE or --channel")
+    if seconds is not None and not 0 < seconds <= LONGEST:
+        raise typer.BadParameter(f"--seconds must be above 0 and at most {LONGEST:g}")
     if source is not None:
         name, end_ns, problem = str(source), None, _read(inspection, source, seconds)
     else:
@@ -95,8 +98,10 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
     for frame in log.frames():
         first_ns = frame.stamp_ns if first_ns is None else first_ns
         if seconds is not None and frame.stamp_ns - first_ns > seconds * NANOSECONDS:
-            return None
+            break
         inspection.push(frame)
+    for kind, count in sorted(log.skipped.items()):
+        note(f"{path}: {count} frames left out: {kind}")
     return log.problem
 
 
@@ -116,7 +121,10 @@ def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
     reader.stop()
     thread.join(LONGEST_STOP)
     if not status.counters.get("frames"):
-        raise InputError(f"no frame came: {status.problem or status.state.value}")
+        silent = (
+            f"{status.state.value}; many cars say nothing at the plug until asked (docs/can.md)"
+        )
+        raise InputError(f"no frame came: {status.problem or silent}")
     return end_ns, status.problem
 
 

@@ -119,7 +119,10 @@ def _summary(name: str, report: BusReport, bitrate: int) -> list[str]:
 
 def _verdict(best: ProfileReport | None) -> list[str]:
     if best is None:
-        return ["No profile fits this traffic."]
+        return [
+            "No profile fits this traffic. Cars that must be asked are not known by listening: "
+            "docs/can.md, asking the car"
+        ]
     lines = [f"Fits: {best.fit.profile}"]
     dropped = ", ".join(f"{count} {reason}" for reason, count in sorted(best.dropped.items()))
     if dropped:

@@ -28,7 +28,9 @@ def check_params(
     root = compose(file, "file")
     if root.has("parameters"):
         kind = "vehicle file"
-        load_vehicle(file)
+        vehicle = load_vehicle(file)
+        if vehicle.can_profile is not None:
+            load_profile(vehicle.can_profile)
     elif any(map(root.has, PROFILE_KEYS)):
         kind = "CAN profile"
         load_profile(file)

@@ -20,6 +20,15 @@ def run(
     can_channel: Annotated[
         str | None, typer.Option(help="can0, /dev/ttyACM0...; can0 if not given.")
     ] = None,
+    bitrate: Annotated[
+        int | None, typer.Option(min=0, help="Of the bus, bit/s; 500000 if not given.")
+    ] = None,
+    bus_option: Annotated[
+        str | None,
+        typer.Option(
+            "--bus-options", help="More for the driver, as 'name=value ...': listen_only=true..."
+        ),
+    ] = None,
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
@@ -58,6 +67,8 @@ def run(
         "vehicle": vehicle,
         "interface": can_interface,
         "channel": can_channel,
+        "bitrate": bitrate,
+        "bus_options": bus_option,
         "can_profile": can_profile,
         "trust_profile": trust_profile or None,
         "poll": poll or None,

@@ -99,6 +99,7 @@ class EstimatorStatus:
         report: changes of payload and suspicions.
         progress: percent told of each parameter.
         newest_ns: stamp of the newest speed, None before the first.
+        unknown: optional inputs that tell nothing (see `Road.unknown`).
     """
 
     activity: Activity
@@ -109,6 +110,7 @@ class EstimatorStatus:
     rejected: Mapping[str, int]
     durations: tuple[float, ...]
     newest_ns: int | None
+    unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
 
@@ -195,6 +197,7 @@ class OnlineEstimator:
             rejected=dict(self._rejected),
             durations=tuple(self._worker.durations),
             newest_ns=self._stream.newest_ns,
+            unknown=self._stream.unknown,
             report=self._learner.report(),
             progress={name: p.progress for name, p in self.parameters().parameters.items()},
         )

@@ -1,6 +1,7 @@
 """`mode: hybrid`: a filter at every sample, and once a second a windowed PINN update.
 
-Prediction is physics plus a network: P = P_physics(v, a, grade; x) + trust N(v, a, age). The
+Prediction is physics plus a network: P = P_physics(v, a, grade; x) + trust N(v, a, age), which
+fades once the battery is silent: the window shows what holds for a minute, not the car. The
 physics is learned by the filter at every sample. The network is trained jointly with the physics
 on the window and the store (`joint_step`), so it holds only what no parameters explain. A trained
 network is a candidate: it is adopted if it foretells the following second, which it has not seen,
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 
 from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN, GradeSuspicion
 from evpinn_ros.estimation.joint_step import JointProblem, joint_step
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.load_change import LoadDetector
@@ -63,12 +65,13 @@ class HybridLearner:
         self._network = deepcopy(self._start)
         self._candidate: PowerNetwork | None = None
         self._candidate_score = 0.0
-        self._merit = np.array([0.0, TRUST_PRIOR])
+        self._merit = _unproven()
         self._window = SlidingWindow(WINDOW)
         self._store = SampleStore()
         self._last_ns: int | None = None
         self._payload = LoadDetector()
         self._suspicion = SignSuspicion()
+        self._grade_suspicion = GradeSuspicion()
         self._states = StateKeeper()
         self.gated: Counter[str] = Counter()
 
@@ -86,7 +89,7 @@ class HybridLearner:
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of physics and network, W."""
         physics = self.power_filter.predict(sample)
-        power = physics.power + self.trust * self._said(self._network, sample)
+        power = physics.power + self._weight(sample) * self._said(self._network, sample)
         if not sample.course:
             # The newest moment: its acceleration is foretold, and what is wrong with it is larger
             # than the load; both together were worse on the drives measured.
@@ -106,6 +109,7 @@ class HybridLearner:
             self.gated[CURRENT_SIGN] += 1
             return
         self.parameter_filter.update(sample, power, step)
+        self._grade_suspicion.push(self.parameter_filter, sample, power, step)
         left = self.power_filter.update(sample, power, step)
         self._judge(sample, left, step)
         residual_std = self.power_filter.residual_std(sample)
@@ -157,17 +161,27 @@ class HybridLearner:
         return self.power_filter.linear_power()
 
     def report(self) -> LearnerReport:
-        """Changes of payload, and a current of the wrong sign."""
+        """Changes of payload, a current or grade of the wrong sign, and the lag of power."""
+        lag, lag_std = self.power_filter.lag
         return LearnerReport(
             self._payload.change,
             self._payload.found,
             self._payload.withdrawn,
-            CURRENT_SIGN if self._suspicion.suspected else None,
+            self._suspected(),
+            lag,
+            lag_std,
         )
 
+    def _suspected(self) -> str | None:
+        """The signal whose sign the data contradict; without current nothing tells of grade."""
+        if self._suspicion.suspected:
+            return CURRENT_SIGN
+        return GRADE_SIGN if self._grade_suspicion.suspected else None
+
     def forget_window(self) -> None:
-        """Drop recent samples after a jump of time."""
+        """Drop recent samples after a jump of time; on another road the network is unproven."""
         self._window.clear()
+        self._merit = _unproven()
         self._candidate = None
         self._last_ns = None
         self._payload.forget_time()
@@ -180,8 +194,10 @@ class HybridLearner:
         return {
             "parameter_filter": self.parameter_filter.export(),
             "power_filter": self.power_filter.export(),
+            "payload": self._payload.export(),
+            "current_suspicion": self._suspicion.export(),
+            "grade_suspicion": self._grade_suspicion.export(),
             "network": self._network.vector().tolist(),
-            "merit": self._merit.tolist(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -189,15 +205,15 @@ class HybridLearner:
         weights = torch.tensor(state["network"], dtype=torch.float64)
         if weights.shape != self._network.vector().shape:
             raise ValueError("the saved network has another shape")
-        merit = np.array(state["merit"], dtype=float)
-        if merit.shape != self._merit.shape or not (np.isfinite(merit).all() and merit[1] > 0):
-            raise ValueError("the saved merit does not fit")
         if not torch.isfinite(weights).all():
             raise ValueError("the saved network is not finite")
         self.parameter_filter.restore(state["parameter_filter"])
         self.power_filter.restore(state["power_filter"])
+        self._payload.restore(state["payload"], self._vehicle)
+        self._suspicion.restore(state["current_suspicion"])
+        self._grade_suspicion.restore(state["grade_suspicion"])
         self._network.load_vector(weights)
-        self._merit = merit
+        self._merit = _unproven()
 
     def _follow_payload(self, sample: Sample, power: float, step: float) -> None:
         """Let what is published follow a change of payload, and power once the change stood."""
@@ -212,6 +228,13 @@ class HybridLearner:
         if last is None:
             return SAMPLE_PERIOD
         return min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
+
+    def _weight(self, sample: Sample) -> float:
+        """Of the network at a sample: what the window showed passes once nothing new is seen."""
+        if self._last_ns is None:
+            return 0.0
+        unseen = max(0, sample.stamp_ns - self._last_ns) / NANOSECONDS
+        return self.trust * math.exp(-unseen / WINDOW)
 
     def _said(self, network: PowerNetwork, sample: Sample) -> float:
         """What a network adds to the physics at a sample, W."""
@@ -246,6 +269,11 @@ class HybridLearner:
             physics_loss=PHYSICS_LOSS,
             ridge=RIDGE,
         )
+
+
+def _unproven() -> np.ndarray:
+    """The merit of a network that has not been held against anything, shape (2,)."""
+    return np.array([0.0, TRUST_PRIOR])
 
 
 _SCALES = np.array([SPEED_SCALE, ACCELERATION_SCALE, 1.0])

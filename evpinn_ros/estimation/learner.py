@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+import math
 from typing import Any, NamedTuple, Protocol
 
 from evpinn_ros.estimation.estimate import ParameterSet
@@ -32,12 +33,16 @@ class LearnerReport(NamedTuple):
         load_changes: changes found.
         load_changes_withdrawn: of them, changes that later data took back.
         suspicion: name of a fault of the signals that the data speak for, or None.
+        lag: by how much power follows speed, s, NaN where that is not estimated.
+        lag_std: its 1-sigma, s.
     """
 
     load_change: LoadChange | None = None
     load_changes: int = 0
     load_changes_withdrawn: int = 0
     suspicion: str | None = None
+    lag: float = math.nan
+    lag_std: float = math.nan
 
 
 class Learner(Protocol):

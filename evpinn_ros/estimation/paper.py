@@ -69,6 +69,7 @@ class Tensors(NamedTuple):
     known_auxiliary: torch.Tensor
     power: torch.Tensor
     slope: torch.Tensor
+    head_wind: torch.Tensor
     course: torch.Tensor
 
 

@@ -2,10 +2,11 @@
 
 State x (see `STATES`): the logarithms of eta, mu, mass, C_rr and C_d, the auxiliary power, the
 copper loss that the paper's constant efficiency leaves out, and the unknown slope of the road
-(grade that no sensor reports, and head wind, which acts alike). The measurement is battery power:
+(grade and wind that no sensor reports act alike). The measurement is battery power:
 
     P = s w + p_aux + known + copper a^2,    s = 1 if w > 0 else eta mu
-    w = v [rho A C_d v |v| / 2 + m g (+-C_rr cos(th) + sin(th)) + k m a] / eta,  th = grade + slope
+    w = v [rho A C_d u |u| / 2 + m g (+-C_rr cos(th) + sin(th)) + k m a] / eta,  th = grade + slope
+    u = v + head wind
 
 (eq. 12-19 in the `wheel_power` form; + C_rr forward, - in reverse.) In logarithms the products
 that data determine are sums, so the direction they cannot tell, (eta, 1/mu, mass, C_d) scaled
@@ -26,6 +27,7 @@ several times too small, so a sample counts dt / `CORRELATION_TIME`, whatever th
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
@@ -113,8 +115,7 @@ class ParameterFilter:
         """Let time pass up to a sample: every state relaxes towards its prior."""
         step = self._step(sample)
         self._last_ns = sample.stamp_ns
-        keep = np.exp(-step / self._time_constants)
-        keep[SLOPE] = math.exp(-abs(sample.speed) * step / SLOPE_LENGTH)
+        keep = self._keep(sample, step)
         self.mean = self._prior_mean + keep * (self.mean - self._prior_mean)
         self.covariance = self.covariance * np.outer(keep, keep)
         self.covariance[np.diag_indices(keep.size)] += (1 - keep**2) * self._prior_variance
@@ -185,9 +186,20 @@ class ParameterFilter:
         return self._vehicle.frontal_area
 
     @property
+    def air_density(self) -> float:
+        """Air density of the vehicle file, kg/m^3."""
+        return self._vehicle.air_density
+
+    @property
     def slope(self) -> float:
         """Unknown slope of the road now, rad."""
         return float(self.mean[SLOPE])
+
+    def apparent_slope(self, sample: Sample, power: float) -> float:
+        """Slope of the road, rad, that power, W, of a moving sample speaks of by itself."""
+        flat = replace(sample, grade=0.0)
+        expected, gradient = self._model(flat, 0.0)
+        return float((power - expected) / gradient[SLOPE])
 
     def residual_std(self, sample: Sample) -> float:
         """1-sigma of the residual at a sample, W."""
@@ -252,6 +264,12 @@ class ParameterFilter:
             raise ValueError("the saved noise is out of range")
         self.mean, self.covariance, self.noise_scale = mean, covariance, noise_scale
 
+    def _keep(self, sample: Sample, step: float) -> np.ndarray:
+        """Share of its distance from the prior that each state keeps over `step` seconds."""
+        keep = np.exp(-step / self._time_constants)
+        keep[SLOPE] = math.exp(-abs(sample.speed) * step / SLOPE_LENGTH)
+        return keep
+
     def _model(self, sample: Sample | Batch, slope: Any) -> tuple[Any, np.ndarray]:
         """Battery power, W, shape (...), and its gradient, shape (..., 8), at samples."""
         return self._physics(self.mean, sample, slope)
@@ -267,7 +285,8 @@ class ParameterFilter:
         v, a = sample.speed, sample.acceleration
         angle = sample.grade + slope
         weight = mass * GRAVITY * v
-        drag = drag_force(v, self._vehicle.frontal_area * c_d, sample.air_density) * v
+        area = self._vehicle.frontal_area * c_d
+        drag = drag_force(v + sample.head_wind, area, sample.air_density) * v
         rolling = np.abs(weight) * c_rr * np.cos(angle)
         climbing = weight * np.sin(angle)
         inertia = inertia_force(mass * self._vehicle.rotating_mass_factor, a) * v

@@ -52,7 +52,7 @@ from evpinn_ros.estimation.parameter_filter import (
     ParameterFilter,
 )
 from evpinn_ros.estimation.window import Batch
-from evpinn_ros.signals.kinematics import COURSE
+from evpinn_ros.signals.kinematics import COURSE, COURSE_TIMES
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower
@@ -136,6 +136,19 @@ class PowerFilter(ParameterFilter):
     def hilliness(self) -> float:
         """1-sigma of the unknown slope on the roads driven, rad."""
         return math.sqrt(self._prior_variance[SLOPE])
+
+    @property
+    def lag(self) -> tuple[float, float]:
+        """By how much power follows speed, s, and its 1-sigma; negative when it comes first.
+
+        Power that answers to the acceleration a lag ago is, to first order, inertia times the
+        acceleration now and a part of its course whose centre of weight lies that lag back.
+        """
+        course = slice(len(STATES) + UNITS, REPORTED)
+        inertia = math.exp(self.mean[MASS] - self.mean[ETA]) * self._vehicle.rotating_mass_factor
+        variance = COURSE_TIMES @ self.covariance[course, course] @ COURSE_TIMES
+        lag = -float(COURSE_TIMES @ self.mean[course]) / inertia
+        return lag, math.sqrt(max(0.0, float(variance))) / inertia
 
     def update(self, sample: Sample, power: float, step: float) -> float:
         """Learn as `ParameterFilter` does, and how hilly the roads are."""

@@ -16,6 +16,9 @@ with W the wheel energy over eta, F the integral of specific force squared, R_b 
 braking did not bring back although the model said so: below `BRAKE_FADE` every motor leaves the
 work to the friction brakes, and what the robust weighting left aside is energy all the same.
 
+At one speed nothing tells eta, mu or mass, so they are held: without that the forgetting of the
+other states draws them along, and three hours on a motorway move m/eta by half a sigma.
+
 The residual of a moving car has three causes, each with its own dependence (`_residual_variance`).
 """
 
@@ -50,6 +53,9 @@ STANDING_NOISE = 60.0  # W: fans, pumps, lights
 TIMING_NOISE = 800.0  # W while moving: the pedal moves power by 25 kW/s, stamps agree to 0.03 s
 FORCE_NOISE = 40.0  # N over eta: gusts and an acceleration known to 0.02 m/s^2
 SHARE_NOISE = 0.03  # of the power that accelerates: a map of efficiency is not one number
+EXCITING = 0.3  # m/s^2: less tells mass and efficiencies no better than slope and wind hide them
+QUIET_AFTER = 60.0  # s without excitation; until then cruising tells the slope of the last launch
+HELD = [ETA, MU, MASS, COPPER]  # what is told by excitation alone
 BRAKE_FADE = 4.0  # m/s, below it the motor brakes less and less
 ENERGY_FLOOR = 5e4  # J: a launch to town speed is more; less is no base for a share
 ENERGY_MEMORY = 10 * HOUR  # s of driving over which the sums of energy are kept
@@ -72,15 +78,28 @@ class PublishedFilter(ParameterFilter):
         # force squared times time, m^2/s^3.
         self._energy = np.zeros((2, 2))
         self._lost = 0.0  # J that braking did not bring back
+        self._quiet = 0.0  # s since the car last sped up or slowed down
+
+    def advance(self, sample: Sample) -> None:
+        """Let time pass up to a sample; what only excitation tells is forgotten only with it."""
+        if abs(sample.acceleration) > EXCITING:
+            self._quiet = 0.0
+        else:
+            self._quiet += self._step(sample)
+        super().advance(sample)
 
     def update(self, sample: Sample, power: float, step: float) -> float:
         """Learn from measured power, W, that stands for `step` seconds; returns the residual, W.
 
         Call `advance` with the same sample first.
         """
+        held = self.mean[HELD], self.covariance[np.ix_(HELD, HELD)]
         residual = super().update(sample, power, step)
-        if abs(sample.speed) > STANDSTILL_SPEED:
-            self._count(sample, power, step)
+        if self._quiet > QUIET_AFTER:
+            # As Schmidt's filter has it: considered in what the others learn, not moved.
+            self.mean[HELD], self.covariance[np.ix_(HELD, HELD)] = held
+        elif abs(sample.speed) > STANDSTILL_SPEED:
+            self.count(sample, power, step)
         return residual
 
     def published(self) -> ParameterFilter:
@@ -133,8 +152,8 @@ class PublishedFilter(ParameterFilter):
         change[MU, COPPER] = -braking / back
         return mean, change @ self.covariance @ change.T
 
-    def _count(self, sample: Sample, power: float, step: float) -> None:
-        """Add one sample to the sums of energy."""
+    def count(self, sample: Sample, power: float, step: float) -> None:
+        """Add one moving sample to the sums of energy; `update` does so."""
         expected, gradient = self._model(sample, self.mean[SLOPE])
         square = gradient[COPPER]
         wheel = self._wheel(expected, square, sample)
@@ -149,9 +168,24 @@ class PublishedFilter(ParameterFilter):
         unexplained = residual - min(max(residual, -limit), limit)
         self._lost += (residual if abs(sample.speed) < BRAKE_FADE else unexplained) * step
 
+    def _keep(self, sample: Sample, step: float) -> np.ndarray:
+        keep = super()._keep(sample, step)
+        if self._quiet > QUIET_AFTER:
+            keep[HELD] = 1.0
+        return keep
+
     def _model(self, sample: Sample | Batch, slope: Any) -> tuple[Any, np.ndarray]:
-        """As in the base, with a loss that grows with the square of force, not acceleration."""
+        """As in the base, with a loss that grows with the square of force, not acceleration.
+
+        Nor is reported grade a known force to learn mass or efficiencies by: that of a barometer
+        is as much noise as hill, and noise in a regressor makes m/eta small (by 1.2 %).
+        """
         power, gradient = super()._model(sample, slope)
+        climbing = gradient[..., SLOPE] * np.tan(sample.grade)
+        braking = gradient[..., ETA] == 0.0
+        gradient[..., MASS] -= climbing
+        gradient[..., ETA] += np.where(braking, 0.0, climbing)
+        gradient[..., MU] -= np.where(braking, climbing, 0.0)
         loss = self.mean[COPPER]
         power = power - loss * gradient[..., COPPER]
         v = sample.speed
@@ -160,7 +194,7 @@ class PublishedFilter(ParameterFilter):
         force = (
             self._vehicle.rotating_mass_factor * sample.acceleration
             + GRAVITY * (c_rr + np.sin(sample.grade))
-            + drag_force(v, area, sample.air_density) / mass
+            + drag_force(v + sample.head_wind, area, sample.air_density) / mass
         )
         square = np.where(np.abs(v) > STANDSTILL_SPEED, np.square(force), 0.0)
         gradient[..., COPPER] = square

@@ -40,6 +40,7 @@ class Batch(NamedTuple):
     known_auxiliary: np.ndarray
     power: np.ndarray
     slope: np.ndarray
+    head_wind: np.ndarray
     course: np.ndarray
 
 
@@ -117,6 +118,7 @@ def batch(observations: Sequence[Observation], newest_ns: int) -> Batch:
             sample.known_auxiliary,
             power,
             slope,
+            sample.head_wind,
         )
         for sample, power, slope in observations
     ]

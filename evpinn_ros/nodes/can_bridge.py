@@ -21,8 +21,9 @@ from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_statu
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
-from evpinn_ros.nodes.messages import reading_message, scalar
+from evpinn_ros.nodes.messages import Level, scalar
 from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.topics import Topic
@@ -57,10 +58,10 @@ class CanBridgeNode(GuardedNode):
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
-        self._said_state = BusState.CLOSED
-        self._said_refusal = False
+        self._seen: dict[str, str] = {}  # text of each status at the last look
+        self._said = {"bus": BusState.CLOSED.value}  # how it begins is no news
         self.every(REPORT_PERIOD, self._say_changes)
-        self._threads = [self._start(self._source.run, "can")]
+        self._threads = [self._start(self.guarded(self._read, "source"), "can")]
         if self._bridge.poller is not None and self.values["poll"]:
             self._threads.append(self._start(self._bridge.poller.run, "can poll"))
 
@@ -131,21 +132,35 @@ class CanBridgeNode(GuardedNode):
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
 
     def _say_changes(self) -> None:
-        """Log what changed of the bus and of the profile: a state that lasts is said once."""
-        if isinstance(self._source, BusReader):
-            bus = self._source.status()
-            if bus.state is not self._said_state:
-                self._said_state = bus.state
-                lost = bus.state in (BusState.LOST, BusState.OFF)
-                text = (bus.problem if lost else None) or f"bus {bus.state.value}"
-                self.get_logger().info(text)
-        with self._lock:
-            refusal = self._bridge.refusal
-        if refusal is not None and not self._said_refusal:
-            self.get_logger().error(refusal)
-        elif refusal is None and self._said_refusal:
-            self.get_logger().info("the profile fits again")
-        self._said_refusal = refusal is not None
+        """Log what /diagnostics tells, once, when it is new and has lasted since the last look.
+
+        Who starts the nodes without ROS around them sees nothing else.
+        """
+        for status in self.statuses():
+            lasts = self._seen.get(status.name) == status.text
+            self._seen[status.name] = status.text
+            if lasts and self._said.get(status.name) != status.text:
+                self._said[status.name] = status.text
+                self._say(status)
+
+    def _say(self, status: Status) -> None:
+        # Each call has a line of its own: rclpy ties the severity to the place.
+        logger = self.get_logger()
+        if status.level is Level.ERROR:
+            logger.error(status.text)
+        elif status.level is Level.WARN:
+            logger.warning(status.text)
+        else:
+            logger.info(status.text)
+
+    def _read(self) -> None:
+        """Read the source until it ends; a log that is shorter than a judgement is judged then."""
+        self._source.run()
+        if isinstance(self._source, LogPlayer):
+            with self._lock:
+                readings = self._bridge.finish()
+            for reading in readings:
+                self.publish(_messages(reading))
 
     def _send(self, frame: CanFrame) -> bool:
         return isinstance(self._source, BusReader) and self._source.send(frame)

@@ -51,7 +51,10 @@ def rounded(number: float) -> object:
     return number if math.isnan(number) else round(number, 3)
 
 
-def recorder_status(folder: str, counts: Mapping[str, int], health: Health) -> Status:
-    """The health of the recording; `counts` of what is in the bag."""
+def recorder_status(
+    folder: str, counts: Mapping[str, int], problem: str | None, health: Health
+) -> Status:
+    """The health of the recording: `counts` of what is in the bag, `problem` that ended it."""
     text = f"{counts['messages']} messages and {counts['frames']} CAN frames in {folder}"
-    return with_health(Status("bag", Level.OK, text, dict(counts)), health)
+    level = Level.OK if problem is None else Level.ERROR
+    return with_health(Status("bag", level, problem or text, dict(counts)), health)

@@ -17,7 +17,7 @@ from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.estimate_messages import model_message, output_messages
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import to_reading
+from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import estimator_settings
 from evpinn_ros.nodes.state_keeper import StateKeeper
@@ -35,6 +35,8 @@ LISTENS_TO = (
     topics.IMU,
     topics.FIX,
     topics.TEMPERATURE,
+    topics.PRESSURE,
+    topics.WIND,
     topics.AUXILIARY_POWER,
 )
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")

@@ -7,6 +7,7 @@ import math
 import statistics
 
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.nodes.diagnosis import (
     SILENT_AFTER,
@@ -53,6 +54,7 @@ def estimator_status(report: EstimatorReport) -> Status:
         "update_ms": _milliseconds(status.durations),
         "speed_age_s": rounded(report.speed_age),
         "time_jumps": report.jumps,
+        "not_told": ", ".join(status.unknown) or "nothing",
         **flat("rejected", status.rejected),
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),
@@ -73,6 +75,8 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
         return Level.WARN, report.state_problem
     if status.report.suspicion == CURRENT_SIGN:
         return Level.WARN, "accelerating charges the battery: is the sign of current wrong?"
+    if status.report.suspicion == GRADE_SIGN:
+        return Level.WARN, "climbing gives power back: is the sign of grade or pitch wrong?"
     if status.activity is Activity.PREDICTING:
         return Level.WARN, "predicting from speed alone: battery/state is silent"
     if status.activity is Activity.PAUSED:
@@ -86,6 +90,8 @@ def _noticed(report: LearnerReport) -> dict[str, object]:
     """What was noticed of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
+        "power_lag_s": rounded(report.lag),
+        "power_lag_std_s": rounded(report.lag_std),
         "load_changes": report.load_changes,
         "load_changes_withdrawn": report.load_changes_withdrawn,
     }

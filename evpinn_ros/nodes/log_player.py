@@ -49,6 +49,8 @@ class LogPlayer:
             self._play()
         except InputError as error:
             self.problem = str(error)
+        except OverflowError:  # no system waits so long
+            self.problem = f"{self._log.path}: a stamp beyond all time, frame {self._log.count}"
         self.problem = self.problem or self._log.problem
         self.text = f"{self._log.path}: at its end after {self._log.count} frames"
 

@@ -1,15 +1,15 @@
-"""All conversion between value types and ROS 2 messages, both ways.
+"""Conversion between value types and ROS 2 messages, both ways: what all of them share.
 
 Builders take `new`, which makes a message of any class family, so the same code serves rclpy and
 bags (`evpinn_ros.bags.types.new_message`). They raise ValueError rather than build a message with
 a non-finite number where the message definition does not give NaN a meaning. Readers take a
 message of any class family and raise `BadMessage` where it holds no usable value. The messages of
-plans and their forecasts are in `evpinn_ros.nodes.plan_messages`.
+all readings are in `reading_messages`, those of plans and their forecasts in `plan_messages`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 import math
@@ -18,24 +18,15 @@ from typing import Any, Protocol
 from evpinn_ros.nodes import topics
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
-    AltitudeReading,
-    AuxiliaryReading,
     BatteryReading,
-    GradeReading,
-    Reading,
     SpeedReading,
-    TemperatureReading,
 )
 
 VEHICLE_FRAME = "base_link"
-HEATING = "heating"
 FLOAT32_MAX = 3.4028234663852886e38
-UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an unset quaternion not
 
 # Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
 SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
-STATUS_FIX, COVARIANCE_UNKNOWN = 0, 0
-NOT_PROVIDED = -1.0  # first element of a covariance: the quantity was not measured
 
 
 class NewMessage(Protocol):
@@ -130,68 +121,6 @@ def battery_message(new: NewMessage, reading: BatteryReading) -> Any:
     )
 
 
-def imu_message(new: NewMessage, reading: GradeReading) -> Any:
-    """Attitude alone: uphill is negative pitch (REP-103); rates and accelerations not provided."""
-    half = -finite(reading.grade) / 2
-    not_provided = [NOT_PROVIDED] + 8 * [0.0]
-    return new(
-        topics.IMU_TYPE,
-        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
-        orientation=new("geometry_msgs/msg/Quaternion", y=math.sin(half), w=math.cos(half)),
-        angular_velocity_covariance=not_provided,
-        linear_acceleration_covariance=not_provided,
-    )
-
-
-def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
-    """Altitude alone: latitude and longitude are NaN.
-
-    The status is FIX because by its definition a value is valid from there on; NO_FIX would void
-    the altitude. The altitude is that of the source, not surely above the WGS 84 ellipsoid.
-    """
-    return new(
-        topics.FIX_TYPE,
-        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
-        status=new("sensor_msgs/msg/NavSatStatus", status=STATUS_FIX, service=0),
-        latitude=math.nan,
-        longitude=math.nan,
-        altitude=finite(reading.altitude),
-        position_covariance_type=COVARIANCE_UNKNOWN,
-    )
-
-
-def temperature_message(new: NewMessage, reading: TemperatureReading) -> Any:
-    """Ambient temperature; variance 0 is unknown."""
-    return new(
-        topics.TEMPERATURE_TYPE,
-        header=header(new, reading.stamp_ns),
-        temperature=finite(reading.celsius),
-    )
-
-
-def auxiliary_message(new: NewMessage, reading: AuxiliaryReading) -> Any:
-    """Named vector of the loads `heating` and `others`, W."""
-    loads = [reading.heating, reading.others]
-    return named_vector(new, reading.stamp_ns, [HEATING, "others"], loads)
-
-
-def reading_message(new: NewMessage, reading: Reading) -> Any:
-    """The message of any reading, the inverse of `to_reading`."""
-    match reading:
-        case SpeedReading():
-            return speed_message(new, reading)
-        case BatteryReading():
-            return battery_message(new, reading)
-        case GradeReading():
-            return imu_message(new, reading)
-        case AltitudeReading():
-            return altitude_message(new, reading)
-        case TemperatureReading():
-            return temperature_message(new, reading)
-        case AuxiliaryReading():
-            return auxiliary_message(new, reading)
-
-
 def scalar(new: NewMessage, value: float) -> Any:
     """std_msgs/Float64."""
     return new(topics.SCALAR_TYPE, data=finite(value))
@@ -281,19 +210,6 @@ def _float32(value: float) -> float:
 # --- readers -----------------------------------------------------------------------------------
 
 
-def to_reading(type_name: str, message: Any) -> Reading:
-    """The reading in a message of one of the input types.
-
-    Raises:
-        BadMessage: no usable value, no stamp, or no input type; `reason` says which.
-    """
-    try:
-        reader = _READERS[type_name]
-    except KeyError:
-        raise BadMessage("unknown_type") from None
-    return reader(message)
-
-
 def stamp_ns(message: Any) -> int:
     """The header stamp, ns. A stamp of zero was never set: BadMessage("no_stamp")."""
     stamp = message.header.stamp
@@ -307,7 +223,7 @@ def speed_reading(message: Any) -> SpeedReading:
     """Speed of a TwistWithCovarianceStamped; a variance of 0 or less is unknown."""
     variance = float(message.twist.covariance[0])
     known = 0 < variance < math.inf
-    speed = _usable(message.twist.twist.linear.x)
+    speed = usable(message.twist.twist.linear.x)
     return SpeedReading(stamp_ns(message), speed, variance if known else math.nan)
 
 
@@ -325,39 +241,6 @@ def battery_reading(message: Any) -> BatteryReading:
     return BatteryReading(stamp_ns(message), voltage, current, charge)
 
 
-def grade_reading(message: Any) -> GradeReading:
-    """Grade of an Imu. Positive pitch is nose down (REP-103), so grade = -pitch."""
-    if message.orientation_covariance[0] == NOT_PROVIDED:
-        raise BadMessage("no_orientation")
-    q = message.orientation
-    square = q.w**2 + q.x**2 + q.y**2 + q.z**2
-    if not abs(square - 1) <= UNIT_TOLERANCE:
-        raise BadMessage("quaternion_not_unit")
-    sine = 2 * (q.w * q.y - q.z * q.x) / square
-    return GradeReading(stamp_ns(message), -math.asin(max(-1.0, min(1.0, sine))))
-
-
-def altitude_reading(message: Any) -> AltitudeReading:
-    """Altitude of a NavSatFix, which is valid from STATUS_FIX on."""
-    if message.status.status < STATUS_FIX:
-        raise BadMessage("no_fix")
-    return AltitudeReading(stamp_ns(message), _usable(message.altitude))
-
-
-def temperature_reading(message: Any) -> TemperatureReading:
-    """Ambient temperature of a Temperature."""
-    return TemperatureReading(stamp_ns(message), _usable(message.temperature))
-
-
-def auxiliary_reading(message: Any) -> AuxiliaryReading:
-    """The named loads, W: what is named after heating, and the sum of all others."""
-    vector = read_named_vector(message)
-    if not vector.values:
-        raise BadMessage("nothing_measured")
-    heating = sum(load for name, load in vector.values.items() if HEATING in name.lower())
-    return AuxiliaryReading(vector.stamp_ns, heating, sum(vector.values.values()) - heating)
-
-
 def read_named_vector(message: Any) -> NamedVector:
     """A named vector as mappings by name."""
     values, rates, sigmas = (
@@ -372,20 +255,11 @@ def read_named_vector(message: Any) -> NamedVector:
 def _by_name(names: Sequence[str], numbers: Sequence[float]) -> dict[str, float]:
     if len(numbers) not in (0, len(names)) or len(set(names)) != len(names):
         raise BadMessage("lengths_differ")
-    return {name: _usable(number) for name, number in zip(names, numbers, strict=False)}
+    return {name: usable(number) for name, number in zip(names, numbers, strict=False)}
 
 
-def _usable(value: float) -> float:
+def usable(value: float) -> float:
+    """A number of a message; BadMessage("not_finite") when it is none."""
     if not math.isfinite(value):
         raise BadMessage("not_finite")
     return float(value)
-
-
-_READERS: Mapping[str, Callable[[Any], Reading]] = {
-    topics.SPEED_TYPE: speed_reading,
-    topics.BATTERY_TYPE: battery_reading,
-    topics.IMU_TYPE: grade_reading,
-    topics.FIX_TYPE: altitude_reading,
-    topics.TEMPERATURE_TYPE: temperature_reading,
-    topics.NAMED_VECTOR_TYPE: auxiliary_reading,
-}

@@ -122,7 +122,7 @@ ESTIMATOR = (
     ),
     Parameter(
         "allowed_lateness",
-        0.5,
+        0.3,
         "How much older than the newest of its kind a reading may be.",
         "s",
         0.0,

@@ -6,6 +6,7 @@ The raw frames of a bridge in the same process go beside them, as `can_msgs/Fram
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -25,7 +26,11 @@ RawFrames: TypeAlias = deque[tuple[int, CanFrame]]
 
 
 class RecorderNode(GuardedNode):
-    """Writes each message at the time of its arrival, by the node's clock."""
+    """Writes each message at the time of its arrival, by the node's clock.
+
+    A disk that fails or is full ends the recording, for no bag goes on after half a record. What
+    was written stays readable, and the other nodes do not notice.
+    """
 
     def __init__(self, folder: Path, frames: RawFrames | None = None, **kwargs: Any) -> None:
         """Begin the bag.
@@ -40,6 +45,7 @@ class RecorderNode(GuardedNode):
         """
         super().__init__("recorder", **kwargs)
         self._counts: Counter[str] = Counter()
+        self._problem: str | None = None
         self._frames = deque() if frames is None else frames
         self._frames_topic = self.resolve_topic_name(FRAMES_TOPIC)
         self._writer = BagWriter(folder, live=True)
@@ -49,16 +55,26 @@ class RecorderNode(GuardedNode):
 
     def statuses(self) -> list[Status]:
         """How much is in the bag."""
-        return [recorder_status(str(self._writer.folder), self._counts, self.health())]
+        folder = str(self._writer.folder)
+        return [recorder_status(folder, self._counts, self._problem, self.health())]
 
     def close(self) -> None:
         """Complete the bag."""
-        self._write_frames()
-        self._writer.close()
+        self._unless_ended(self._write_frames, self._writer.close)
 
     def _flush(self) -> None:
-        self._write_frames()
-        self._writer.flush()
+        self._unless_ended(self._write_frames, self._writer.flush)
+
+    def _unless_ended(self, *steps: Callable[[], None]) -> None:
+        try:
+            if self._problem is None:
+                for step in steps:
+                    step()
+        except OSError as error:
+            self._problem = f"recording ended: {self._writer.folder}: {error.strerror}"
+            self.get_logger().error(self._problem)
+        if self._problem is not None:
+            self._frames.clear()  # the bridge goes on filling it
 
     def _write_frames(self) -> None:
         while self._frames:
@@ -73,5 +89,6 @@ class RecorderNode(GuardedNode):
 
     def _write(self, topic: Topic, data: bytes) -> None:
         name = self.resolve_topic_name(topic.name)
-        self._writer.write_raw(name, topic.type_name, data, self.now_ns())
-        self._counts["messages"] += 1
+        arrived_ns = self.now_ns()
+        self._unless_ended(lambda: self._writer.write_raw(name, topic.type_name, data, arrived_ns))
+        self._counts["messages"] += self._problem is None

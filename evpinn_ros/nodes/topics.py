@@ -18,6 +18,8 @@ FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
 NAMED_VECTOR_TYPE = "sensor_msgs/msg/JointState"
 ARRAY_TYPE = "std_msgs/msg/Float64MultiArray"
+PRESSURE_TYPE = "sensor_msgs/msg/FluidPressure"
+WIND_TYPE = "geometry_msgs/msg/Vector3Stamped"
 SCALAR_TYPE = "std_msgs/msg/Float64"
 PATH_TYPE = "nav_msgs/msg/Path"
 TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
@@ -120,6 +122,22 @@ TEMPERATURE = Topic(
     "optional: ambient temperature, for the density of air",
     "degC",
 )
+PRESSURE = Topic(
+    "environment/pressure",
+    PRESSURE_TYPE,
+    "the car",
+    False,
+    "optional: pressure of the air outside, for its density",
+    "Pa",
+)
+WIND = Topic(
+    "environment/wind",
+    WIND_TYPE,
+    "the car",
+    False,
+    "optional: velocity of the air over ground in `base_link`; a head wind is negative x",
+    "m/s",
+)
 AUXILIARY_POWER = Topic(
     "auxiliary/power",
     NAMED_VECTOR_TYPE,
@@ -136,6 +154,8 @@ INPUTS = (
     IMU,
     FIX,
     TEMPERATURE,
+    PRESSURE,
+    WIND,
     AUXILIARY_POWER,
 )
 
@@ -228,7 +248,8 @@ SPEED_PROFILE = Topic(
     TRAJECTORY_TYPE,
     "planner",
     False,
-    "joint `distance`: positions m, velocities m/s, `time_from_start`",
+    "joint `distance`: positions m, velocities m/s, `time_from_start`; optional joint "
+    "`elevation`: positions m, else the road is flat",
     "m, m/s",
 )
 FORECAST = Topic(

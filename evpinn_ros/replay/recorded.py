@@ -11,7 +11,8 @@ from evpinn_ros.energy.meter import EnergyState, Flow
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, PowerEstimate, State
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.estimate_messages import FLOWS, POWER_TOPICS
-from evpinn_ros.nodes.messages import BadMessage, read_named_vector, to_reading
+from evpinn_ros.nodes.messages import BadMessage, read_named_vector
+from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.topics import Topic, topic_of
 from evpinn_ros.replay.history import Drive, History
 from evpinn_ros.vehicle.identifiable import Identifiable

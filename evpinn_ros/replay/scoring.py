@@ -18,6 +18,7 @@ from evpinn_ros.estimation.estimator import EstimatorStatus
 from evpinn_ros.replay.history import Drive, PowerSeries
 
 MAX_MEASURED_STEP = 2.5  # s; power is not held to be known between readings further apart
+WINDOW, WINDOW_STEP = 300.0, 10.0  # s, of the worst stretch of energy
 NULL_HOLD_OUT = 0.2  # share held out in the random split
 NULL_SEED = 0
 
@@ -78,6 +79,31 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
         score["error_percent"] = 100.0 * (predicted - measured) / abs(measured)
         score["rknn_error_percent"] = 100.0 * (rknn - measured) / abs(measured)
     return score
+
+
+def worst_window(drive: Drive) -> float | None:
+    """Largest error of predicted energy over any `WINDOW`, percent of what went in and out.
+
+    None for a drive without that long a stretch of both.
+    """
+    rows = drive.energy
+    stretches = _common(_stretches(rows[:, 0]), _stretches(drive.measured[:, 0]))
+    time, power = drive.measured.T
+    steps = np.diff(time)
+    net, gross = (
+        np.concatenate(([0.0], np.cumsum(steps * (each[1:] + each[:-1]) / 2)))
+        for each in (power, np.abs(power))
+    )
+    worst: float | None = None
+    for begin, end in stretches:
+        begins = np.arange(begin, end - WINDOW, WINDOW_STEP)
+        measured, moved, predicted = (
+            np.interp(begins + WINDOW, *series) - np.interp(begins, *series)
+            for series in ((time, net), (time, gross), (rows[:, 0], rows[:, 1]))
+        )
+        errors = 100.0 * np.abs(predicted - measured)[moved > 0] / moved[moved > 0]
+        worst = max([*errors.tolist(), *([] if worst is None else [worst])], default=None)
+    return worst
 
 
 def null_scores(drive: Drive, span: Span) -> dict[str, float | None]:

@@ -151,7 +151,8 @@ def open_source(
         raise InputError(f"{path}: no such file or folder")
     if is_bag(path):
         return _open_bag(path, vehicle, can_profile, trust_profile)
-    suffix = Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
+    name = path.name.lower()  # Vector's tools write DRIVE.BLF as well
+    suffix = Path(name.removesuffix(".gz")).suffix
     if suffix == ".csv" and _is_drive(path):
         return CsvSource(path, vehicle)
     if suffix in LOG_SUFFIXES:

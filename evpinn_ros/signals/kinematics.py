@@ -159,4 +159,5 @@ class CausalDifferentiator:
 
 
 _COURSE_GRID = COURSE_PERIOD * (COURSE_AHEAD - np.arange(COURSE + 1))  # s after the moment
+COURSE_TIMES = _COURSE_GRID[:-1] - COURSE_PERIOD / 2  # s after the moment, of each slope
 _COURSE_SPAN = -float(_COURSE_GRID[-1])

@@ -67,6 +67,22 @@ class TemperatureReading:
 
 
 @dataclass(frozen=True, slots=True)
+class PressureReading:
+    """Pressure of the ambient air, Pa."""
+
+    stamp_ns: int
+    pascal: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindReading:
+    """Wind against the car, m/s over ground; negative from behind."""
+
+    stamp_ns: int
+    head: float
+
+
+@dataclass(frozen=True, slots=True)
 class AuxiliaryReading:
     """Electric power of known auxiliary loads, W: of the heating, and of all others together."""
 
@@ -81,5 +97,7 @@ Reading: TypeAlias = (
     | GradeReading
     | AltitudeReading
     | TemperatureReading
+    | PressureReading
+    | WindReading
     | AuxiliaryReading
 )

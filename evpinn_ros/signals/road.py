@@ -1,4 +1,4 @@
-"""What is known of the road and the air: grade, air density, known auxiliary loads."""
+"""What is known of the road and the air: grade, density, wind, known auxiliary loads."""
 
 from __future__ import annotations
 
@@ -14,22 +14,38 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
+    PressureReading,
     TemperatureReading,
+    WindReading,
 )
 
-GRADE_SPAN = 60.0  # m of road over which altitude is turned into grade
-GRADE_STEP = 1.0  # m between altitudes kept, so that a standing car does not pile them up
+SLOPE_STD = 0.015  # 1-sigma of the slope of roads, between a plain and hills
+SLOPE_LENGTH = 300.0  # m of road over which slopes are alike
+ALTITUDE_STD = 0.7  # m, 1-sigma of what barometers and GNSS stray by within such a length
+ALTITUDE_STEP = 1.0  # m between altitudes that are looked at
+ALTITUDE_LENGTH = 10.0  # m of road over which they stray alike
 GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
 ALTITUDES = (-500.0, 9000.0)  # m, where roads are
+PRESSURES = (30e3, 110e3)  # Pa, from the highest road to a fair day below the sea
+MAX_WIND = 60.0  # m/s, a hurricane
 TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
 MAX_AUXILIARY = 50_000.0  # W
 HEATED_BELOW = 20.0  # degrees Celsius outside; that of the room in degree days (VDI 3807)
 GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
 STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
+WIND_STALE_AFTER = 600.0  # s; weather stations tell a mean of ten minutes
 REFERENCE_CELSIUS = 20.0  # at which vehicle files state air density
 KELVIN = 273.15
+GAS_CONSTANT = 287.05  # J/(kg K), of dry air
 
-RoadReading: TypeAlias = AltitudeReading | AuxiliaryReading | GradeReading | TemperatureReading
+RoadReading: TypeAlias = (
+    AltitudeReading
+    | AuxiliaryReading
+    | GradeReading
+    | PressureReading
+    | TemperatureReading
+    | WindReading
+)
 
 
 def why_impossible(reading: RoadReading) -> str | None:
@@ -37,6 +53,10 @@ def why_impossible(reading: RoadReading) -> str | None:
     match reading:
         case TemperatureReading():
             possible, what = TEMPERATURES[0] <= reading.celsius <= TEMPERATURES[1], "temperature"
+        case PressureReading():
+            possible, what = PRESSURES[0] <= reading.pascal <= PRESSURES[1], "pressure"
+        case WindReading():
+            possible, what = abs(reading.head) <= MAX_WIND, "wind"
         case AuxiliaryReading():
             load, what = reading.heating + reading.others, "auxiliary"
             possible = reading.heating >= 0.0 and 0.0 <= load <= MAX_AUXILIARY
@@ -64,10 +84,11 @@ class Road:
         self._source = grade_source
         self._reference_density = reference_density
         self._celsius: float | None = None
+        self._pascal: float | None = None
+        self._wind: WindReading | None = None
         self._auxiliary: AuxiliaryReading | None = None
         self._pitch: deque[tuple[int, float]] = deque()
-        self._profile: deque[tuple[float, float]] = deque()
-        self._distance = 0.0
+        self._hill = _Hill()
         self._altitude_ns: int | None = None
 
     def push(self, reading: RoadReading) -> None:
@@ -75,6 +96,10 @@ class Road:
         match reading:
             case TemperatureReading():
                 self._celsius = reading.celsius
+            case PressureReading():
+                self._pascal = reading.pascal
+            case WindReading():
+                self._wind = reading
             case AuxiliaryReading():
                 self._auxiliary = reading
             case GradeReading():
@@ -83,17 +108,17 @@ class Road:
                 while not oldest <= self._pitch[0][0] <= reading.stamp_ns:
                     self._pitch.popleft()
             case AltitudeReading():
-                self._add_altitude(reading.altitude)
+                self._hill.see(reading.altitude)
                 self._altitude_ns = reading.stamp_ns
 
     def travel(self, distance: float) -> None:
         """Move on by a distance, m."""
-        self._distance += distance
+        self._hill.travel(distance)
 
     def forget(self) -> None:
         """Drop what may not be joined across a gap or a jump of time."""
         self._pitch.clear()
-        self._profile.clear()
+        self._hill = _Hill()
         self._altitude_ns = None
         self._auxiliary = None
 
@@ -106,10 +131,32 @@ class Road:
         return 0.0
 
     def air_density(self) -> float:
-        """Air density, kg/m^3: ideal gas at constant pressure, once temperature is known."""
-        if self._celsius is None:
-            return self._reference_density
-        return self._reference_density * (REFERENCE_CELSIUS + KELVIN) / (self._celsius + KELVIN)
+        """Air density, kg/m^3: that of the vehicle file until temperature or pressure is known.
+
+        Dry ideal gas: at the pressure told, or at that of the reference.
+        """
+        kelvin = KELVIN + (REFERENCE_CELSIUS if self._celsius is None else self._celsius)
+        if self._pascal is not None:
+            return self._pascal / (GAS_CONSTANT * kelvin)
+        return self._reference_density * (REFERENCE_CELSIUS + KELVIN) / kelvin
+
+    def head_wind(self, stamp_ns: int) -> float:
+        """Wind against the car, m/s, 0 while unknown."""
+        wind = self._wind
+        if wind is None or _age(stamp_ns, wind.stamp_ns) > WIND_STALE_AFTER:
+            return 0.0
+        return wind.head
+
+    def unknown(self, stamp_ns: int) -> tuple[str, ...]:
+        """Which of grade, temperature, pressure, wind and loads no input tells."""
+        told = {
+            "grade": self._fresh_pitch(stamp_ns) or self._altitude_ns is not None,
+            "temperature": self._celsius is not None,
+            "pressure": self._pascal is not None,
+            "wind": self._wind is not None,
+            "loads": self._auxiliary is not None,
+        }
+        return tuple(name for name, known in told.items() if not known)
 
     def known_auxiliary(self, stamp_ns: int) -> float:
         """Power of the auxiliary loads the car reports, W, 0 while unknown.
@@ -123,28 +170,55 @@ class Road:
         cold = self._celsius is None or self._celsius < HEATED_BELOW
         return max(0.0, loads.others + (loads.heating if cold else 0.0))
 
-    def _add_altitude(self, altitude: float) -> None:
-        if self._profile and self._distance - self._profile[-1][0] < GRADE_STEP:
-            self._profile[-1] = (self._profile[-1][0], altitude)
-            return
-        self._profile.append((self._distance, altitude))
-        while self._profile[0][0] < self._distance - GRADE_SPAN:
-            self._profile.popleft()
-
     def _fresh_pitch(self, stamp_ns: int) -> bool:
         return bool(self._pitch) and _age(stamp_ns, self._pitch[-1][0]) < STALE_AFTER
 
     def _altitude_grade(self, stamp_ns: int) -> float:
-        """Slope of altitude over the last `GRADE_SPAN` of road, by least squares."""
         if self._altitude_ns is None or _age(stamp_ns, self._altitude_ns) > STALE_AFTER:
             return 0.0
-        profile = np.array(self._profile)
-        distance, altitude = profile[:, 0], profile[:, 1]
-        if distance[-1] - distance[0] < GRADE_SPAN / 2:
-            return 0.0
-        spread = distance - distance.mean()
-        slope = math.atan(float(spread @ altitude / (spread @ spread)))
+        slope = math.atan(self._hill.slope)
         return slope if abs(slope) < GRADE_LIMIT else 0.0
+
+
+class _Hill:
+    """Slope of the road from altitudes: a Kalman filter along the road.
+
+    The slope wanders as that of roads does, by `SLOPE_STD` within `SLOPE_LENGTH`, so altitudes are
+    taken for no more than they are worth: over the length of a car any barometer finds cliffs.
+    """
+
+    def __init__(self) -> None:
+        self._mean: np.ndarray | None = None  # altitude, m, and slope
+        self._covariance = np.diag((ALTITUDE_STD**2, SLOPE_STD**2))
+        self._road = 0.0  # m since the last altitude
+
+    @property
+    def slope(self) -> float:
+        """Rise over run; 0 before anything is known."""
+        return 0.0 if self._mean is None else float(self._mean[1])
+
+    def travel(self, distance: float) -> None:
+        """Move on by a distance, m."""
+        self._road += distance
+        if self._mean is None:
+            return
+        step = np.array([[1.0, distance], [0.0, 1.0]])
+        self._mean = step @ self._mean
+        self._covariance = step @ self._covariance @ step.T
+        self._covariance[1, 1] += 2 * SLOPE_STD**2 * distance / SLOPE_LENGTH
+
+    def see(self, altitude: float) -> None:
+        """Take an altitude, m; those of one place say nothing new."""
+        if self._mean is None:
+            self._mean = np.array([altitude, 0.0])
+            return
+        if self._road < ALTITUDE_STEP:
+            return
+        noise = ALTITUDE_STD**2 * max(1.0, ALTITUDE_LENGTH / self._road)
+        self._road = 0.0
+        gain = self._covariance[:, 0] / (self._covariance[0, 0] + noise)
+        self._mean = self._mean + gain * (altitude - self._mean[0])
+        self._covariance = self._covariance - np.outer(gain, self._covariance[0])
 
 
 def _age(now_ns: int, stamp_ns: int) -> float:

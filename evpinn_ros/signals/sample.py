@@ -19,6 +19,7 @@ class Sample:
         known_auxiliary: power of auxiliary loads the car reports, W; 0 while unknown.
         course: of a smoothed sample, how the acceleration runs around it, shape
             (`kinematics.COURSE`,), m/s^2; empty for the newest moment, whose future is unknown.
+        head_wind: wind against the car, m/s over ground; 0 while unknown.
     """
 
     stamp_ns: int
@@ -28,6 +29,7 @@ class Sample:
     air_density: float
     known_auxiliary: float
     course: tuple[float, ...] = ()
+    head_wind: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,12 @@
 
 Speed sets the pace. Each new speed gives a `NewestSample` at once; each moment that lies
 `smoothing_lag` back gives a `SmoothedSample` (at most one each `SAMPLE_PERIOD`), and a
-`MeasuredSample` once battery readings on both sides of it are known, and not before the smoothed
-moments up to the later one: so no prediction rests on a battery reading of its own moment or
-after. What is late, doubled or impossible is dropped and counted by reason. When nothing but late
-readings come, time itself went back and the stream starts anew.
+`MeasuredSample` once battery readings on both sides of it are known, not before the smoothed
+moments up to the later one, so that no prediction rests on a battery reading of its own moment or
+after, and not before `allowed_lateness` has passed since the later one, so that the samples are
+the same in whatever order battery readings come until then. What is late, doubled or impossible is
+dropped and counted by reason. When nothing but late readings come, time itself went back and the
+stream starts anew.
 """
 
 from __future__ import annotations
@@ -43,13 +45,14 @@ class StreamSettings:
 
     Attributes:
         smoothing_lag: s of future speed the smoothed samples may use.
-        allowed_lateness: s by which a reading may be older than the newest of its kind.
+        allowed_lateness: s by which a reading may be older than the newest of its kind. Power is
+            learned this much later; beyond `smoothing_lag` that costs accuracy.
         max_gap: s without speed (or battery) across which nothing is joined.
         grade_source: where grade comes from.
     """
 
     smoothing_lag: float = 0.3
-    allowed_lateness: float = 0.5
+    allowed_lateness: float = 0.3
     max_gap: float = 2.5
     grade_source: GradeSource = GradeSource.AUTO
 
@@ -61,7 +64,8 @@ class SampleStream:
         """Start empty; air_density, kg/m^3, is used while no temperature is known."""
         self._settings = settings
         self._lag_ns = int(settings.smoothing_lag * NANOSECONDS) - LAG_TOLERANCE_NS
-        self._late_ns = int(settings.allowed_lateness * NANOSECONDS)
+        lateness_ns = int(settings.allowed_lateness * NANOSECONDS)
+        self._late_ns = max(0, lateness_ns - LAG_TOLERANCE_NS)
         self._gap_ns = int(settings.max_gap * NANOSECONDS)
         self._differentiator = CausalDifferentiator()
         self._road = Road(settings.grade_source, air_density)
@@ -83,6 +87,11 @@ class SampleStream:
     def newest_ns(self) -> int | None:
         """Stamp of the newest speed, None before the first."""
         return self._speed.newest_ns if len(self._speed) else None
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Optional inputs that tell nothing (see `Road.unknown`)."""
+        return self._road.unknown(self.newest_ns or 0)
 
     @property
     def battery_ns(self) -> int | None:
@@ -182,6 +191,7 @@ class SampleStream:
             air_density=self._road.air_density(),
             known_auxiliary=self._road.known_auxiliary(stamp_ns),
             course=course,
+            head_wind=self._road.head_wind(stamp_ns),
         )
 
     def _push_battery(self, reading: BatteryReading) -> None:
@@ -201,7 +211,8 @@ class SampleStream:
             self.dropped["battery_doubled"] += 1
 
     def _match_power(self, until_ns: int) -> Iterator[MeasuredSample]:
-        """Samples whose power battery readings up to a moment determine."""
+        """Samples whose power battery readings up to a moment, and none to come, determine."""
+        until_ns = min(until_ns, self._speed.newest_ns - self._late_ns)
         while self._unmeasured:
             after = self._power.next_ns(self._unmeasured[0].stamp_ns)
             if after is None or after > until_ns:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
+from typing import Any
 
 from evpinn_ros.signals.sample import Sample
 
@@ -50,6 +52,19 @@ class SignSuspicion:
         share = self._with / self._size
         self.suspected = share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW)
         self.told = True
+
+    def export(self) -> dict[str, Any]:
+        """State to save."""
+        sums = [self._with, self._size, self._seconds]
+        return {"suspected": self.suspected, "told": self.told, "sums": sums}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
+        with_, size, seconds = (float(value) for value in state["sums"])
+        if not all(map(math.isfinite, (with_, size, seconds))):
+            raise ValueError("the saved suspicion of current is not finite")
+        self.suspected, self.told = bool(state["suspected"]), bool(state["told"])
+        self._with, self._size, self._seconds = with_, size, seconds
 
 
 class ChargeSuspicion:

@@ -44,7 +44,7 @@ class Vehicle:
     Attributes:
         key: short name, the file's stem.
         name: name for people.
-        can_profile: profile in `config/can/` for its bus, or None.
+        can_profile: for its bus: a name in `config/can/`, the path of a file, or None.
         frontal_area: m^2.
         air_density: kg/m^3, used while no temperature is known.
         beta: deceleration threshold of regeneration, m/s^2 (eq. 20).
@@ -111,10 +111,16 @@ def _parse(path: Path) -> Vehicle:
     return Vehicle(
         key=path.stem,
         name=root.text("name"),
-        can_profile=root.text("can_profile") if root.has("can_profile") else None,
+        can_profile=_can_profile(root, path) if root.has("can_profile") else None,
         priors=priors,
         **constants,
     )
+
+
+def _can_profile(root: Section, path: Path) -> str:
+    """The name of a profile, or the path of one; that is relative to the vehicle file."""
+    name = root.text("can_profile")
+    return str(path.parent / name) if Path(name).suffix in (".yaml", ".yml") else name
 
 
 def _constant(section: Section, name: str) -> float:

@@ -103,12 +103,18 @@ def test_a_broken_recording_gives_what_is_left_and_says_so(tmp_path):
     assert str(file) in log.problem
 
 
-def test_bags_that_hold_no_one_bus_are_refused(tmp_path):
+def test_an_id_of_two_topics_is_read_from_one(tmp_path):
+    ids = [("/a", 1), ("/b", 1), ("/b", 2)]
     with BagWriter(tmp_path / "two") as writer:
-        for topic in ("/a", "/b"):
-            writer.write_raw(topic, FRAME_TYPE, encode_frame(FRAMES[0]), NOW)
-    with pytest.raises(InputError, match="several buses, keep one: /a, /b"):
-        BagFrames(tmp_path / "two")
+        for topic, can_id in ids * 2:
+            frame = CanFrame(NOW, can_id, topic.encode())
+            writer.write_raw(topic, FRAME_TYPE, encode_frame(frame), NOW)
+    log = BagFrames(tmp_path / "two")
+    assert {(frame.can_id, frame.data) for frame in log.frames()} == {(1, b"/a"), (2, b"/b")}
+    assert log.count == 4 and log.skipped == {"other_bus": 2}
+
+
+def test_bags_without_frames_are_refused(tmp_path):
     with pytest.raises(InputError, match="no CAN frames"):
         BagFrames(Path(__file__).parents[2] / "bags" / "urban")
     writer = Writer(str(tmp_path / "odd.mcap"))

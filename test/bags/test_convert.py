@@ -18,9 +18,11 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    PressureReading,
     Reading,
     SpeedReading,
     TemperatureReading,
+    WindReading,
 )
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
@@ -33,6 +35,8 @@ READINGS = st.one_of(
     st.builds(GradeReading, STAMPS, st.floats(-0.5, 0.5)),
     st.builds(AltitudeReading, STAMPS, NUMBERS),
     st.builds(TemperatureReading, STAMPS, NUMBERS),
+    st.builds(PressureReading, STAMPS, NUMBERS),
+    st.builds(WindReading, STAMPS, NUMBERS),
     st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
 )
 

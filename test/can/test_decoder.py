@@ -204,6 +204,7 @@ def test_other_pages_of_a_multiplexed_message_are_no_fault(tmp_path):
     decoder = Decoder(load_profile(tmp_path / "m.yaml"))
     assert decoder.push(frame(100, "01E80300"))[0].speed == pytest.approx(10 / 3.6)
     assert decoder.push(frame(100, "02E80300")) == ()
+    assert decoder.push(frame(100, "02E803")) == () and decoder.push(frame(100, "02E8")) == ()
     assert not decoder.dropped
     assert decoder.push(frame(100, "09E80300")) == ()
     assert decoder.push(frame(100, "01E8")) == ()

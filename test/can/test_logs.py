@@ -111,6 +111,28 @@ def test_other_frames_are_skipped_and_counted(tmp_path):
     assert log.skipped == {"remote_frame": 1, "error_frame": 1}
 
 
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
+def test_an_id_of_two_buses_is_read_from_one(tmp_path, suffix):
+    path = tmp_path / f"both{suffix}"
+    with can.Logger(str(path)) as writer:
+        for index, (channel, can_id) in enumerate([(1, 0x1DB), (2, 0x1DB), (2, 0x284)] * 3):
+            writer.on_message_received(
+                can.Message(
+                    timestamp=START + index,
+                    arbitration_id=can_id,
+                    is_extended_id=False,
+                    data=bytes([channel]),
+                    channel=channel,
+                )
+            )
+    log = LogFile(path)
+    assert {(frame.can_id, frame.data) for frame in log.frames()} == {
+        (0x1DB, b"\x01"),
+        (0x284, b"\x02"),
+    }
+    assert log.count == 6 and log.skipped == {"other_bus": 3}
+
+
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [

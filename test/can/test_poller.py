@@ -12,6 +12,7 @@ from evpinn_ros.can import restraint as restraint_module
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
@@ -148,7 +149,8 @@ def test_without_leave_nothing_is_ever_sent(channel, unit):
         status = car.bridge.poller.status()
     assert not any(unit.asked for unit in units)
     assert not status.ok and status.text == (
-        "profile hyundai_kia asks the car; set poll:=true to allow it to send read requests"
+        "profile hyundai_kia asks the car; poll:=true (evpinn run --poll) lets it send "
+        "read requests"
     )
 
 
@@ -301,3 +303,26 @@ def test_a_log_of_a_polled_drive_decodes_like_the_live_bus(channel, unit):
         return [repr(reading).partition(",")[2] for reading in readings]
 
     assert values(readings)[: len(car.readings)] == values(car.readings)
+
+
+def test_a_car_that_is_another_is_not_asked():
+    bolt, sent = load_profile("chevrolet_bolt"), []
+
+    def send(frame):
+        sent.append(frame)
+        return True
+
+    bridge = CanBridge(bolt, send, guard=FitGuard(bolt, ()))
+    thread = threading.Thread(target=bridge.poller.run)
+    thread.start()
+    wait_for(lambda: sent)
+    for index in range(100):  # more than 600 mph, for a second
+        speed = (60_000 + index).to_bytes(2, "big") + bytes(6)
+        bridge.push(CanFrame(index * 10_000_000, 0x3E9, speed))
+    assert bridge.refusal is not None
+    sent.clear()
+    time.sleep(1.3)  # after a second without an answer the next question would be due
+    bridge.poller.stop()
+    thread.join(1)
+    assert not sent
+    assert bridge.poller.status().text == "stopped: the traffic contradicts the profile"

@@ -40,6 +40,11 @@ def test_unknown_name_lists_the_known_ones():
         load_profile("tesla")
 
 
+def test_a_dbc_file_alone_is_no_profile():
+    with pytest.raises(InputError, match=r"my\.dbc: .*; write a profile \(\.yaml\) that names it"):
+        load_profile("my.dbc")
+
+
 def test_missing_file_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"nowhere.yaml: No such file or directory$"):
         load_profile(tmp_path / "nowhere.yaml")
@@ -58,7 +63,11 @@ def test_missing_file_is_one_line(tmp_path):
         ("valid: [0, 200]", "valid: 200", "must be a list [...] of numbers"),
         ("valid: [0, 200]", "valid: [0, .nan]", "'valid' must be a number"),
         ("  scale: 1.0204", "  scale: 0", "scale = 0 is outside"),
-        ("  scale: 1.0204", "  not_available: [1.5]", "whole numbers"),
+        ("  scale: 1.0204", "  not_available: [1.5]", "whole number"),
+        ("  scale: 1.0204", "  not_available: [0x10000]", "65536 is no raw value: 16 bits"),
+        # Signed bits that are all ones read as -1, which is a current of no suspicion.
+        ("charge, valid:", "charge, not_available: [2047], valid:", "signed, are -1024 to 1023"),
+        ("valid: [200, 460]", "valid: [2000, 4600]", "no raw value is within 'valid'"),
         ("rule: nissan_crc8", "rule: crc", "rule 'crc' is not one of id_sum, nissan_crc8"),
         ("signal: Checksum}", "signal: Speed}", "'Speed' is not one whole byte"),
         ("dbc: nissan_leaf.dbc", "dbc: other.dbc", "other.dbc: No such file or directory"),
@@ -71,6 +80,14 @@ def test_wrong_profile_is_refused_with_its_line(broken, old, new, reason):
     path, line, _ = text.split(":", 2)
     assert Path(path).name == "mine.yaml" and int(line) > 0
     assert "\n" not in text
+
+
+def test_a_raw_value_may_be_hexadecimal(tmp_path):
+    text = (CONFIG / "nissan_leaf.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace("scale: 1.0204", "not_available: [0xFFFF]"))
+    (tmp_path / "nissan_leaf.dbc").write_bytes((CONFIG / "nissan_leaf.dbc").read_bytes())
+    rule = load_profile(tmp_path / "mine.yaml").messages["speed"].signals[0]
+    assert rule.refusal(0xFFFF) == "not_available"
 
 
 def test_source_is_required(broken):

@@ -13,7 +13,10 @@ from evpinn_ros.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 SCORE = {"samples", "rmse_w", "mae_w", "coverage_90"}
-KEYS = SCORE | {"energy_error_percent", "measured_j", "predicted_j", "now", "us_per_sample"}
+KEYS = SCORE | {
+    *("energy_error_percent", "worst_5min_percent", "measured_j", "predicted_j"),
+    *("now", "us_per_sample"),
+}
 URBAN = ROOT / "bags" / "urban"
 NAMES = ["null", "prior", "rls7"]
 

@@ -4,9 +4,12 @@ import itertools
 import json
 import os
 from pathlib import Path
+import pty
+import signal
 import subprocess
 import sys
 import time
+import tty
 
 import can
 import pytest
@@ -114,6 +117,15 @@ def test_a_damaged_log_shows_what_it_holds_and_fails(folder):
     assert "Fits: tesla_model_3" in done.stdout and "cut.log: cut off" in done.stderr
 
 
+def test_frames_left_out_are_told(folder):
+    lines = (folder / "tesla_model_3.log").read_text().splitlines(keepends=True)
+    both = "".join(line + line.replace("can0", "can1") for line in lines)
+    (folder / "both.log").write_text(both)
+    done = evpinn("can", "inspect", "both.log", cwd=folder)
+    assert f"both.log: {len(lines)} frames left out: other_bus" in done.stderr
+    assert "Fits: tesla_model_3" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "text"),
     [
@@ -122,6 +134,8 @@ def test_a_damaged_log_shows_what_it_holds_and_fails(folder):
         (("nowhere.log",), 1, "nowhere.log: No such file"),
         (("--interface", "slcan", "--channel", "/dev/none"), 1, "is the adapter plugged in"),
         (("x.log", "--can-profile", "nope"), 1, "no CAN profile named 'nope'"),
+        (("--channel", "can0", "--seconds", "-2"), 2, "--seconds must be above 0"),
+        (("tesla_model_3.log", "--seconds", "nan"), 2, "--seconds must be above 0"),
     ],
 )
 def test_what_cannot_be_looked_at(folder, arguments, code, text):
@@ -166,6 +180,30 @@ def test_a_live_bus_without_a_frame(folder):
     assert done.returncode == 1 and "no frame came: silent" in done.stderr
 
 
+def heard_by_adapter(*options, cwd):
+    """What `evpinn run` tells a serial adapter before it reads."""
+    own, channel = pty.openpty()
+    tty.setraw(channel)
+    command = [sys.executable, "-m", "evpinn_ros", "run", "--vehicle", "nissan_leaf"]
+    bus = ["--can-interface", "slcan", "--can-channel", os.ttyname(channel)]
+    heard = b""
+    with subprocess.Popen([*command, *bus, *options], cwd=cwd, env=ENVIRONMENT) as process:
+        try:
+            while not heard.rstrip(b"\r").endswith((b"O", b"L")):
+                heard += os.read(own, 100)
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+            os.close(own)
+            os.close(channel)
+    return heard.replace(b"\r", b" ").split()[:3]
+
+
+def test_run_hands_options_to_the_adapter(folder):
+    options = ("--bitrate", "250000", "--bus-options", "listen_only=true sleep_after_open=0.05")
+    assert heard_by_adapter(*options, cwd=folder) == [b"C", b"S5", b"L"]
+
+
 @pytest.mark.parametrize("command", [("convert",), ("replay", "--out")])
 def test_a_wrong_profile_is_refused_by_name(folder, command):
     name, *out = command
@@ -186,6 +224,15 @@ def test_a_wrong_profile_can_be_insisted_on(folder):
     )
     assert done.returncode == 0, done.stderr
     assert "out_of_range" in done.stderr
+
+
+def test_check_params_checks_the_profile_of_a_vehicle_file_too(tmp_path):
+    text = (CONFIG.parent / "vehicles" / "nissan_leaf.yaml").read_text()
+    assert "can_profile: nissan_leaf" in text
+    own = text.replace("can_profile: nissan_leaf", "can_profile: nowhere.yaml")
+    (tmp_path / "car.yaml").write_text(own)
+    done = evpinn("check-params", tmp_path / "car.yaml", cwd=CONFIG)
+    assert done.returncode == 1 and f"{tmp_path / 'nowhere.yaml'}: No such file" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -177,7 +177,7 @@ def test_paused_it_predicts_and_does_not_learn(new_estimator, play, powers, driv
     estimator = new_estimator(mode=mode)
     play(estimator, up_to(readings, 12.0))
     estimator.enabled = False
-    noted = "merit" if mode is Mode.HYBRID else "variance"  # changes with every sample learned
+    noted = "power_filter" if mode is Mode.HYBRID else "variance"  # changes with every sample
     before, updates = estimator.export()["learner"][noted], estimator.status().updates
     assert powers(play(estimator, from_on(readings, 12.0)))
     status = estimator.status()

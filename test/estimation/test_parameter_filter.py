@@ -42,6 +42,7 @@ samples = st.builds(
     grade=st.floats(-0.1, 0.1),
     air_density=st.floats(1.0, 1.4),
     known_auxiliary=st.floats(0.0, 3000.0),
+    head_wind=st.floats(-15.0, 15.0),
 )
 states = st.lists(st.floats(-2.0, 2.0), min_size=len(STATES), max_size=len(STATES))
 
@@ -85,8 +86,9 @@ def test_it_starts_at_the_priors():
 @given(samples, states)
 @settings(deadline=None)
 def test_power_is_that_of_the_physics(moment, by):
-    """Without copper loss and slope, eq. 19 in the wheel-power form plus the known load."""
+    """Without copper loss, slope and wind, eq. 19 in the wheel-power form plus the known load."""
     found = moved(by)
+    moment = replace(moment, head_wind=0.0)
     found.mean[[COPPER, SLOPE]] = 0.0
     power = battery_power(
         moment.speed,
@@ -100,6 +102,15 @@ def test_power_is_that_of_the_physics(moment, by):
     )
     expected = power + moment.known_auxiliary
     assert found.predict(moment).power == pytest.approx(expected, rel=1e-9, abs=1e-6)
+
+
+def test_drag_is_that_of_the_airspeed():
+    """At 20 m/s against 5 m/s of wind the drag of 25 m/s, moved at 20 m/s."""
+    found = new()
+    still, windy = (found.predict(sample(0, 20.0, head_wind=wind)).power for wind in (0.0, 5.0))
+    drag_area = CAR.frontal_area * CAR.initial.c_d
+    expected = 0.5 * 1.17 * drag_area * (25.0**2 - 20.0**2) * 20.0 / CAR.initial.eta
+    assert windy - still == pytest.approx(expected)
 
 
 @given(samples, states, st.floats(-0.02, 0.02))

@@ -18,8 +18,9 @@ from evpinn_ros.estimation.power_filter import (
 )
 from evpinn_ros.estimation.window import Observation, batch
 from evpinn_ros.signals.kinematics import COURSE
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.sample import Sample
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.signals.sample import MeasuredSample, Sample
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.linear_power import FEATURES
 from evpinn_ros.vehicle.parameters import Parameters
 
@@ -223,3 +224,23 @@ def test_forecasts_expect_the_loads_that_were_reported(vehicle, synthetic):
     constant = FEATURES.index("constant")
     assert before.mean[constant] == vehicle.initial.p_aux
     assert after.mean[constant] == pytest.approx(TRUTH.p_aux + 2000.0, rel=0.15)
+
+
+def test_the_lag_between_speed_and_power_is_estimated(vehicle, drive):
+    """The same drive told twice, the battery 0.2 s later in the second."""
+    lags = []
+    for late_ns in (0, NANOSECONDS // 5):
+        found = PowerFilter(vehicle)
+        stream = SampleStream(StreamSettings(), vehicle.air_density)
+        for reading in drive(3, 200.0).readings:
+            if isinstance(reading, BatteryReading):
+                reading = replace(reading, stamp_ns=reading.stamp_ns + late_ns)
+            for event in stream.push(reading):
+                if isinstance(event, MeasuredSample):
+                    found.advance(event.sample)
+                    found.update(event.sample, event.power, 0.1)
+        lag, lag_std = found.lag
+        lags.append(lag)
+        assert 0.0 < lag_std < 0.05
+    assert abs(lags[0]) < 0.1
+    assert lags[1] - lags[0] == pytest.approx(0.2, abs=0.05)

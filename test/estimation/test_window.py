@@ -110,6 +110,7 @@ def test_columns():
         [300.0, 300.0],
         [1000.0, 1000.0],
         [0.002, 0.002],
+        [0.0, 0.0],  # head wind
     ]
     nothing = batch([], 0)
     assert all(column.shape == (0,) for column in nothing[:-1])

@@ -117,6 +117,27 @@ def test_replay_plays_inputs_alone_and_by_the_clock_of_the_bag(launch):
         assert overrides.get("wait_for_update", False) == (name == "estimator")
 
 
+def test_eco_speed_planner_starts_beside_the_node_it_asks(launch):
+    given = {"vehicle": "bmw_i3", "deadline": "600", "route": "7.csv"}
+    started = nodes(launch("eco_speed_planner.launch.py", **given))
+    names = {executable: options["name"] for executable, options in started.items()}
+    assert names == {"energy": "energy", "eco_speed_planner.py": "eco_speed_planner"}
+    assert (ROOT / "examples" / "eco_speed_planner.py").is_file()
+    reached = {}
+    for options in started.values():
+        file, overrides = options["parameters"]
+        check_parameter_file(Path(file))
+        assert options["namespace"] == "/ev"
+        reached |= {k: (v.arguments[0], v.options["value_type"]) for k, v in overrides.items()}
+    assert reached == {
+        "vehicle": ("bmw_i3", str),
+        "deadline": ("600", float),
+        "route": ("7.csv", str),
+    }
+    energy = nodes(launch("eco_speed_planner.launch.py"))["energy"]
+    assert len(energy["parameters"]) == 1, "the vehicle is that of the file"
+
+
 def test_replay_ends_with_the_bag_and_demands_one(launch):
     kinds = [action.kind for action in launch("replay.launch.py", bag="drive")]
     assert kinds[-1] == "RegisterEventHandler"

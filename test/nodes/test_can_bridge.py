@@ -2,7 +2,10 @@
 
 from collections.abc import Iterator
 import itertools
+import os
+import pty
 import time
+import tty
 
 import can
 import pytest
@@ -10,6 +13,7 @@ from rcl_interfaces.msg import Log
 
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
@@ -76,15 +80,31 @@ def rest(bench, seconds):
 def test_a_silent_bus_is_said_once(bench, bus, said):
     node = start(bench, bus)
     bench.listen(topics.SPEED)
-    drive(bench, bus, model_3(), lambda: bench.heard[topics.SPEED] and "bus open" in said)
+    drive(bench, bus, model_3(), lambda: bench.heard[topics.SPEED] and "receiving" in said)
     bench.pump(lambda: any("silent" in line for line in said))
     rest(bench, 3.5)
-    assert [line for line in said if "silent" in line] == [
-        "bus silent: the car sleeps or this is another bus"
-    ]
+    assert said == ["receiving", "silent: the car sleeps or this is another bus"]
     assert bench.diagnosis(node)["bus"][1].startswith("silent")
-    drive(bench, bus, model_3(), lambda: said.count("bus open") == 2)
-    assert len([line for line in said if line.startswith("bus")]) == 3
+    drive(bench, bus, model_3(), lambda: len(said) > 2)
+    assert said[2:] == ["receiving"]
+
+
+def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
+    own, channel = pty.openpty()
+    tty.setraw(channel)
+    options = {"interface": "slcan", "channel": os.ttyname(channel)}
+    bench.start(CanBridgeNode, **options, bus_options="sleep_after_open=3.0")
+    bench.pump(lambda: said)
+    os.close(own)
+    os.close(channel)
+    assert said == ["silent: the car sleeps or this is another bus"]
+
+
+def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
+    start(bench, bus, can_profile="nissan_leaf")
+    drive(bench, bus, model_3(), lambda: said)
+    rest(bench, 1.5)
+    assert said == ["no frame of this profile: another bus or car? 'tesla_model_3' fits"]
 
 
 def test_a_profile_that_contradicts_the_bus_publishes_nothing(bench, bus, said):
@@ -97,6 +117,15 @@ def test_a_profile_that_contradicts_the_bus_publishes_nothing(bench, bus, said):
     assert int(values["dropped.undecided"]) > 0
     assert not node.published[topics.BATTERY] and not node.published[topics.SPEED]
     assert len([line for line in said if "contradicts" in line]) == 1
+
+
+def test_a_log_too_short_to_judge_is_published_at_its_end(bench, tmp_path):
+    frames = [CanFrame(i * 10**7, 0x3E9, bytes((8, i, *bytes(6)))) for i in range(20)]
+    write_log(tmp_path / "short.log", frames)
+    log = {"log_file": str(tmp_path / "short.log"), "log_rate": 0.0}
+    bench.start(CanBridgeNode, can_profile="chevrolet_bolt", **log)
+    bench.listen(topics.SPEED)
+    bench.pump(lambda: len(bench.heard[topics.SPEED]) == 20)
 
 
 def test_a_profile_that_is_trusted_is_not_judged(bench, bus):

@@ -140,3 +140,9 @@ def test_what_was_noticed_of_the_car_is_told():
     told = {key: found.values[key] for key in ("load_change_kg", "load_changes", "progress.mass")}
     assert told == {"load_change_kg": 151.235, "load_changes": 2, "progress.mass": 73}
     assert found.values["suspicion"] == "current_sign"
+
+
+def test_a_grade_of_the_wrong_sign_is_named():
+    status = dataclasses.replace(STATUS, report=LearnerReport(suspicion="grade_sign"))
+    found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
+    assert found.level == Level.WARN and "sign of grade" in found.text

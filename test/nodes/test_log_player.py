@@ -56,6 +56,14 @@ def test_a_log_that_is_cut_or_is_none_is_told(log):
         LogPlayer(log.with_name("nowhere.log"), 0.0, 0.0, lambda frame: None)
 
 
+def test_a_stamp_beyond_all_time_ends_it(log):
+    with log.open("a") as file:
+        file.write("(99999999999999.0) can0 132#00\n")
+    player = LogPlayer(log, 1000.0, 0.0, lambda frame: None)
+    player.run()
+    assert player.problem == f"{log}: a stamp beyond all time, frame 21"
+
+
 def test_the_frames_of_a_bag_play_too(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         for frame in FRAMES:

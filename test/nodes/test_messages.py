@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
-from evpinn_ros.nodes import messages
+from evpinn_ros.nodes import messages, reading_messages
 from evpinn_ros.nodes.messages import BadMessage, Level
 from evpinn_ros.nodes.plan_messages import forecast_message
 from evpinn_ros.nodes.topics import (
@@ -27,8 +27,10 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    PressureReading,
     SpeedReading,
     TemperatureReading,
+    WindReading,
 )
 
 NOW = 1_700_000_000_123_456_789
@@ -40,6 +42,8 @@ READINGS = st.one_of(
     st.builds(BatteryReading, STAMPS, NUMBERS, st.just(math.nan)),
     st.builds(AltitudeReading, STAMPS, NUMBERS),
     st.builds(TemperatureReading, STAMPS, NUMBERS),
+    st.builds(PressureReading, STAMPS, NUMBERS),
+    st.builds(WindReading, STAMPS, NUMBERS),
     st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
 )
 
@@ -56,8 +60,8 @@ def through_cdr(message: Any) -> Any:
 @settings(deadline=None)
 @given(READINGS)
 def test_a_reading_survives_the_message_and_its_bytes(reading):
-    message = through_cdr(messages.reading_message(new_message, reading))
-    again = messages.to_reading(message.__msgtype__, message)
+    message = through_cdr(reading_messages.reading_message(new_message, reading))
+    again = reading_messages.to_reading(message.__msgtype__, message)
     assert type(again) is type(reading)
     assert astuple(again) == pytest.approx(astuple(reading), rel=0, abs=0, nan_ok=True)
 
@@ -65,8 +69,8 @@ def test_a_reading_survives_the_message_and_its_bytes(reading):
 @settings(deadline=None)
 @given(STAMPS, st.floats(-1.5, 1.5))
 def test_grade_survives_the_quaternion(stamp, grade):
-    message = messages.imu_message(new_message, GradeReading(stamp, grade))
-    assert messages.grade_reading(message).grade == pytest.approx(grade, abs=1e-7)
+    message = reading_messages.imu_message(new_message, GradeReading(stamp, grade))
+    assert reading_messages.grade_reading(message).grade == pytest.approx(grade, abs=1e-7)
 
 
 def test_power_is_minus_voltage_times_current_of_battery_state():
@@ -83,7 +87,7 @@ def test_grade_is_minus_pitch():
     imu = new_message(
         "sensor_msgs/msg/Imu", header=messages.header(new_message, NOW), orientation=q
     )
-    assert messages.grade_reading(imu).grade == pytest.approx(-0.1)
+    assert reading_messages.grade_reading(imu).grade == pytest.approx(-0.1)
 
 
 @settings(deadline=None)
@@ -102,7 +106,7 @@ def test_grade_does_not_depend_on_yaw_and_roll(yaw, pitch, roll):
     imu = new_message(
         "sensor_msgs/msg/Imu", header=messages.header(new_message, NOW), orientation=q
     )
-    assert messages.grade_reading(imu).grade == pytest.approx(-pitch, abs=1e-6)
+    assert reading_messages.grade_reading(imu).grade == pytest.approx(-pitch, abs=1e-6)
 
 
 def stamped(type_name: str, **fields: Any) -> Any:
@@ -154,14 +158,14 @@ BAD: list[tuple[str, Callable[[], Any]]] = [
 def test_a_bad_message_says_why(reason, make):
     message = make()
     with pytest.raises(BadMessage) as caught:
-        messages.to_reading(message.__msgtype__, message)
+        reading_messages.to_reading(message.__msgtype__, message)
     assert caught.value.reason == reason
 
 
 def test_auxiliary_power_is_heating_by_its_name_and_the_sum_of_all_else():
     names = ["Cabin_Heating", "aircon", "lights"]
     vector = messages.named_vector(new_message, NOW, names, [1500.0, 250.0, 100.0])
-    assert messages.auxiliary_reading(vector) == AuxiliaryReading(NOW, 1500.0, 350.0)
+    assert reading_messages.auxiliary_reading(vector) == AuxiliaryReading(NOW, 1500.0, 350.0)
 
 
 def test_a_percentage_that_counts_to_hundred_is_unknown():
@@ -178,7 +182,7 @@ def test_regeneration_is_not_called_charging():
 
 
 def test_altitude_is_a_valid_fix_without_a_place():
-    message = messages.altitude_message(new_message, AltitudeReading(NOW, 570.0))
+    message = reading_messages.altitude_message(new_message, AltitudeReading(NOW, 570.0))
     assert message.status.status >= message.status.STATUS_FIX
     assert math.isnan(message.latitude) and math.isnan(message.longitude)
 
@@ -209,9 +213,9 @@ NOT_FINITE = [
     lambda: messages.speed_message(new_message, SpeedReading(NOW, 1.0, math.inf)),
     lambda: messages.battery_message(new_message, BatteryReading(NOW, 1e39, 0.0)),
     lambda: messages.battery_message(new_message, BatteryReading(NOW, 400.0, 0.0, 87.0)),
-    lambda: messages.imu_message(new_message, GradeReading(NOW, math.nan)),
-    lambda: messages.altitude_message(new_message, AltitudeReading(NOW, math.nan)),
-    lambda: messages.temperature_message(new_message, TemperatureReading(NOW, math.inf)),
+    lambda: reading_messages.imu_message(new_message, GradeReading(NOW, math.nan)),
+    lambda: reading_messages.altitude_message(new_message, AltitudeReading(NOW, math.nan)),
+    lambda: reading_messages.temperature_message(new_message, TemperatureReading(NOW, math.inf)),
     lambda: messages.header(new_message, -1),
     lambda: messages.header(new_message, 2**31 * 10**9),
     lambda: forecast_message(new_message, messages.header(new_message, NOW), [0], [math.nan], [1]),
@@ -243,7 +247,7 @@ def every_message(new: messages.NewMessage) -> list[tuple[str, Any]]:
     ]
     level_reasons = {"updates": 3, "sigma": 0.5, "state": "predicting"}
     return [
-        *((name, messages.reading_message(new, readings[index])) for name, index in built),
+        *((name, reading_messages.reading_message(new, readings[index])) for name, index in built),
         ("std_msgs/msg/Float64", messages.scalar(new, np.float64(3.5))),
         ("sensor_msgs/msg/JointState",
          messages.named_vector(new, NOW, ["a", "b"], np.array([1.0, 2.0]), [0.1, 0.2], [3, 4])),
@@ -269,7 +273,11 @@ def test_the_same_builders_give_the_same_bytes_with_rclpy():
 def test_readers_take_rclpy_messages():
     pytest.importorskip("rclpy.serialization")
     for name, message in every_message(rclpy_message)[:6]:
-        assert messages.stamp_ns(message) == messages.to_reading(name, message).stamp_ns == NOW
+        assert (
+            messages.stamp_ns(message)
+            == reading_messages.to_reading(name, message).stamp_ns
+            == NOW
+        )
 
 
 def test_every_topic_is_listed_once_with_a_type_that_exists():

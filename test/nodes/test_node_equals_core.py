@@ -11,7 +11,7 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import to_reading
+from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.vehicle.files import load_vehicle
 

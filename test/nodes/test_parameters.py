@@ -82,7 +82,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
         ("estimator", "seed", -1, "outside"),
         ("estimator", "mode", "clever", "not one of hybrid, paper"),
         ("estimator", "vehicle", "tesla", "no vehicle named 'tesla'"),
-        ("estimator", "time_jump_threshold", 0.5, "above allowed_lateness"),
+        ("estimator", "time_jump_threshold", 0.3, "above allowed_lateness"),
         ("can_bridge", "can_profile", "vw", "no CAN profile named 'vw'"),
         ("can_bridge", "interface", "usb", "interface: known are"),
         ("can_bridge", "bus_options", "hop_limit", "not of the form name=value"),

@@ -5,6 +5,7 @@ import time
 
 import can
 import pytest
+from rcl_interfaces.msg import Log
 
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.errors import InputError
@@ -71,7 +72,18 @@ def test_without_leave_the_bridge_is_silent_and_says_what_to_set(bench, i3):
     assert not any(unit.asked for unit in i3)
     level, text, _ = diagnosis["polling"]
     assert level == Level.WARN
-    assert text == "profile bmw_i3 asks the car; set poll:=true to allow it to send read requests"
+    assert (
+        text
+        == "profile bmw_i3 asks the car; poll:=true (evpinn run --poll) lets it send read requests"
+    )
+
+
+def test_that_the_car_must_be_asked_is_said(bench):
+    open_bus().shutdown()
+    lines = []
+    bench.node.create_subscription(Log, "/rosout", lambda log: lines.append(log.msg), 1000)
+    bench.start(CanBridgeNode, vehicle="bmw_i3", **BUS, **OPTIONS)
+    bench.pump(lambda: any("poll:=true" in line for line in lines))
 
 
 def test_an_experimental_profile_warns(bench):

@@ -19,7 +19,8 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import Level, to_reading
+from evpinn_ros.nodes.messages import Level
+from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.share import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading

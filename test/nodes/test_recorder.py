@@ -94,3 +94,39 @@ def drive(bus, bench, seconds):
         assert number < 60 / PERIOD, "no speed came back"
         while (wait := begin + number * PERIOD - time.monotonic()) > 0:
             bench.executor.spin_once(timeout_sec=wait)
+
+
+FULL_DISK = """
+from collections import deque
+import os, pathlib, resource, sys, time
+import rclpy
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.nodes.recorder import RecorderNode
+
+rclpy.init()
+frames = deque()
+node = RecorderNode(pathlib.Path(sys.argv[1]), frames)
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+end = time.monotonic() + 20.0
+while time.monotonic() < end and node.statuses()[0].level == 0:
+    if not frames:
+        frames.extend((time.time_ns(), CanFrame(0, 1, os.urandom(8))) for _ in range(500))
+    rclpy.spin_once(node, timeout_sec=0.1)
+frames.extend((time.time_ns(), CanFrame(0, 1, b"")) for _ in range(1000))
+for _ in range(12):
+    rclpy.spin_once(node, timeout_sec=0.1)
+node.close()
+print(len(frames), node.statuses()[0].text)
+"""
+
+
+def test_a_full_disk_ends_the_recording_alone(tmp_path):
+    # The limit of a file's size fails as a full disk does, in a write of the system's.
+    folder = tmp_path / "bag"
+    command = [sys.executable, "-c", FULL_DISK, str(folder)]
+    done = subprocess.run(
+        command, cwd=share_directory(), capture_output=True, text=True, timeout=90
+    )
+    assert done.stdout == f"0 recording ended: {folder}: File too large\n", done.stderr
+    assert done.stderr.count("recording ended") == 1
+    assert len(list(open_can_log(next(folder.glob("*.mcap"))).frames())) >= 500

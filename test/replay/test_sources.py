@@ -26,6 +26,11 @@ def test_can_log_gives_the_readings_of_the_simulated_bus(tmp_path, vehicle, shor
     assert source.problem is None
 
 
+def test_a_suffix_in_capitals_is_the_same_log(tmp_path, vehicle, short_drive):
+    write_log(tmp_path / "DRIVE.LOG", short_drive.frames)
+    assert list(open_source(tmp_path / "DRIVE.LOG", vehicle).readings())
+
+
 def test_a_can_log_that_later_contradicts_the_profile_ends_there(tmp_path, vehicle):
     """Two drives joined, the second of a car with the firmware of another year."""
     first = simulate(DriveKind.URBAN, vehicle, 30.0, seed=3)

@@ -169,7 +169,7 @@ def test_just_within_max_gap_is_no_gap(new_stream, play, at):
 def test_late_and_doubled_speeds(new_stream, play, ramp, at):
     stream = new_stream()
     play(stream, ramp(10.0, 0.0, 2.0))
-    late = [SpeedReading(at(1.45), 5.7), SpeedReading(at(2.0), 99.0), SpeedReading(at(1.55), 5.8)]
+    late = [SpeedReading(at(1.7), 5.7), SpeedReading(at(2.0), 99.0), SpeedReading(at(1.75), 5.8)]
     assert play(stream, late) == []
     assert stream.dropped == {"speed_late": 1, "speed_doubled": 1}
     assert stream.newest_ns == at(2.0)
@@ -220,7 +220,7 @@ def test_impossible_batteries(new_stream, play, at, voltage, current, reason):
 
 def test_late_and_doubled_batteries(new_stream, play, battery, at):
     stream = new_stream()
-    play(stream, battery(1.0, 0.49, 0.5, 1.0))
+    play(stream, battery(1.0, 0.7, 0.72, 1.0))
     assert stream.dropped == {"battery_late": 1, "battery_doubled": 1}
     assert stream.battery_ns == at(1.0)
 

@@ -221,3 +221,9 @@ def test_whatever_is_done_to_a_good_file(tmp_path_factory, start, length, new):
     path = tmp_path_factory.getbasetemp() / "damaged.yaml"
     path.write_bytes((GOOD[:start] + new + GOOD[start + length :]).encode("utf8"))
     refused_or_read(path)
+
+
+@pytest.mark.parametrize("said, meant", [("nissan_leaf", "nissan_leaf"), ("my.yaml", None)])
+def test_a_profile_of_ones_own_lies_beside_the_vehicle_file(tmp_path, said, meant):
+    (tmp_path / "car.yaml").write_text(f"can_profile: {said}\n" + GOOD)
+    assert load_vehicle(tmp_path / "car.yaml").can_profile == (meant or str(tmp_path / said))

@@ -1,0 +1,322 @@
+#!/usr/bin/env python3
+"""Asks what several ways to drive a hilly route cost, and picks the cheapest that is in time.
+
+An example to copy: it knows the node `energy` by its topics alone and imports nothing of it.
+
+    ros2 launch evpinn_ros eco_speed_planner.launch.py vehicle:=bmw_i3 deadline:=720.0
+
+Once a period it publishes every candidate on `plan/speed_profile`, collects the answers from
+`energy/forecast` and `energy/forecast/battery`, prints a table, and publishes the best candidate,
+latched, on `~/chosen`. An answer is known by its header, which is the question's.
+"""
+
+import csv
+from dataclasses import dataclass
+import math
+from pathlib import Path
+import signal
+import sys
+from typing import Any
+
+from builtin_interfaces.msg import Duration
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import BatteryState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+GRAVITY = 9.81  # m/s^2
+ACCELERATION = 1.0  # m/s^2, from the stop at the start and to the one at the end
+SPACING = 50.0  # m between the points of a profile
+LENT_TO_HILLS = 0.3  # share of each climb that speed pays, and gets back on the way down
+WH = 3600.0  # J
+
+PARAMETERS = (
+    ("deadline", 720.0, "Latest arrival, seconds after departure.", (1.0, 1e6)),
+    ("route", "", "CSV file of the road: distance_m,elevation_m. Empty: 12 km of hills.", None),
+    ("candidates", 12, "How many speed profiles to ask about.", (1, 100)),
+    ("slowest", 14.0, "Cruising speed of the slowest candidate, m/s.", (1.0, 70.0)),
+    ("fastest", 25.0, "Cruising speed of the fastest, and the limit of all, m/s.", (1.0, 70.0)),
+    ("period", 5.0, "Seconds from one round of questions to the next.", (0.1, 3600.0)),
+    ("timeout", 1.0, "Seconds that answers may take.", (0.01, 3600.0)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One way to drive the route; arrays of shape (n,): s, m, m/s and m."""
+
+    name: str
+    time: np.ndarray
+    distance: np.ndarray
+    speed: np.ndarray
+    elevation: np.ndarray
+
+    @property
+    def arrival(self) -> float:
+        """Seconds after departure."""
+        return float(self.time[-1])
+
+
+@dataclass
+class Answer:
+    """What a candidate costs: J with 1-sigma, and the battery at its end, 0..1; NaN: unknown."""
+
+    energy: float = math.nan
+    sigma: float = math.nan
+    battery: float = math.nan
+
+
+def hills() -> tuple[np.ndarray, np.ndarray]:
+    """Distance and elevation, m, of a route nobody has to bring a file for."""
+    s = np.linspace(0.0, 12_000.0, 241)
+    z = 100.0 - 30.0 * np.cos(s * math.tau / 4000.0) + 6.0 * np.sin(s * math.tau / 1300.0)
+    return s, z
+
+
+def read_route(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Distance and elevation, m, from a CSV file with the columns distance_m and elevation_m.
+
+    Raises:
+        ValueError: it is no route; the text says why in one line.
+    """
+    try:
+        with path.open(newline="") as file:
+            rows = [(row["distance_m"], row["elevation_m"]) for row in csv.DictReader(file)]
+        route = np.array(rows, dtype=float)
+    except KeyError as error:
+        raise ValueError(f"{path}: has no column {error}") from error
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"{path}: {error}") from error
+    if len(route) < 2 or not np.isfinite(route).all() or (np.diff(route[:, 0]) <= 0).any():
+        raise ValueError(f"{path}: needs two or more finite rows with rising distance_m")
+    length = route[-1, 0] - route[0, 0]
+    s = np.linspace(0.0, length, max(3, round(length / SPACING) + 1))
+    return s, np.interp(s, route[:, 0] - route[0, 0], route[:, 1])
+
+
+def speed_profile(
+    name: str, s: np.ndarray, z: np.ndarray, cruise: float, lent: float, fastest: float
+) -> Candidate:
+    """A drive from stop to stop at a cruising speed, some of which is lent to the hills.
+
+    With `lent` = 0 speed is steady. Else part of the potential energy comes out of speed and goes
+    back there, not through the motor and the battery, each of which would take its share.
+    """
+    squared = cruise**2 - 2 * GRAVITY * lent * (z - z.mean())
+    squared = np.clip(squared, (cruise / 2) ** 2, fastest**2)
+    ramps = 2 * ACCELERATION * np.minimum(s, s[-1] - s)
+    speed = np.sqrt(np.minimum(squared, ramps))
+    # Constant acceleration between points: the mean speed is that of the ends.
+    time = np.concatenate(([0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))))
+    return Candidate(name, time, s, speed, z)
+
+
+def all_candidates(
+    s: np.ndarray, z: np.ndarray, number: int, slowest: float, fastest: float
+) -> list[Candidate]:
+    """Cruising speeds from slowest to fastest, each steady and with the hills."""
+    styles = {"steady": 0.0, "with the hills": LENT_TO_HILLS}
+    speeds = np.linspace(slowest, fastest, math.ceil(number / len(styles)))
+    made = [
+        speed_profile(f"{cruise * 3.6:.0f} km/h {style}", s, z, cruise, lent, fastest)
+        for cruise in speeds
+        for style, lent in styles.items()
+    ]
+    return made[:number]
+
+
+def cheapest_in_time(
+    candidates: list[Candidate], answers: list[Answer], deadline: float
+) -> int | None:
+    """The pick among those in time; the slowest without any answer, None when all are late."""
+    in_time = [i for i, candidate in enumerate(candidates) if candidate.arrival <= deadline]
+    answered = [i for i in in_time if not math.isnan(answers[i].energy)]
+    if answered:
+        return min(answered, key=lambda i: answers[i].energy)
+    return max(in_time, key=lambda i: candidates[i].arrival, default=None)
+
+
+def table(
+    candidates: list[Candidate], answers: list[Answer], deadline: float, pick: int | None
+) -> str:
+    """The candidates for people: minutes and Wh."""
+    lines = [f"{'candidate':24} {'arrival':>8} {'energy':>9} {'sigma':>8} {'battery':>8}"]
+    for index, (candidate, answer) in enumerate(zip(candidates, answers, strict=True)):
+        minutes, seconds = divmod(round(candidate.arrival), 60)
+        energy = _number(answer.energy / WH, ".0f", " Wh", "no answer")
+        sigma = _number(answer.sigma / WH, ".0f", " Wh", "")
+        battery = _number(answer.battery * 100, ".1f", " %", "")
+        remark = "late" if candidate.arrival > deadline else "<- picked" if index == pick else ""
+        row = f"{candidate.name:24} {minutes:5}:{seconds:02} {energy:>9} {sigma:>8} {battery:>8}"
+        lines.append(f"{row}  {remark}".rstrip())
+    return "\n".join(lines)
+
+
+def _number(value: float, form: str, unit: str, unknown: str) -> str:
+    return unknown if math.isnan(value) else f"{value:{form}}{unit}"
+
+
+def profile_message(candidate: Candidate, header: Header) -> JointTrajectory:
+    """A candidate as the node `energy` reads it; the road is in the joint `elevation`."""
+    points = []
+    for time, distance, speed, elevation in zip(
+        candidate.time, candidate.distance, candidate.speed, candidate.elevation, strict=True
+    ):
+        nanoseconds = round(time * 1e9)
+        start = Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        # Both joints need as many numbers; the velocity of elevation is not read.
+        point = JointTrajectoryPoint(
+            positions=[distance, elevation], velocities=[speed, 0.0], time_from_start=start
+        )
+        points.append(point)
+    return JointTrajectory(header=header, joint_names=["distance", "elevation"], points=points)
+
+
+class EcoSpeedPlanner(Node):
+    """Asks, waits for answers or for the timeout, decides, and starts over.
+
+    Attributes:
+        candidates: all ways to drive.
+        answers: to each of them, of the newest round.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Begin one period from now; `kwargs` go to rclpy's Node.
+
+        Raises:
+            ValueError: the route or the speeds are wrong.
+            ParameterException: so is another parameter.
+        """
+        super().__init__("eco_speed_planner", **kwargs)
+        for name, default, description, ends in PARAMETERS:
+            self.declare_parameter(name, default, _descriptor(name, description, ends))
+        if self._value("slowest") > self._value("fastest"):
+            raise ValueError("slowest must not be above fastest")
+        path = self._value("route")
+        s, z = read_route(Path(path).expanduser()) if path else hills()
+        speeds = self._value("slowest"), self._value("fastest")
+        self.candidates = all_candidates(s, z, self._value("candidates"), *speeds)
+        self.answers = [Answer() for _ in self.candidates]
+        self._open: dict[tuple[str, int, int], int] = {}  # candidates by header
+
+        # A round is asked at once: neither questions nor answers may push each other out.
+        depth = len(self.candidates)
+        self._questions = self.create_publisher(JointTrajectory, "plan/speed_profile", depth)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._chosen = self.create_publisher(JointTrajectory, "~/chosen", latched)
+        self.create_subscription(JointTrajectory, "energy/forecast", self._on_forecast, depth)
+        battery = "energy/forecast/battery"
+        self.create_subscription(BatteryState, battery, self._on_battery, depth)
+        # A clock that never stops or jumps, as that of a simulation does.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(self._value("period"), self._ask, clock=steady)
+        self._timeout = self.create_timer(self._value("timeout"), self._decide, clock=steady)
+        self._timeout.cancel()
+
+    def _value(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    def _ask(self) -> None:
+        if self._open:
+            return  # the round before still waits
+        stamp = self.get_clock().now().to_msg()
+        self.answers = [Answer() for _ in self.candidates]
+        for index, candidate in enumerate(self.candidates):
+            # Other planners may ask as well: the node's full name tells ours from theirs.
+            frame = f"{self.get_fully_qualified_name()}/{index}"
+            header = Header(stamp=stamp, frame_id=frame)
+            self._open[_key(header)] = index
+            self._questions.publish(profile_message(candidate, header))
+        self._timeout.reset()
+
+    def _on_forecast(self, message: JointTrajectory) -> None:
+        index = self._open.get(_key(message.header))
+        if index is None or not message.points:
+            return  # the answer to somebody else, or one that comes too late
+        end, answer = message.points[-1], self.answers[index]
+        answer.energy = end.positions[0]
+        answer.sigma = end.effort[0] if end.effort else math.nan
+        self._decide_early()
+
+    def _on_battery(self, message: BatteryState) -> None:
+        index = self._open.get(_key(message.header))
+        if index is not None:
+            self.answers[index].battery = message.percentage
+            self._decide_early()
+
+    def _decide_early(self) -> None:
+        """Do not wait for the timeout when nothing more can come."""
+        if not any(math.isnan(answer.energy + answer.battery) for answer in self.answers):
+            self._decide()
+
+    def _decide(self) -> None:
+        self._timeout.cancel()
+        self._open.clear()
+        deadline = self._value("deadline")
+        pick = cheapest_in_time(self.candidates, self.answers, deadline)
+        print(table(self.candidates, self.answers, deadline, pick), flush=True)
+        if all(math.isnan(answer.energy) for answer in self.answers):
+            self._say_why_no_answer()
+        if pick is None:
+            fastest = min(candidate.arrival for candidate in self.candidates)
+            self.get_logger().warning(f"nothing is in time: {deadline:g} s, at best {fastest:.0f}")
+            return
+        if self.answers[pick].battery == 0.0:
+            self.get_logger().warning("the battery will be empty before the end of this route")
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.candidates[pick].name)
+        self._chosen.publish(profile_message(self.candidates[pick], header))
+
+    def _say_why_no_answer(self) -> None:
+        if self._questions.get_subscription_count():
+            why = "the energy node did not answer; its /diagnostics say why"
+        else:
+            why = f"no energy node listens to {self._questions.topic_name}"
+        self.get_logger().warning(f"{why}. Without energies the slowest in time is picked.")
+
+
+def _key(header: Header) -> tuple[str, int, int]:
+    return header.frame_id, header.stamp.sec, header.stamp.nanosec
+
+
+def _descriptor(name: str, description: str, ends: Any) -> ParameterDescriptor:
+    # Only the deadline is read anew for each round.
+    descriptor = ParameterDescriptor(description=description, read_only=name != "deadline")
+    if ends is not None and isinstance(ends[0], int):
+        descriptor.integer_range = [IntegerRange(from_value=ends[0], to_value=ends[1])]
+    elif ends is not None:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=ends[0], to_value=ends[1])
+        ]
+    return descriptor
+
+
+def main() -> int:
+    """Plan until told to stop; gives the exit code."""
+    # rclpy ends at SIGINT by itself; a KeyboardInterrupt beside that could strike anywhere.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    rclpy.init()
+    try:
+        rclpy.spin(EcoSpeedPlanner())
+    except (ValueError, ParameterException) as error:
+        sys.stderr.write(f"eco_speed_planner: {error}\n")
+        return 1
+    except ExternalShutdownException:
+        pass
+    except RuntimeError:
+        if rclpy.ok():
+            raise
+        # The shutdown came in the middle of a callback.
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

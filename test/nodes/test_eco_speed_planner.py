@@ -1,0 +1,290 @@
+"""The example planner beside the real energy node: over topics alone, with it and without."""
+
+from importlib.util import module_from_spec, spec_from_file_location
+import math
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from trajectory_msgs.msg import JointTrajectory
+
+from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.forecaster import Forecaster
+from evpinn_ros.nodes.messages import battery_message
+from evpinn_ros.nodes.parameters import overrides
+from evpinn_ros.nodes.plan_messages import speed_profile_plan
+from evpinn_ros.nodes.topics import NAMESPACE
+from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.vehicle.files import load_vehicle
+
+FILE = Path(__file__).resolve().parents[2] / "examples" / "eco_speed_planner.py"
+VEHICLE = load_vehicle("tesla_model_3_lr")
+
+
+def _load():
+    spec = spec_from_file_location("eco_speed_planner", FILE)
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look there
+    spec.loader.exec_module(module)
+    return module
+
+
+EXAMPLE = _load()
+
+
+@pytest.fixture
+def start(bench):
+    """Starts the example in the bench; gives the node and the plans it chooses."""
+    started = []
+
+    def make(**parameters):
+        values = {"period": 0.5, "timeout": 4.0 if bench.nodes else 0.4, **parameters}
+        options = {"namespace": NAMESPACE, "parameter_overrides": overrides(values)}
+        node = EXAMPLE.EcoSpeedPlanner(**options)
+        started.append(node)
+        chosen = []
+        bench.node.create_subscription(
+            JointTrajectory, f"{NAMESPACE}/eco_speed_planner/chosen", chosen.append, 10
+        )
+        bench.executor.add_node(node)
+        return node, chosen
+
+    yield make
+    for node in started:
+        bench.executor.remove_node(node)
+        node.destroy_node()
+
+
+def start_energy(bench, state_of_charge=0.8):
+    """The energy node, which knows its battery: then each round ends with the last answer."""
+    node = bench.start(EnergyNode)
+    charge(bench, node, state_of_charge)
+    return node
+
+
+def charge(bench, node, state_of_charge):
+    reading = BatteryReading(1, 350.0, -10.0, state_of_charge)
+    bench.deliver(node, topics.BATTERY, battery_message(new_message, reading))
+
+
+def plan_of(candidate):
+    profile = (candidate.time, candidate.distance, candidate.speed, candidate.elevation)
+    return plan_from_speed_profile(*profile)
+
+
+def forecasts(planner):
+    """The same from the library, without a topic in between."""
+    forecaster = Forecaster(VEHICLE)
+    return [forecaster.answer(plan_of(each)).forecast for each in planner.candidates]
+
+
+def cost(pair):
+    answer, candidate = pair
+    return answer.energy if candidate.arrival <= 720.0 else math.inf
+
+
+def answered(planner):
+    return not any(math.isnan(answer.energy) for answer in planner.answers)
+
+
+def chosen_name(bench, planner, chosen):
+    """The pick of the first round in which everyone was answered."""
+    bench.pump(lambda: answered(planner) and chosen)
+    return chosen[-1].header.frame_id
+
+
+@pytest.mark.parametrize("deadline", [560.0, 720.0, 1000.0])
+def test_it_picks_the_cheapest_of_those_in_time(bench, start, deadline):
+    start_energy(bench)
+    planner, chosen = start(deadline=deadline)
+    name = chosen_name(bench, planner, chosen)
+    expected = forecasts(planner)
+    for answer, result in zip(planner.answers, expected, strict=True):
+        # Times cross DDS as whole nanoseconds.
+        assert answer.energy == pytest.approx(result.energy[-1], rel=1e-6)
+        assert answer.sigma == pytest.approx(result.sigma[-1], rel=1e-6)
+    in_time = [
+        (result.energy[-1], candidate.name)
+        for candidate, result in zip(planner.candidates, expected, strict=True)
+        if candidate.arrival <= deadline
+    ]
+    assert 1 < len(in_time) < len(planner.candidates)
+    assert name == min(in_time)[1]
+    (candidate,) = [each for each in planner.candidates if each.name == name]
+    plan, sent = speed_profile_plan(chosen[0]), plan_of(candidate)
+    for field in Plan.__slots__:
+        assert getattr(plan, field) == pytest.approx(getattr(sent, field), abs=1e-9)
+
+
+def test_hills_count(bench, start, tmp_path):
+    """The road reaches the energy node: uphill costs what the library says, and far more."""
+    bench.start(EnergyNode)
+    route = tmp_path / "pass.csv"
+    route.write_text("distance_m,elevation_m,name\n100,500,valley\n3100,650,pass\n")
+    planner, chosen = start(route=str(route), candidates=3)
+    chosen_name(bench, planner, chosen)
+    energy = [answer.energy for answer in planner.answers]
+    assert energy == pytest.approx([f.energy[-1] for f in forecasts(planner)], rel=1e-6)
+    flat = plan_of(planner.candidates[0])
+    level = Plan(flat.time, flat.distance, flat.speed, np.zeros_like(flat.elevation))
+    climb = energy[0] - Forecaster(VEHICLE).answer(level).forecast.energy[-1]
+    assert climb > VEHICLE.initial.mass * 9.81 * 150
+
+
+def test_the_battery_at_the_end_is_shown_and_an_empty_one_told(bench, start, capfd):
+    energy = start_energy(bench, 0.5)
+    planner, chosen = start()
+    chosen_name(bench, planner, chosen)
+    used = planner.answers[0].energy / VEHICLE.battery_capacity
+    assert planner.answers[0].battery == pytest.approx(0.5 - used, abs=1e-6)
+    shown = capfd.readouterr()
+    assert f" {100 * (0.5 - used):.1f} %" in shown.out and "empty" not in shown.err
+    charge(bench, energy, 0.001)
+    bench.pump(lambda: all(answer.battery == 0.0 for answer in planner.answers))
+    bench.pump(lambda: "the battery will be empty" in capfd.readouterr().err)
+
+
+def test_a_battery_that_nobody_knows_does_not_stop_it(bench, start):
+    bench.start(EnergyNode)
+    planner, chosen = start(timeout=1.0)
+    chosen_name(bench, planner, chosen)
+    assert all(math.isnan(answer.battery) for answer in planner.answers)
+
+
+def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
+    planner, chosen = start()
+    bench.pump(lambda: chosen)
+    shown = capfd.readouterr()
+    assert "no energy node listens to /ev/plan/speed_profile" in shown.err
+    assert shown.out.count("no answer") >= len(planner.candidates)
+    in_time = [each for each in planner.candidates if each.arrival <= 720.0]
+    assert chosen[0].header.frame_id == max(in_time, key=lambda each: each.arrival).name
+    start_energy(bench)
+    bench.pump(lambda: answered(planner))
+    chosen.clear()
+    cheapest = min(zip(planner.answers, planner.candidates, strict=True), key=cost)[1]
+    bench.pump(lambda: chosen and chosen[-1].header.frame_id == cheapest.name)
+
+
+def test_refused_plans_end_in_the_timeout_and_say_where_to_look(bench, start, tmp_path, capfd):
+    energy = bench.start(EnergyNode)
+    route = tmp_path / "wall.csv"
+    route.write_text("distance_m,elevation_m\n0,0\n100,5000\n")
+    start(route=str(route), timeout=0.2)
+    told = "the energy node did not answer; its /diagnostics say why"
+    bench.pump(lambda: told in capfd.readouterr().err)
+    assert "climbs more than it travels" in bench.diagnosis(energy)["plan"][1]
+
+
+def test_answers_to_others_are_not_taken_for_its_own(bench, start):
+    """Another planner asks the same node, with the same stamp, a plan that costs next to none."""
+    energy = start_energy(bench)
+    planner, chosen = start(candidates=4)
+    bench.listen(topics.SPEED_PROFILE, topics.FORECAST)
+    asked = bench.heard[topics.SPEED_PROFILE]
+    bench.pump(lambda: asked)
+    question = asked[0]
+    question.header.frame_id = "somebody else"
+    question.points = question.points[:2]
+    bench.deliver(energy, topics.SPEED_PROFILE, question)
+    bench.pump(
+        lambda: any(m.header.frame_id == "somebody else" for m in bench.heard[topics.FORECAST])
+    )
+    chosen_name(bench, planner, chosen)
+    expected = [f.energy[-1] for f in forecasts(planner)]
+    assert [answer.energy for answer in planner.answers] == pytest.approx(expected, rel=1e-6)
+
+
+def test_nothing_in_time_is_told_and_nothing_chosen(bench, start, capfd):
+    start_energy(bench)
+    planner, chosen = start(deadline=60.0)
+    bench.pump(lambda: answered(planner))
+    bench.pump(lambda: "nothing is in time: 60 s, at best" in capfd.readouterr().err)
+    assert chosen == []
+
+
+@settings(deadline=None)
+@given(
+    climbs=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=40),
+    cruise=st.floats(1.0, 40.0),
+    lent=st.floats(0.0, 0.5),
+)
+def test_every_candidate_can_be_driven_in_comfort(climbs, cruise, lent):
+    s = np.arange(len(climbs) + 1) * EXAMPLE.SPACING
+    z = np.concatenate(([0.0], np.cumsum(climbs) * EXAMPLE.SPACING))
+    candidate = EXAMPLE.speed_profile("", s, z, cruise, lent, 40.0)
+    plan = plan_of(candidate)  # refuses what cannot be driven
+    assert plan.speed[0] == plan.speed[-1] == 0.0 and plan.speed.max() <= 40.0
+    acceleration = np.diff(plan.speed) / np.diff(plan.time)
+    assert np.abs(acceleration).max() <= EXAMPLE.ACCELERATION + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (None, "No such file"),
+        ("distance_m,height\n0,1\n1,1\n", "has no column 'elevation_m'"),
+        ("distance_m,elevation_m\n0,1\n", "needs two or more"),
+        ("distance_m,elevation_m\n0,1\n9,nan\n", "finite"),
+        ("distance_m,elevation_m\n0,1\n0,2\n", "rising distance_m"),
+        ("distance_m,elevation_m\n0,high\n", "could not convert"),
+        ("distance_m,elevation_m\n0\n5,1\n", "finite"),
+    ],
+)
+def test_a_route_that_is_none_is_refused_in_one_line(tmp_path, text, reason):
+    path = tmp_path / "route.csv"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ValueError, match=reason) as caught:
+        EXAMPLE.read_route(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_every_parameter_has_a_description(bench, start):
+    planner, _ = start()
+    for name, default, description, _ in EXAMPLE.PARAMETERS:
+        assert planner.describe_parameter(name).description == description != ""
+        assert name in ("period", "timeout") or planner.get_parameter(name).value == default
+
+
+@pytest.mark.parametrize(
+    ("option", "reason"),
+    [
+        ("route:=/nowhere.csv", "/nowhere.csv"),
+        ("candidates:=0", "candidates"),
+        ("deadline:=soon", "deadline"),
+        ("slowest:=30.0", "slowest must not be above fastest"),
+    ],
+)
+def test_wrong_input_is_one_line(option, reason):
+    command = [sys.executable, str(FILE), "--ros-args", "-p", option]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert reason in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_as_a_process_it_prints_its_table_and_ends_when_told(stop):
+    options = ("-p", "period:=0.3", "-p", "timeout:=0.2", "-p", "candidates:=1")
+    running = subprocess.Popen(
+        [sys.executable, str(FILE), "--ros-args", *options],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert running.stdout.readline().split() == [
+            "candidate", "arrival", "energy", "sigma", "battery",
+        ]  # fmt: skip
+        running.send_signal(stop)
+        _, said = running.communicate(timeout=20)
+        assert running.returncode == 0 and "Traceback" not in said, said
+    finally:
+        running.kill()
+        running.communicate()
