@@ -21,7 +21,12 @@ LAYERS = [
     {"can", "energy", "estimation"},
     {"nodes.topics"},  # with the messages the contract of the topics: no ROS, so bags share it
     {"nodes.messages"},
-    {"nodes.reading_messages", "nodes.plan_messages", "nodes.estimate_messages"},
+    {
+        "nodes.reading_messages",
+        "nodes.model_messages",
+        "nodes.plan_messages",
+        "nodes.estimate_messages",
+    },
     {"bags"},
     {"simulation"},
     {"replay"},

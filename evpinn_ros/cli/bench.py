@@ -12,6 +12,7 @@ COMMANDS = (
     "carried",
     "truth",
     "can",
+    "energy",
 )  # each a function in `bench_<name>.py`
 
 

@@ -1,0 +1,5 @@
+"""Energy: metered, integrated by the Runge-Kutta network, and foretold for plans."""
+
+from evpinn_ros.energy.forecast import Energies, Profiles, forecast
+
+__all__ = ["Energies", "Profiles", "forecast"]

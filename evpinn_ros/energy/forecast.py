@@ -1,18 +1,45 @@
-"""The energy that a plan will take, and how sure that is."""
+"""The energy that plans will take, and how sure that is.
+
+`forecast` is for optimisers: many speed profiles at once, whole trips, numpy or torch.
+`forecast_plan` is for one plan, or a few, with energy and power at every point.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.plan import Plan
-from evpinn_ros.energy.uncertainty import CORRELATION_TIME, energy_sigma
+from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.energy.power_model import Motion, PowerModel, namespace, vehicle_model
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable, combined_power
 
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6
+FIRST_RESIDUAL = 3000.0  # W, 1-sigma of power around the physics before any was seen
+CHUNK = 32  # profiles computed together, so that what they need stays in the cache
+
+
+class Profiles(NamedTuple):
+    """Candidate speed profiles, numpy arrays or torch tensors.
+
+    Attributes:
+        time: s, strictly rising, shape (n,) for all alike or (batch, n).
+        speed: m/s, not negative, shape (batch, n); linear between its points.
+        elevation: m, shape (n,) or (batch, n), None for a flat road.
+    """
+
+    time: Any
+    speed: Any
+    elevation: Any = None
+
+
+class Energies(NamedTuple):
+    """Energy of each profile and its 1-sigma, J, shape (batch,), of the kind that came in."""
+
+    energy: Any
+    sigma: Any
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,47 +61,63 @@ class Forecast:
 
 
 def forecast(
-    plan: Plan,
-    combined: Identifiable,
-    sigmas: Identifiable,
+    profiles: Profiles,
     vehicle: Vehicle,
-    residual_sigma: float,
+    model: PowerModel | None = None,
     *,
     air_density: float | None = None,
-    correlation_time: float = CORRELATION_TIME,
-) -> Forecast:
-    """Energy, power and uncertainty along a plan.
+) -> Energies:
+    """Energy of many speed profiles, and its 1-sigma.
 
-    The variance of energy adds up one part for each combination, off by the same amount for the
-    whole trip and independent of the others, and one for what physics leaves unexplained, an
-    error of power that forgets itself within `correlation_time` (`energy.uncertainty`). A part
-    is half the difference of the energies with the combination one sigma up and down, which
-    needs no step size and sees the kink between drawing and regenerating.
+    Each leg counts with its mean speed, so legs should last a few seconds at most: kinetic and
+    potential energy are exact whatever the legs. With torch the results have gradients by all
+    three. Power bends where the car turns from driving to braking, and a learned model jumps a
+    little there; the gradient is that of the pieces.
 
     Args:
-        plan: what will be driven.
-        combined: the car's identifiable combinations, floats.
-        sigmas: their 1-sigma.
-        vehicle: for the inertia of rotating parts and the density of air.
-        residual_sigma: 1-sigma of power around the physics, W.
+        profiles: what might be driven.
+        vehicle: the car.
+        model: what was learned of it, None for the vehicle file alone.
         air_density: kg/m^3, None for the vehicle's.
-        correlation_time: s.
+
+    Raises:
+        PlanError: shapes do not fit, time does not rise, speed is negative or a number not finite.
     """
+    time, speed, _ = profiles
+    if speed.ndim != 2 or speed.shape[1] < 2 or time.shape[-1] != speed.shape[1]:
+        raise PlanError(
+            f"speed {tuple(speed.shape)} and time {tuple(time.shape)} must be (batch, n) and (n,) "
+            "or (batch, n), with n of 2 or more"
+        )
+    model = vehicle_model(vehicle, FIRST_RESIDUAL) if model is None else model
     density = vehicle.air_density if air_density is None else air_density
-    legs = _Legs.of(plan, density, vehicle.rotating_mass_factor)
-    power = legs.power(combined)
+    if namespace(speed) is not np:
+        return _checked(_energies(profiles, model, density))
+    rows = range(0, len(speed), CHUNK)
+    parts = [
+        _energies(Profiles(*(_rows(a, slice(i, i + CHUNK)) for a in profiles)), model, density)
+        for i in rows
+    ]
+    if not parts:
+        return Energies(np.empty(0), np.empty(0))
+    return _checked(Energies(*map(np.concatenate, zip(*parts, strict=True))))
+
+
+def forecast_plan(plan: Plan, model: PowerModel, air_density: float) -> Forecast:
+    """Energy, power and 1-sigma along a plan; `air_density` in kg/m^3."""
+    legs = _Legs.of(plan)
+    powers = model.powers(Motion(legs.speed, legs.acceleration, legs.climb, air_density))
+    steps = np.einsum("...lsk,s,...l->...lk", powers, SIMPSON, legs.duration)
     elapsed = plan.time - plan.time[..., :1]
-    variance = energy_sigma(elapsed, residual_sigma, correlation_time) ** 2
-    for name, sigma in zip(IDENTIFIABLE_NAMES, sigmas, strict=True):
-        value = getattr(combined, name)
-        up = legs.energy(combined._replace(**{name: value + sigma}))
-        down = legs.energy(combined._replace(**{name: value - sigma}))
-        variance = variance + ((up - down) / 2) ** 2
+    energies = model.with_present_drift(_accumulated(steps, axis=-2), elapsed)
+    squares = _accumulated((legs.speed**2) @ SIMPSON * legs.duration, axis=-1)
+    square_speed = squares / np.where(elapsed > 0, elapsed, 1.0)
+    beside = model.variance_beside(elapsed, plan.distance - plan.distance[..., :1], square_speed)
     return Forecast(
         time=plan.time,
-        energy=legs.energy(combined),
-        power=np.concatenate((power[..., 0], power[..., -1:, 2]), axis=-1),
-        sigma=np.sqrt(variance),
+        energy=energies[..., 0],
+        power=np.concatenate((powers[..., 0, 0], powers[..., -1:, 2, 0]), axis=-1),
+        sigma=np.sqrt((energies[..., 1:] ** 2).sum(axis=-1) + beside),
     )
 
 
@@ -97,6 +140,45 @@ def battery_after(
     return min(max(after, 0.0), 1.0) if math.isfinite(after) else None
 
 
+def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies:
+    time, speed, elevation = profiles
+    xp = namespace(speed)
+    duration = xp.diff(time)
+    if not bool((duration > 0).all()):
+        raise PlanError("time does not rise")
+    if not bool((xp.isfinite(speed) & (speed >= 0)).all()):
+        raise PlanError("speed is negative or not finite")
+    duration = xp.broadcast_to(duration, (speed.shape[0], speed.shape[1] - 1))
+    middle = 0.5 * (speed[:, 1:] + speed[:, :-1])
+    climb = xp.zeros_like(middle) if elevation is None else xp.diff(elevation) / duration
+    motion = Motion(middle, xp.diff(speed) / duration, climb, density)
+    energies = model.energies(motion, duration)
+    elapsed = duration.sum(-1)
+    energies = model.with_present_drift(energies, elapsed)
+    length = middle * duration
+    square = (middle * length).sum(-1) / elapsed
+    variance = (energies[:, 1:] ** 2).sum(-1) + model.variance_beside(
+        elapsed, length.sum(-1), square
+    )
+    return Energies(energies[:, 0], xp.sqrt(variance))
+
+
+def _rows(array: Any, rows: slice) -> Any:
+    return array if array is None or array.ndim == 1 else array[rows]
+
+
+def _checked(found: Energies) -> Energies:
+    if not bool(namespace(found.sigma).isfinite(found.energy + found.sigma).all()):
+        raise PlanError("a number of the profiles is not finite")
+    return found
+
+
+def _accumulated(steps: np.ndarray, axis: int) -> np.ndarray:
+    """Sum up to each point along an axis, which becomes one longer."""
+    start = np.zeros_like(steps.take([0], axis=axis))
+    return np.concatenate((start, np.cumsum(steps, axis=axis)), axis=axis)
+
+
 @dataclass(frozen=True, slots=True)
 class _Legs:
     """Start, middle and end of every leg: shape (..., n - 1, 3); duration (..., n - 1), s.
@@ -109,43 +191,22 @@ class _Legs:
     duration: np.ndarray
     speed: np.ndarray
     acceleration: np.ndarray
-    grade: np.ndarray
-    air_density: float
-    rotating_mass_factor: float
+    climb: np.ndarray
 
     @classmethod
-    def of(cls, plan: Plan, air_density: float, rotating_mass_factor: float) -> _Legs:
+    def of(cls, plan: Plan) -> _Legs:
         dt, length = np.diff(plan.time), np.diff(plan.distance)
         start, end = plan.speed[..., :-1], plan.speed[..., 1:]
         # A profile whose speeds contradict its distances could call for reversing in the middle.
         middle = np.maximum(1.5 * length / dt - (start + end) / 4, 0.0)
         bend = 4 * middle
         slope = [-3 * start + bend - end, end - start, start - bend + 3 * end]
+        speed = np.stack([start, middle, end], axis=-1)
         moving = np.where(length > 0, length, np.inf)
-        grade = np.arcsin(np.clip(np.diff(plan.elevation) / moving, -1.0, 1.0))
+        grade = np.clip(np.diff(plan.elevation) / moving, -1.0, 1.0)  # its sine
         return cls(
             duration=dt,
-            speed=np.stack([start, middle, end], axis=-1),
+            speed=speed,
             acceleration=np.stack(slope, axis=-1) / dt[..., None],
-            grade=grade[..., None],
-            air_density=air_density,
-            rotating_mass_factor=rotating_mass_factor,
+            climb=speed * grade[..., None],
         )
-
-    def power(self, combined: Identifiable) -> np.ndarray:
-        """W, shape (..., n - 1, 3)."""
-        power: np.ndarray = combined_power(
-            self.speed,
-            self.acceleration,
-            combined,
-            air_density=self.air_density,
-            grade=self.grade,
-            rotating_mass_factor=self.rotating_mass_factor,
-        )
-        return power
-
-    def energy(self, combined: Identifiable) -> np.ndarray:
-        """J since the first point, shape (..., n)."""
-        steps = self.power(combined) @ SIMPSON * self.duration
-        start = np.zeros((*steps.shape[:-1], 1))
-        return np.concatenate((start, np.cumsum(steps, axis=-1)), axis=-1)

@@ -15,9 +15,15 @@ from scipy.interpolate import PchipInterpolator
 from evpinn_ros.errors import InputError
 
 MAX_SPEED = 100.0  # m/s: faster is a teleport
-MAX_POINTS = 1_000_000
+MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m
+MAX_LEG = 10e3  # m between two points without stamps: farther is a teleport
 NOMINAL_SPEED = 50 / 3.6  # m/s, where a path has no usable stamps
 COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as well
+COMFORT_LATERAL = 2.0  # m/s^2, what drivers take in a bend without hurry
+SLOWEST = 1.0  # m/s through the sharpest bend
+BEND = 10.0  # m before and after a point, over which the bend of the path is taken
+NOMINAL_STEP = 25.0  # m between points of a nominal profile, where the path has fewer
+TINY = 1e-6  # m^2/s^2
 CLIMB_TOLERANCE = 1e-6  # m: rounding of climb against length
 
 
@@ -70,8 +76,8 @@ def plan_from_path(
 
     With stamps, speed is the slope of a monotone cubic through distance over time: zero where
     the path waits. Stamps that are absent or all equal are unusable; the car then starts and
-    ends at rest, accelerates and brakes with `acceleration` and drives `nominal_speed` between.
-    Curves do not slow it down.
+    ends at rest, accelerates and brakes with `acceleration`, takes bends with
+    `COMFORT_LATERAL` and else drives `nominal_speed`.
 
     Args:
         x: shape (n,), m, n >= 2; so are y and z.
@@ -84,6 +90,7 @@ def plan_from_path(
     Raises:
         PlanError: the points are no trip.
     """
+    _check_size(len(x))
     points = {"x": _array(x), "y": _array(y), "z": _array(z)}
     if stamps is not None:
         points["stamps"] = _array(stamps)
@@ -92,7 +99,8 @@ def plan_from_path(
     distance = np.concatenate(([0.0], np.cumsum(legs)))
     time = points.get("stamps")
     if time is None or np.ptp(time) == 0:
-        return _nominal_plan(distance, points["z"], nominal_speed, acceleration)
+        _refuse(legs > MAX_LEG, f"jumps farther than {MAX_LEG / 1e3:g} km")
+        return _nominal_plan(distance, points, nominal_speed, acceleration)
     duration = np.diff(time)
     _refuse(duration < 0, "time goes back")
     kept = np.concatenate(([True], (duration > 0) | (legs > 0)))  # a point given twice is one
@@ -115,13 +123,17 @@ def plan_from_speed_profile(
     Raises:
         PlanError: the profile is no trip.
     """
+    _check_size(len(time))
     time, distance, speed = _array(time), _array(distance), _array(speed)
     height = np.zeros_like(time) if elevation is None else _array(elevation)
     return Plan(time - time[:1], distance - distance[:1], speed, height)
 
 
 def _nominal_plan(
-    distance: np.ndarray, elevation: np.ndarray, nominal_speed: float, acceleration: float
+    distance: np.ndarray,
+    points: dict[str, np.ndarray],
+    nominal_speed: float,
+    acceleration: float,
 ) -> Plan:
     length = float(distance[-1])
     if length == 0:
@@ -130,10 +142,42 @@ def _nominal_plan(
         raise PlanError(f"cannot drive {nominal_speed:g} m/s with {acceleration:g} m/s^2")
     ramp = min(nominal_speed**2 / (2 * acceleration), length / 2)
     # The ends of both ramps become points, so that every leg has one constant acceleration.
-    s = np.unique(np.concatenate((distance, [ramp, length - ramp])))
-    speed = np.sqrt(2 * acceleration * np.minimum(np.minimum(s, length - s), ramp))
+    steps = np.linspace(0.0, length, 2 + min(int(length / NOMINAL_STEP), MAX_POINTS))
+    s = np.unique(np.concatenate((distance, steps, [ramp, length - ramp])))
+    squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2
+    squared[[0, -1]] = 0.0
+    # As fast as braking for what comes, and accelerating from what was, allow.
+    gained = 2 * acceleration * s
+    squared = np.minimum.accumulate(squared - gained) + gained
+    squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
+    squared[1:-1] = np.maximum(squared[1:-1], TINY)  # rounding of a long way
+    speed = np.sqrt(np.maximum(squared, 0.0))
     time = np.concatenate(([0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))))
-    return Plan(time, s, speed, np.interp(s, distance, elevation))
+    return Plan(time, s, speed, np.interp(s, distance, points["z"]))
+
+
+def _bend_speed(s: np.ndarray, distance: np.ndarray, points: dict[str, np.ndarray]) -> np.ndarray:
+    """Comfortable speed at distances `s`, m/s, from the circle through the path around each.
+
+    Three points `BEND` apart: closer, the noise of a map would be bends.
+    """
+    before, here, after = (
+        np.stack([np.interp(s + away, distance, points[axis]) for axis in "xy"], axis=-1)
+        for away in (-BEND, 0.0, BEND)
+    )
+    first, second, across = here - before, after - here, after - before
+    product = np.prod([np.hypot(*side.T) for side in (first, second, across)], axis=0)
+    doubled = 2 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    back = (first * second).sum(axis=-1) < 0  # it turns back: no circle is small enough
+    inside = (s >= BEND) & (s <= distance[-1] - BEND)
+    curvature = np.where(inside, doubled / np.maximum(product, 1e-9), 0.0)
+    speed = np.sqrt(COMFORT_LATERAL / np.maximum(curvature, 1e-9))
+    return np.where(back & inside, SLOWEST, np.maximum(speed, SLOWEST))
+
+
+def _check_size(points: int) -> None:
+    if points > MAX_POINTS:
+        raise PlanError(f"{points} points are more than {MAX_POINTS}")
 
 
 def _array(values: np.ndarray) -> np.ndarray:
@@ -147,8 +191,6 @@ def _check_arrays(named: dict[str, np.ndarray]) -> None:
         raise PlanError(f"arrays differ in shape: {shapes}")
     if first.ndim not in (1, 2) or first.size == 0 or first.shape[-1] < 2:
         raise PlanError(f"needs at least two points, shape is {first.shape}")
-    if first.size > MAX_POINTS:
-        raise PlanError(f"{first.size} points are more than {MAX_POINTS}")
     for name, array in named.items():
         _refuse(~np.isfinite(array), f"{name} is not finite")
 

@@ -39,6 +39,7 @@ from evpinn_ros.signals.sample import (
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import RegenForm
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
@@ -180,6 +181,10 @@ class OnlineEstimator:
             for name, p in found.parameters.items()
         }
         return replace(found, parameters=stale, reliable=False)
+
+    def linear_power(self) -> LinearPower | None:
+        """What forecasts of plans need of the car; None in the paper's mode."""
+        return self._learner.linear_power()
 
     def status(self) -> EstimatorStatus:
         """Counters and activity."""

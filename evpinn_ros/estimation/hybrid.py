@@ -36,6 +36,7 @@ from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.stream import SAMPLE_PERIOD
 from evpinn_ros.signals.suspicion import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.linear_power import LinearPower
 
 WINDOW = 60.0  # s
 WIDTHS = (3, 16, 16, 1)
@@ -154,6 +155,10 @@ class HybridLearner:
         found = parameter_set(self._last_ns or 0, told)
         suspected = self._suspicion.suspected
         return self._states.judge(found, told.deviation()._asdict(), suspected=suspected)
+
+    def linear_power(self) -> LinearPower:
+        """The filter that predicts power, as forecasts take it."""
+        return self.power_filter.linear_power()
 
     def report(self) -> LearnerReport:
         """Changes of payload, a current or grade of the wrong sign, and the lag of power."""

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.load_change import LoadChange
 from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
@@ -66,6 +67,9 @@ class Learner(Protocol):
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
+
+    def linear_power(self) -> LinearPower | None:
+        """What forecasts of plans need of the car; None when it is no linear model."""
 
     def report(self) -> LearnerReport:
         """What was noticed of the car and its signals."""

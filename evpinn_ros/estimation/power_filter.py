@@ -27,17 +27,27 @@ slopes found were.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
 import math
 from typing import Any
 
 import numpy as np
 
 from evpinn_ros.estimation.parameter_filter import (
+    C_D,
+    C_RR,
+    COPPER,
     ETA,
+    FORCE_NOISE,
     HOUR,
+    LOGARITHMIC,
     MASS,
+    MU,
     P_AUX,
+    POWER_NOISE,
     SLOPE,
+    SLOPE_LENGTH,
     STATES,
     ParameterFilter,
 )
@@ -45,7 +55,8 @@ from evpinn_ros.estimation.window import Batch
 from evpinn_ros.signals.kinematics import COURSE, COURSE_TIMES
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
+from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower
+from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED
 
 UNIT_SPEED_STEP, UNIT_ACCELERATION_STEP = 4.0, 0.7  # m/s and m/s^2; units are as wide as far apart
 UNIT_SPEEDS = UNIT_SPEED_STEP * np.arange(11)  # to 40 m/s
@@ -68,6 +79,43 @@ DRIFT = REPORTED + 1
 ROAD_STATES = (REPORTED, DRIFT)  # beside the slope: of this drive, not of the car
 
 
+FORECAST_STATES = [*range(SLOPE), *range(len(STATES), len(STATES) + UNITS), REPORTED, DRIFT]
+DIRECTIONS = 24  # of what is not known, that forecasts are told
+LOADS_TIME = HOUR  # s of driving over which reported loads are averaged
+
+
+@dataclass(slots=True)
+class ReportedLoads:
+    """Mean, W, and variance, W^2, of the loads reported in the last hour of driving.
+
+    Attributes:
+        seen: s of driving.
+        mean: W.
+        variance: W^2.
+    """
+
+    seen: float = 0.0
+    mean: float = 0.0
+    variance: float = 0.0
+
+    def __post_init__(self) -> None:
+        """ValueError when these can be no such numbers."""
+        if not all(0.0 <= number < math.inf for number in self.export()):
+            raise ValueError("the saved loads are out of range")
+
+    def push(self, load: float, step: float) -> None:
+        """Take a load, W, that stands for `step` seconds."""
+        self.seen += step
+        rate = step / min(self.seen, LOADS_TIME)
+        away = load - self.mean
+        self.mean += rate * away
+        self.variance += rate * ((1.0 - rate) * away**2 - self.variance)
+
+    def export(self) -> list[float]:
+        """State to save."""
+        return [self.seen, self.mean, self.variance]
+
+
 class PowerFilter(ParameterFilter):
     """The filter of the module's text."""
 
@@ -82,6 +130,7 @@ class PowerFilter(ParameterFilter):
         self._time_constants[[P_AUX, REPORTED, DRIFT]] = CAR_TIME, REPORTED_TIME, DRIFT_TIME
         self.mean = self._prior_mean.copy()
         self.covariance = np.diag(self._prior_variance)
+        self._loads = ReportedLoads()
 
     @property
     def hilliness(self) -> float:
@@ -104,6 +153,7 @@ class PowerFilter(ParameterFilter):
     def update(self, sample: Sample, power: float, step: float) -> float:
         """Learn as `ParameterFilter` does, and how hilly the roads are."""
         residual = super().update(sample, power, step)
+        self._loads.push(sample.known_auxiliary, step)
         if abs(sample.speed) > STANDSTILL_SPEED:
             found = self.mean[SLOPE] ** 2 + self.covariance[SLOPE, SLOPE]
             share = min(1.0, abs(sample.speed) * step / HILL_LENGTH)
@@ -121,13 +171,14 @@ class PowerFilter(ParameterFilter):
 
     def export(self) -> dict[str, Any]:
         """State to save."""
-        return {**super().export(), "hilliness": self.hilliness}
+        return {**super().export(), "hilliness": self.hilliness, "loads": self._loads.export()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take a saved state; ValueError when it does not fit."""
         hilliness = float(state["hilliness"])
         if not HILL_RANGE[0] <= hilliness <= HILL_RANGE[1]:
             raise ValueError("the saved hilliness is out of range")
+        loads = ReportedLoads(*(float(number) for number in state["loads"]))
         before = self._prior_variance[SLOPE]
         self._prior_variance[SLOPE] = hilliness**2
         try:
@@ -135,6 +186,53 @@ class PowerFilter(ParameterFilter):
         except (KeyError, TypeError, ValueError):  # a state that does not fit changes nothing
             self._prior_variance[SLOPE] = before
             raise
+        self._loads = loads
+
+    def linear_power(self) -> LinearPower:
+        """What was learned of the car, as forecasts take it.
+
+        The course of the acceleration is left out, for its mean effect is zero. Loads that were
+        reported are expected as they were. The slope of the present road is none of a plan's.
+        """
+        base, by_state = self._coefficients()
+        away = (self.mean - self._prior_mean)[FORECAST_STATES]
+        covariance = self.covariance[np.ix_(FORECAST_STATES, FORECAST_STATES)]
+        eta, _, mass, c_rr, c_d = np.exp(self._prior_mean[LOGARITHMIC])
+        loads_std = math.sqrt(self._loads.variance) * abs(1.0 + float(self.mean[REPORTED]))
+        return LinearPower(
+            drag_area=self._vehicle.frontal_area * c_d,
+            rolling_mass=mass * c_rr,
+            mass=mass,
+            rotating_mass_factor=self._vehicle.rotating_mass_factor,
+            standing_noise=POWER_NOISE,
+            moving_noise=FORCE_NOISE * math.sqrt(self.noise_scale),
+            drift_std=math.hypot(DRIFT_STD, loads_std),
+            drift_time=DRIFT_TIME,
+            slope_force=mass / eta * GRAVITY * self.hilliness,
+            slope_length=SLOPE_LENGTH,
+            mean=base + away @ by_state,
+            directions=_leading_directions(by_state, covariance),
+            unit_speeds=UNIT_SPEEDS,
+            unit_accelerations=UNIT_ACCELERATIONS,
+        )
+
+    def _coefficients(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of `LinearPower`: those at the prior's mean, and their change by each forecast state."""
+        eta, mu, mass, c_rr, c_d = np.exp(self._prior_mean[LOGARITHMIC])
+        whole = np.array([self._vehicle.frontal_area * c_d, mass * c_rr, mass])
+        base = np.zeros(len(FEATURES) + UNITS)
+        driving, braking, constant, copper, drift = slice(3), slice(3, 6), 6, 7, 8
+        base[driving], base[braking] = whole / eta, whole * mu
+        base[constant] = self._prior_mean[P_AUX] + self._loads.mean
+        by_state = np.zeros((len(FORECAST_STATES), base.size))
+        by_state[ETA, driving] = -base[driving]
+        by_state[MU, braking] = base[braking]
+        for state, part in ((C_D, [0, 3]), (C_RR, [1, 4]), (MASS, [1, 2, 4, 5])):
+            by_state[state, part] = base[part]
+        by_state[P_AUX, constant] = by_state[COPPER, copper] = 1.0
+        by_state[SLOPE : SLOPE + UNITS, len(FEATURES) :] = np.eye(UNITS)
+        by_state[-2, constant], by_state[-1, drift] = self._loads.mean, 1.0
+        return base, by_state
 
     def _set_hills(self, variance: float) -> None:
         """Take a new prior variance of the slope, rad^2; the present one never exceeds it."""
@@ -161,15 +259,62 @@ def _added(sample: Sample | Batch) -> np.ndarray:
     """Power by each state beyond those of the physics, shape (..., k - 8)."""
     speed = np.asarray(sample.speed)[..., None]
     acceleration = np.asarray(sample.acceleration)[..., None]
-    by_speed = speed * np.exp(-0.5 * ((speed - UNIT_SPEEDS) / UNIT_SPEED_STEP) ** 2)
-    by_acceleration = np.exp(
-        -0.5 * ((acceleration - UNIT_ACCELERATIONS) / UNIT_ACCELERATION_STEP) ** 2
-    )
-    units = by_speed[..., :, None] * by_acceleration[..., None, :]
+    units = speed * _units(speed, acceleration)
     known = isinstance(sample, Batch) or len(sample.course) == COURSE
     course = speed * (np.asarray(sample.course) if known else np.zeros(COURSE))
     reported = np.asarray(sample.known_auxiliary)[..., None]
     return np.concatenate(
-        (units.reshape(*speed.shape[:-1], UNITS), course, reported, np.ones_like(reported)),
+        (units, course, reported, np.ones_like(reported)),
         axis=-1,
     )
+
+
+def _leading_directions(by_state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """The directions that matter most, shape (`DIRECTIONS`, coefficients), one sigma each.
+
+    Those that make up the largest shares of the variance of energy in usual driving.
+    """
+    variance, vectors = np.linalg.eigh(covariance)
+    spread = by_state.T @ (vectors * np.sqrt(np.maximum(variance, 0.0)))
+    energy = _usual_driving() @ spread
+    sigma = np.linalg.norm(energy, axis=1, keepdims=True)
+    _, _, order = np.linalg.svd(energy / np.maximum(sigma, 1e-9), full_matrices=False)
+    directions: np.ndarray = (spread @ order[:DIRECTIONS].T).T
+    return directions
+
+
+@cache
+def _usual_driving() -> np.ndarray:
+    """Mean features and units of stretches of road, shape (stretches, coefficients).
+
+    Each is driven at about one speed on one slope, as a calm or a lively driver accelerates.
+    """
+    speed, grade, liveliness, acceleration = np.meshgrid(
+        np.arange(0.0, 38.0, 2.0),
+        (-0.04, 0.0, 0.04),
+        (0.1, 0.4, 1.0),
+        np.arange(-2.5, 2.6, 0.25),
+        indexing="ij",
+    )
+    pull = acceleration + GRAVITY * grade
+    driving = pull + 0.1 + 2e-4 * speed**2 > 0.0  # against rolling resistance and drag
+    parts = np.stack((0.6 * speed**3, GRAVITY * speed, speed * pull), axis=-1)
+    driven = parts * driving[..., None]
+    one = np.ones_like(speed)
+    others = np.stack((one, acceleration**2, 0.5 * one), axis=-1)
+    units = speed[..., None] * _units(speed[..., None], acceleration[..., None])
+    share = np.exp(-0.5 * (acceleration / liveliness) ** 2)
+    share /= share.sum(axis=-1, keepdims=True)
+    moments = np.concatenate((driven, parts - driven, others, units), axis=-1)
+    stretches: np.ndarray = np.einsum("sgla,sglac->sglc", share, moments)
+    return stretches.reshape(-1, moments.shape[-1])
+
+
+def _units(speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    """Heights of the units, shape (..., UNITS); speed and acceleration have shape (..., 1)."""
+    by_speed = np.exp(-0.5 * ((speed - UNIT_SPEEDS) / UNIT_SPEED_STEP) ** 2)
+    by_acceleration = np.exp(
+        -0.5 * ((acceleration - UNIT_ACCELERATIONS) / UNIT_ACCELERATION_STEP) ** 2
+    )
+    units: np.ndarray = by_speed[..., :, None] * by_acceleration[..., None, :]
+    return units.reshape(*units.shape[:-2], UNITS)

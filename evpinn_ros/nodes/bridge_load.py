@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-import os
-from pathlib import Path
 import time
 from typing import Any
 
@@ -26,10 +24,14 @@ from evpinn_ros.bench.can_traffic import (
     own_port,
     send_traffic,
 )
-from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.parameter_table import Value
-from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
+from evpinn_ros.nodes.processes import (
+    START_TIMEOUT,
+    node_process,
+    own_network,
+    processor_seconds,
+)
 from evpinn_ros.nodes.topics import NAMESPACE, Topic
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -80,11 +82,11 @@ def measure_load(seconds: float, progress: Callable[[float], None]) -> Load:
             listener.await_bridge()
             with Worker(send_traffic, own_port(), seconds) as sender:
                 listener.spin_until(lambda: bool(listener.battery), START_TIMEOUT)
-                cpu, begin = _processor_seconds(pid), time.monotonic()
+                cpu, begin = processor_seconds(pid), time.monotonic()
                 while not sender.done():
                     listener.spin()
                     progress(time.monotonic() - begin)
-                share = (_processor_seconds(pid) - cpu) / (time.monotonic() - begin)
+                share = (processor_seconds(pid) - cpu) / (time.monotonic() - begin)
                 times = sender.result()
             sent = round(seconds * TICKS) * FRAMES_PER_TICK
             listener.spin_until(lambda: listener.frames() == sent, LAST_REPORT)
@@ -162,21 +164,6 @@ def _bridge(port: int) -> Iterator[int]:
     }
     with node_process("can_bridge", parameters) as process:
         yield process.pid
-
-
-def _processor_seconds(pid: int) -> float:
-    """Time of the processor that a process has taken.
-
-    Raises:
-        InputError: no such process any more, or no Linux.
-    """
-    try:
-        # The name of the program, in brackets, may hold blanks.
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError as error:
-        raise InputError(f"the bridge ended, or this is no Linux: {error}") from error
-    user, system = int(fields[11]), int(fields[12])
-    return (user + system) / os.sysconf("SC_CLK_TCK")
 
 
 def _latencies(sent_ns: list[int], heard: list[tuple[int, float]]) -> tuple[float, float, float]:

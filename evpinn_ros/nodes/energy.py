@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from evpinn_ros.energy.account import EnergyAccount
@@ -25,7 +26,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.estimate_messages import energy_messages, summary_messages
-from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.messages import (
     BadMessage,
@@ -34,7 +35,13 @@ from evpinn_ros.nodes.messages import (
     read_named_vector,
     speed_reading,
 )
-from evpinn_ros.nodes.plan_messages import forecast_message, path_plan, speed_profile_plan
+from evpinn_ros.nodes.model_messages import read_model
+from evpinn_ros.nodes.plan_messages import (
+    forecast_message,
+    path_plan,
+    refuse_long,
+    speed_profile_plan,
+)
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
@@ -59,6 +66,7 @@ class EnergyNode(GuardedNode):
         vehicle = load_vehicle(self.values["vehicle"])
         self.meter = EnergyMeter(load_rknn(), max_gap=self.values["max_gap"])
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
+        self._vehicle = vehicle
         self.forecaster = Forecaster(vehicle)
         path = self.values["energy_file"]
         self._keeper = StateKeeper(Path(path).expanduser() if path else None, self.account)
@@ -72,9 +80,10 @@ class EnergyNode(GuardedNode):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
         self.listen(topics.SPEED, self._on_speed)
+        self.listen(topics.MODEL, self._on_model)
         self.listen(topics.BATTERY, self._on_battery)
-        self.listen(topics.PLAN, self._on_path)
-        self.listen(topics.SPEED_PROFILE, self._on_speed_profile)
+        for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
+            self.listen(topic, partial(self._on_plan, topic, read), raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
@@ -92,7 +101,7 @@ class EnergyNode(GuardedNode):
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
             state_of_charge=self.forecaster.state_of_charge,
-            learned=self.forecaster.learned,
+            basis=self.forecaster.basis,
             answered=self._answered,
             refused=self._refused,
             plan_problem=self._plan_problem,
@@ -176,15 +185,18 @@ class EnergyNode(GuardedNode):
         reading = battery_reading(message)
         self.account.push_charge(reading.stamp_ns, reading.state_of_charge)
 
-    def _on_path(self, message: Any) -> None:
-        self._answer(message, lambda: path_plan(message, self.values["nominal_speed"]))
+    def _on_model(self, message: Any) -> None:
+        self.forecaster.hear_model(read_model(message, self._vehicle.key))
 
-    def _on_speed_profile(self, message: Any) -> None:
-        self._answer(message, lambda: speed_profile_plan(message))
+    def _path(self, message: Any) -> Plan:
+        return path_plan(message, self.values["nominal_speed"])
 
-    def _answer(self, message: Any, read: Callable[[], Plan]) -> None:
+    def _on_plan(self, topic: Topic, read: Callable[[Any], Plan], data: bytes) -> None:
+        """Answer a plan, given as bytes: how long it is can be told before it is unpacked."""
         try:
-            plan = read()
+            refuse_long(len(data))
+            message = deserialize_message(data, message_class(topic.type_name))
+            plan = read(message)
         except PlanError as error:
             self._refused += 1
             self._plan_problem = str(error)

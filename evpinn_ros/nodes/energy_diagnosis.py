@@ -9,6 +9,7 @@ from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import SILENT_AFTER, Health, Status, rounded, with_health
+from evpinn_ros.nodes.forecaster import Basis
 from evpinn_ros.nodes.messages import Level
 
 JOULES_PER_WH = 3600.0
@@ -28,7 +29,7 @@ class EnergyReport:
         power_age: s since the last power/smoothed, NaN before the first.
         jumps: times that time went back.
         state_of_charge: 0..1, NaN while unknown.
-        learned: whether forecasts rest on an estimate, not on the vehicle file.
+        basis: what forecasts rest on.
         answered: plans answered.
         refused: plans refused.
         plan_problem: why the last plan was refused, None when it was answered.
@@ -43,7 +44,7 @@ class EnergyReport:
     power_age: float
     jumps: int
     state_of_charge: float
-    learned: bool
+    basis: Basis
     answered: int
     refused: int
     plan_problem: str | None
@@ -135,11 +136,11 @@ def plan_status(report: EnergyReport) -> Status:
         "answered": report.answered,
         "refused": report.refused,
         "state_of_charge": rounded(report.state_of_charge),
-        "parameters": "estimate/identifiable" if report.learned else "vehicle file",
+        "forecasts_from": report.basis.value,
     }
     if report.plan_problem is not None:
         return Status("plan", Level.WARN, f"plan refused: {report.plan_problem}", values)
-    if not report.learned:
-        text = "forecasts rest on the vehicle file: no estimate/identifiable yet"
+    if report.basis is Basis.VEHICLE_FILE:
+        text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)
     return Status("plan", Level.OK, "ready", values)

@@ -17,6 +17,7 @@ from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.estimate_messages import output_messages
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
 from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.model_messages import model_message
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import estimator_settings
@@ -27,6 +28,7 @@ from evpinn_ros.one_thread import one_thread
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import load_vehicle
 
+MODEL_PERIOD = 10.0  # s
 LISTENS_TO = (
     topics.SPEED,
     topics.BATTERY,
@@ -68,6 +70,8 @@ class EstimatorNode(GuardedNode):
         self.create_service(Trigger, "~/save", self._on_save)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.every(SAVE_PERIOD, self.save)
+        self.every(MODEL_PERIOD, self.publish_model)
+        self.publish_model()
         self.on_clock_going_back(self._guard.clock_went_back)
 
     def statuses(self) -> list[Status]:
@@ -85,6 +89,12 @@ class EstimatorNode(GuardedNode):
         """Write what was learned, if there is a file for it; a failure shows in diagnostics."""
         if self.values["state_file"]:
             self._keeper.save()
+
+    def publish_model(self) -> None:
+        """Tell what forecasts need of the car; latched, so a late listener has it at once."""
+        model = self.estimator.linear_power()
+        if model is not None:
+            self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 
     def close(self) -> None:
         """Save, and stop the thread of the updates."""
@@ -122,6 +132,7 @@ class EstimatorNode(GuardedNode):
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self._keeper.forget()
+        self.publish_model()
         response.success = True
         response.message = f"started again from the vehicle file {self._vehicle.key}"
         return response

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 import math
 
-from evpinn_ros.energy.forecast import Forecast, battery_after, forecast
+from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_after, forecast_plan
 from evpinn_ros.energy.plan import Plan
+from evpinn_ros.energy.power_model import PowerModel, combined_model, prior_identifiable
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import Identifiable, identifiable
+from evpinn_ros.vehicle.identifiable import Identifiable
+from evpinn_ros.vehicle.linear_power import LinearPower
 
-FIRST_RESIDUAL = 3000.0  # W, 1-sigma of power around the physics before any was seen
 RESIDUAL_MEMORY = 300.0  # samples of power/smoothed over which that is averaged
 
 
@@ -22,11 +24,19 @@ class Answer:
     state_of_charge: float | None
 
 
+class Basis(str, Enum):
+    """What forecasts rest on, and where it was heard; each is better than those before."""
+
+    VEHICLE_FILE = "vehicle file"
+    COMBINATIONS = "estimate/identifiable"
+    MODEL = "estimate/model"
+
+
 class Forecaster:
     """Holds what forecasts need.
 
     Attributes:
-        learned: whether the car's combinations come from an estimate.
+        basis: what they rest on.
         state_of_charge: newest known, 0..1, NaN before.
     """
 
@@ -37,14 +47,21 @@ class Forecaster:
 
     def reset(self) -> None:
         """Forget all that was heard."""
-        self.learned = False
+        self.basis = Basis.VEHICLE_FILE
         self.state_of_charge = math.nan
         self._combined, self._sigmas = prior_identifiable(self._vehicle)
+        self._model: PowerModel | None = None
         self._residual_variance = FIRST_RESIDUAL**2
 
     def hear_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
         """Take an estimate of the car and its 1-sigma."""
-        self._combined, self._sigmas, self.learned = combined, sigmas, True
+        self._combined, self._sigmas = combined, sigmas
+        if self._model is None:
+            self.basis = Basis.COMBINATIONS
+
+    def hear_model(self, model: LinearPower) -> None:
+        """Take all that is known of the car's power."""
+        self._model, self.basis = PowerModel(model), Basis.MODEL
 
     def hear_battery(self, state_of_charge: float) -> None:
         """Take a state of charge; one that is NaN says nothing."""
@@ -58,33 +75,10 @@ class Forecaster:
 
     def answer(self, plan: Plan) -> Answer:
         """The energy a plan takes."""
-        result = forecast(
-            plan,
-            self._combined,
-            self._sigmas,
-            self._vehicle,
-            math.sqrt(self._residual_variance),
-        )
+        result = forecast_plan(plan, self._model or self._simple(), self._vehicle.air_density)
         capacity = self._vehicle.battery_capacity
         return Answer(result, battery_after(result, self.state_of_charge, capacity))
 
-
-def prior_identifiable(vehicle: Vehicle) -> tuple[Identifiable, Identifiable]:
-    """The combinations of the vehicle's priors, and their 1-sigma to first order.
-
-    Relative variances of products and quotients of independent quantities add up.
-    """
-    combined = identifiable(vehicle.initial, vehicle.frontal_area)
-    relative = {
-        name: prior.std / prior.value if prior.value else 0.0
-        for name, prior in vehicle.priors.items()
-    }
-    sigmas = Identifiable(
-        mass_over_eta=combined.mass_over_eta * math.hypot(relative["mass"], relative["eta"]),
-        drag_area_over_eta=combined.drag_area_over_eta
-        * math.hypot(relative["c_d"], relative["eta"]),
-        c_rr=vehicle.priors["c_rr"].std,
-        regeneration=combined.regeneration * math.hypot(relative["eta"], relative["mu"]),
-        p_aux=vehicle.priors["p_aux"].std,
-    )
-    return combined, sigmas
+    def _simple(self) -> PowerModel:
+        residual = math.sqrt(self._residual_variance)
+        return combined_model(self._combined, self._sigmas, self._vehicle, residual)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.energy.plan import (
+    MAX_POINTS,
     NOMINAL_SPEED,
     Plan,
     PlanError,
@@ -22,6 +23,7 @@ from evpinn_ros.nodes.messages import NewMessage, finite, not_negative
 from evpinn_ros.nodes.topics import TRAJECTORY_TYPE
 from evpinn_ros.signals.readings import NANOSECONDS
 
+MAX_BYTES = 160 * MAX_POINTS  # twice a pose with a short name of its frame
 FORECAST_JOINT = "energy"
 DISTANCE_JOINT = "distance"
 ELEVATION_JOINT = "elevation"
@@ -53,11 +55,21 @@ def forecast_message(
             positions=[finite(energy)],
             velocities=[finite(power)],
             effort=[] if math.isnan(sigma) else [not_negative(sigma)],
-            time_from_start=_duration(new, time_ns),
+            time_from_start=duration_message(new, time_ns),
         )
         for time_ns, energy, power, sigma in zip(times_ns, energies, powers, sigmas, strict=True)
     ]
     return new(TRAJECTORY_TYPE, header=request_header, joint_names=[FORECAST_JOINT], points=points)
+
+
+def refuse_long(size: int) -> None:
+    """Refuse a serialised plan, of `size` bytes, that is not worth unpacking.
+
+    Raises:
+        PlanError: it holds more than `MAX_POINTS` points.
+    """
+    if size > MAX_BYTES:
+        raise PlanError(f"{size / 1e6:.0f} MB are more than {MAX_POINTS} points")
 
 
 def path_plan(message: Any, nominal_speed: float = NOMINAL_SPEED) -> Plan:
@@ -96,6 +108,12 @@ def speed_profile_plan(message: Any) -> Plan:
     )
 
 
+def duration_message(new: NewMessage, nanoseconds: int) -> Any:
+    """builtin_interfaces/Duration."""
+    seconds, rest = divmod(int(nanoseconds), NANOSECONDS)
+    return new("builtin_interfaces/msg/Duration", sec=seconds, nanosec=rest)
+
+
 def _column(points: Sequence[Any], field: str, joint: int) -> np.ndarray:
     for index, point in enumerate(points):
         if len(getattr(point, field)) <= joint:
@@ -107,8 +125,3 @@ def _seconds(stamps: Sequence[Any]) -> np.ndarray:
     """Seconds since the first stamp; exact, where seconds since 1970 would be 240 ns coarse."""
     whole = np.array([int(s.sec) * NANOSECONDS + int(s.nanosec) for s in stamps], dtype=np.int64)
     return (whole - whole[:1]) / NANOSECONDS
-
-
-def _duration(new: NewMessage, nanoseconds: int) -> Any:
-    seconds, rest = divmod(int(nanoseconds), NANOSECONDS)
-    return new("builtin_interfaces/msg/Duration", sec=seconds, nanosec=rest)

@@ -17,6 +17,7 @@ IMU_TYPE = "sensor_msgs/msg/Imu"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
 NAMED_VECTOR_TYPE = "sensor_msgs/msg/JointState"
+ARRAY_TYPE = "std_msgs/msg/Float64MultiArray"
 PRESSURE_TYPE = "sensor_msgs/msg/FluidPressure"
 WIND_TYPE = "geometry_msgs/msg/Vector3Stamped"
 SCALAR_TYPE = "std_msgs/msg/Float64"
@@ -201,6 +202,15 @@ PARAMETER_SCALARS = tuple(
         ("c_d", "drag coefficient", "1"),
     )
 )
+MODEL = Topic(
+    "estimate/model",
+    ARRAY_TYPE,
+    "estimator",
+    True,
+    "for the node `energy`: the linear model that predicts power, every 10 s; the label of its "
+    "first dimension is `vehicle/version`",
+    "",
+)
 POWER_MEASURED = Topic(
     "power/measured", NAMED_VECTOR_TYPE, "estimator", False, "`power`: voltage x current", "W"
 )
@@ -297,6 +307,7 @@ TOPICS = (
     BOUNDS,
     RELIABLE,
     *PARAMETER_SCALARS,
+    MODEL,
     POWER_MEASURED,
     POWER_PREDICTED,
     POWER_SMOOTHED,

@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.forecast import battery_after, forecast
+from evpinn_ros.energy.forecast import battery_after, forecast_plan
 from evpinn_ros.energy.plan import Plan, plan_from_path, plan_from_speed_profile
+from evpinn_ros.energy.power_model import combined_model
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable, combined_power
 from evpinn_ros.vehicle.physics import GRAVITY
@@ -18,8 +19,12 @@ EXACT = Identifiable(0.0, 0.0, 0.0, 0.0, 0.0)
 SIGMAS = Identifiable(20.0, 0.05, 0.0005, 0.03, 100.0)
 
 
+def forecast(plan, combined, sigmas, residual_sigma, density=CAR.air_density):
+    return forecast_plan(plan, combined_model(combined, sigmas, CAR, residual_sigma), density)
+
+
 def energy(plan, combined=COMBINED):
-    return forecast(plan, combined, EXACT, CAR, 0.0).energy[-1]
+    return forecast(plan, combined, EXACT, 0.0).energy[-1]
 
 
 def cruise(speed, duration, climb=0.0, points=5):
@@ -44,7 +49,7 @@ def test_cruising_by_hand():
     drag = 0.5 * CAR.air_density * 0.65 * 20.0**2
     rolling = 0.0096 * 2200 * GRAVITY
     power = 20.0 * (drag + rolling) + 1100
-    result = forecast(cruise(20.0, 100.0), COMBINED, EXACT, CAR, 0.0)
+    result = forecast(cruise(20.0, 100.0), COMBINED, EXACT, 0.0)
     assert result.power == pytest.approx([power] * 5)
     assert result.energy == pytest.approx(power * np.linspace(0, 100, 5))
     assert result.sigma == pytest.approx([0.0] * 5)
@@ -115,9 +120,9 @@ def test_a_batch_is_its_trips(trips):
     plans = [stop_to_stop(speeds) for speeds in trips]
     names = ("time", "distance", "speed", "elevation")
     batch = Plan(*(np.stack([getattr(plan, name) for plan in plans]) for name in names))
-    together = forecast(batch, COMBINED, SIGMAS, CAR, 800.0)
+    together = forecast(batch, COMBINED, SIGMAS, 800.0)
     for i, plan in enumerate(plans):
-        alone = forecast(plan, COMBINED, SIGMAS, CAR, 800.0)
+        alone = forecast(plan, COMBINED, SIGMAS, 800.0)
         for name in ("time", "energy", "power", "sigma"):
             assert getattr(together, name)[i] == pytest.approx(getattr(alone, name), rel=1e-9)
 
@@ -130,17 +135,17 @@ def test_sigma_of_one_combination_against_sampling(name):
     value = getattr(COMBINED, name)
     drawn = value + getattr(SIGMAS, name) * random.normal(size=500)
     energies = [energy(plan, COMBINED._replace(**{name: sample})) for sample in drawn]
-    result = forecast(plan, COMBINED, sigma, CAR, 0.0)
+    result = forecast(plan, COMBINED, sigma, 0.0)
     assert result.sigma[-1] == pytest.approx(np.std(energies), rel=0.1)
 
 
 def test_parts_of_sigma_add_as_variances():
     plan = cruise(15.0, 300.0)
-    parts = [forecast(plan, COMBINED, EXACT, CAR, 900.0).sigma]
+    parts = [forecast(plan, COMBINED, EXACT, 900.0).sigma]
     for name in IDENTIFIABLE_NAMES:
         only = EXACT._replace(**{name: getattr(SIGMAS, name)})
-        parts.append(forecast(plan, COMBINED, only, CAR, 0.0).sigma)
-    whole = forecast(plan, COMBINED, SIGMAS, CAR, 900.0).sigma
+        parts.append(forecast(plan, COMBINED, only, 0.0).sigma)
+    whole = forecast(plan, COMBINED, SIGMAS, 900.0).sigma
     assert whole == pytest.approx(np.sqrt(np.square(parts).sum(axis=0)))
     assert (np.diff(whole) > 0).all()
     assert parts[IDENTIFIABLE_NAMES.index("p_aux") + 1][-1] == pytest.approx(100.0 * 300)
@@ -148,7 +153,7 @@ def test_parts_of_sigma_add_as_variances():
 
 def test_cold_air_costs_more():
     plan = cruise(30.0, 100.0)
-    cold = forecast(plan, COMBINED, EXACT, CAR, 0.0, air_density=1.35).energy[-1]
+    cold = forecast(plan, COMBINED, EXACT, 0.0, 1.35).energy[-1]
     assert cold > energy(plan)
 
 
@@ -161,13 +166,13 @@ def test_ten_thousand_points_are_quick():
     x = np.linspace(0, 100e3, 10_000)
     z = 50 * np.sin(x / 3000)
     start = clock.perf_counter()
-    result = forecast(plan_from_path(x, 0 * x, z), COMBINED, SIGMAS, CAR, 800.0)
+    result = forecast(plan_from_path(x, 0 * x, z), COMBINED, SIGMAS, 800.0)
     assert clock.perf_counter() - start < 2.0
     assert 100e3 * 300 < result.energy[-1] < 100e3 * 900  # J over 100 km
 
 
 def test_battery_after():
-    result = forecast(cruise(20.0, 100.0), COMBINED, EXACT, CAR, 0.0)
+    result = forecast(cruise(20.0, 100.0), COMBINED, EXACT, 0.0)
     used = result.energy[-1]
     assert battery_after(result, 0.5, 10 * used) == pytest.approx(0.4)
     assert battery_after(result, 0.05, 10 * used) == 0.0

@@ -1,7 +1,19 @@
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.plan import Plan, PlanError, plan_from_path, plan_from_speed_profile
+from evpinn_ros.energy.plan import (
+    BEND,
+    COMFORT_LATERAL,
+    SLOWEST,
+    Plan,
+    PlanError,
+    plan_from_path,
+    plan_from_speed_profile,
+)
 
 LINE = np.array([0.0, 100.0, 200.0, 300.0])
 ZERO = np.zeros(4)
@@ -37,8 +49,9 @@ def test_a_point_given_twice_is_one():
 @pytest.mark.parametrize("stamps", [None, np.zeros(4), np.full(4, 1.7e9)])
 def test_without_usable_stamps_it_drives_the_nominal_speed(stamps):
     plan = plan_from_path(LINE, ZERO, ZERO, stamps, nominal_speed=10.0, acceleration=1.0)
-    assert plan.distance == pytest.approx([0, 50, 100, 200, 250, 300])
-    assert plan.speed == pytest.approx([0, 10, 10, 10, 10, 0])
+    assert set(LINE) <= set(plan.distance)
+    speed = np.interp([0, 50, 100, 200, 250, 300], plan.distance, plan.speed)
+    assert speed == pytest.approx([0, 10, 10, 10, 10, 0])
     assert plan.time[-1] == pytest.approx(10 + 20 + 10)
 
 
@@ -67,7 +80,8 @@ def test_speed_profile_counts_from_its_first_point():
         ([1.0], None, "needs at least two points"),
         (np.zeros(4), None, "neither length nor duration"),
         (LINE, [0.0, 10.0], "arrays differ in shape"),
-        (np.zeros(1_000_001), None, "1000001 points are more than 1000000"),
+        (np.zeros(1_000_000), None, "1000000 points are more than 50000"),
+        ([0.0, 10.0, 20e3, 21e3], None, "jumps farther than 10 km at point 1"),
     ],
 )
 def test_a_path_that_is_no_trip(x, stamps, reason):
@@ -107,3 +121,47 @@ def test_in_a_batch_the_error_names_the_trip_and_the_point():
 def test_impossible_nominal_driving(speed, acceleration):
     with pytest.raises(PlanError, match="cannot drive"):
         plan_from_path(LINE, ZERO, ZERO, nominal_speed=speed, acceleration=acceleration)
+
+
+def around_a_corner(angle, leg=300.0):
+    """A path that turns by an angle, rad, half way."""
+    turned = leg * np.array([1 + np.cos(angle), np.sin(angle)])
+    return np.array([0.0, leg, turned[0]]), np.array([0.0, 0.0, turned[1]])
+
+
+@given(st.floats(0.0, math.pi), st.floats(5.0, 35.0), st.floats(0.5, 3.0))
+def test_a_nominal_profile_is_comfortable(angle, nominal, acceleration):
+    x, y = around_a_corner(angle)
+    plan = plan_from_path(x, y, np.zeros(3), nominal_speed=nominal, acceleration=acceleration)
+    assert (plan.speed <= nominal + 1e-9).all()
+    gained = np.abs(np.diff(plan.speed**2)) / (2 * np.diff(plan.distance))
+    assert gained.max() <= acceleration * (1 + 1e-6)
+    assert plan.speed[1:-1].min() > 0
+
+
+def test_bends_are_taken_slowly_and_straights_are_not():
+    speeds = []
+    for angle in (0.0, 0.5, math.pi / 2, math.pi):
+        x, y = around_a_corner(angle)
+        plan = plan_from_path(x, y, np.zeros(3), nominal_speed=20.0)
+        speeds.append(np.interp(300.0, plan.distance, plan.speed))
+    assert speeds[0] == pytest.approx(20.0)
+    assert speeds[1] == pytest.approx(
+        math.sqrt(COMFORT_LATERAL * BEND / 2 / math.sin(0.25)), rel=1e-6
+    )
+    assert speeds[2] == pytest.approx(math.sqrt(COMFORT_LATERAL * BEND / math.sqrt(2)), rel=1e-6)
+    assert speeds[3] == pytest.approx(SLOWEST)
+
+
+def test_a_circle_is_driven_at_its_lateral_limit():
+    angle = np.linspace(0, 2 * np.pi, 400)
+    plan = plan_from_path(80 * np.cos(angle), 80 * np.sin(angle), 0 * angle, nominal_speed=30.0)
+    middle = (plan.distance > 100) & (plan.distance < 400)
+    assert plan.speed[middle] == pytest.approx(math.sqrt(COMFORT_LATERAL * 80), rel=0.01)
+
+
+def test_the_noise_of_a_map_is_no_bend():
+    x = np.arange(0.0, 1000.0, 1.0)
+    y = np.random.default_rng(1).normal(0, 0.02, x.size)
+    plan = plan_from_path(x, y, 0 * x, nominal_speed=15.0)
+    assert np.median(plan.speed) == pytest.approx(15.0)

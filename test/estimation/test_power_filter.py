@@ -14,12 +14,14 @@ from evpinn_ros.estimation.power_filter import (
     REPORTED,
     UNITS,
     PowerFilter,
+    ReportedLoads,
 )
 from evpinn_ros.estimation.window import Observation, batch
 from evpinn_ros.signals.kinematics import COURSE
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.signals.sample import MeasuredSample, Sample
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.vehicle.linear_power import FEATURES
 from evpinn_ros.vehicle.parameters import Parameters
 
 TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
@@ -182,12 +184,46 @@ def test_a_round_trip_is_exact_and_what_does_not_fit_is_refused(vehicle, synthet
     for wrong in (
         {"hilliness": math.nan},
         {"hilliness": 1.0},
+        {"loads": [1.0, math.nan, 1.0]},
+        {"loads": [1.0, 100.0, -1.0]},
         {"mean": saved["mean"][: len(STATES)]},
         {"mean": [1e6] * len(saved["mean"])},
     ):
         with pytest.raises(ValueError, match="saved"):
             fresh.restore({**saved, **wrong})
         assert fresh.export() == before
+
+
+@given(st.lists(st.floats(0.0, 5000.0), min_size=2, max_size=50))
+def test_within_an_hour_reported_loads_are_simply_averaged(loads):
+    found = ReportedLoads()
+    for load in loads:
+        found.push(load, 1.0)
+    assert found.mean == pytest.approx(np.mean(loads))
+    assert found.variance == pytest.approx(np.var(loads), abs=1e-6)
+
+
+def test_after_hours_only_the_last_loads_count():
+    found = ReportedLoads()
+    for hour, load in enumerate((5000.0, 300.0, 300.0, 300.0, 300.0, 300.0)):
+        assert found.seen == 3600.0 * hour
+        for _ in range(3600):
+            found.push(load, 1.0)
+    assert found.mean == pytest.approx(300.0, abs=50.0)
+
+
+def test_forecasts_expect_the_loads_that_were_reported(vehicle, synthetic):
+    found = PowerFilter(vehicle)
+    before = found.linear_power()
+    drive = synthetic(TRUTH)
+    for sample, power in zip(drive.samples, drive.powers, strict=True):
+        with_load = replace(sample, known_auxiliary=2000.0)
+        found.advance(with_load)
+        found.update(with_load, power + 2000.0, 1 / RATE)
+    after = found.linear_power()
+    constant = FEATURES.index("constant")
+    assert before.mean[constant] == vehicle.initial.p_aux
+    assert after.mean[constant] == pytest.approx(TRUTH.p_aux + 2000.0, rel=0.15)
 
 
 def test_the_lag_between_speed_and_power_is_estimated(vehicle, drive):

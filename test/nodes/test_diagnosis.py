@@ -17,6 +17,7 @@ from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Health
 from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
+from evpinn_ros.nodes.forecaster import Basis
 from evpinn_ros.nodes.messages import Level
 
 WELL = Health({}, {})
@@ -33,7 +34,9 @@ STATUS = EstimatorStatus(
 FLOW = Flow(3600.0, 100.0, 10.0)
 STATE = EnergyState(1, FLOW, FLOW, FLOW, FLOW, 3600.0, 0.0, 0, 0, 0.0, 0.0, True)
 ACCOUNT = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
-ENERGY = EnergyReport(STATE, ACCOUNT.summary(), None, 0, None, WELL, 0.1, 0, 0.8, True, 3, 0, None)
+ENERGY = EnergyReport(
+    STATE, ACCOUNT.summary(), None, 0, None, WELL, 0.1, 0, 0.8, Basis.MODEL, 3, 0, None
+)
 BRIDGE = BridgeStatus(True, "receiving", 9, 2, 1, {}, {"speed": SignalStatus(9, 50.0, 0.0, False)})
 
 
@@ -89,7 +92,10 @@ def test_states_of_the_meter():
 
 def test_states_of_planning():
     assert plan_status(ENERGY).text == "ready"
-    assert "vehicle file" in plan_status(dataclasses.replace(ENERGY, learned=False)).text
+    for basis in Basis:
+        status = plan_status(dataclasses.replace(ENERGY, basis=basis))
+        assert status.values["forecasts_from"] == basis.value
+        assert ("vehicle file" in status.text) == (basis is Basis.VEHICLE_FILE)
     refused = plan_status(dataclasses.replace(ENERGY, plan_problem="time goes back at point 3"))
     assert refused.level is Level.WARN and refused.text.endswith("time goes back at point 3")
 

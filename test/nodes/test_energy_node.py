@@ -3,14 +3,21 @@
 import math
 
 import pytest
+from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
-from evpinn_ros.energy.forecast import forecast
-from evpinn_ros.energy.plan import plan_from_speed_profile
+from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
+from evpinn_ros.energy.plan import (
+    BEND,
+    COMFORT_LATERAL,
+    MAX_POINTS,
+    plan_from_speed_profile,
+)
+from evpinn_ros.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.forecaster import FIRST_RESIDUAL, prior_identifiable
 from evpinn_ros.nodes.messages import Level, battery_message, header, named_vector
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.vehicle.files import load_vehicle
@@ -91,7 +98,8 @@ def test_a_plan_is_answered_from_the_vehicle_file_first(bench):
     assert batteries == [], "the state of charge is unknown"
     assert answer.header == message.header and list(answer.joint_names) == ["energy"]
     plan = plan_from_speed_profile(*zip(*TRIP, strict=True))
-    expected = forecast(plan, *prior_identifiable(VEHICLE), VEHICLE, FIRST_RESIDUAL)
+    model = vehicle_model(VEHICLE, FIRST_RESIDUAL)
+    expected = forecast_plan(plan, model, VEHICLE.air_density)
     assert [p.positions[0] for p in answer.points] == list(expected.energy)
     assert [p.velocities[0] for p in answer.points] == list(expected.power)
     assert [p.effort[0] for p in answer.points] == list(expected.sigma)
@@ -120,8 +128,7 @@ def test_forecasts_follow_the_estimate_and_the_residual(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
     (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-    combined, _ = prior_identifiable(VEHICLE)
-    light = [1.0, 0.8, combined.c_rr, combined.regeneration, combined.p_aux]
+    light = [1.0, 0.8, 0.009, 0.6, 800.0]
     vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, light, [0.0] * 5)
     bench.deliver(node, topics.IDENTIFIABLE, vector)
     for _ in range(3000):
@@ -132,6 +139,54 @@ def test_forecasts_follow_the_estimate_and_the_residual(bench):
     assert bench.diagnosis(node)["plan"][:2] == (Level.OK, "ready")
 
 
+def test_forecasts_follow_the_model_of_the_estimator(bench):
+    estimator = bench.start(EstimatorNode)
+    node = bench.start(EnergyNode)  # later, and yet it hears the model
+    bench.pump(lambda: node.received[topics.MODEL] == 1)
+    bench.listen(*ANSWERS)
+    (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    plan = plan_from_speed_profile(*zip(*TRIP, strict=True))
+    model = PowerModel(estimator.estimator.linear_power())
+    expected = forecast_plan(plan, model, VEHICLE.air_density)
+    assert [p.positions[0] for p in answer.points] == list(expected.energy)
+    assert [p.effort[0] for p in answer.points] == list(expected.sigma)
+    level, text, values = bench.diagnosis(node)["plan"]
+    assert (level, text, values["forecasts_from"]) == (Level.OK, "ready", "estimate/model")
+
+
+def test_in_paper_mode_forecasts_rest_on_the_combinations(bench):
+    bench.start(EstimatorNode, mode="paper")
+    node = bench.start(EnergyNode)
+    vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, [1.0] * 5, [0.0] * 5)
+    bench.deliver(node, topics.IDENTIFIABLE, vector)
+    assert node.received[topics.MODEL] == 0
+    values = bench.diagnosis(node)["plan"][2]
+    assert values["forecasts_from"] == "estimate/identifiable"
+
+
+def test_the_model_of_another_car_is_refused(bench):
+    bench.start(EstimatorNode, vehicle="bmw_i3")
+    node = bench.start(EnergyNode)
+    bench.pump(lambda: node.received[topics.MODEL] == 1)
+    values = bench.diagnosis(node)["meter"][2]
+    assert values["bad.estimate/model: other_vehicle_or_version"] == "1"
+    assert bench.diagnosis(node)["plan"][2]["forecasts_from"] == "vehicle file"
+
+
+def test_a_plan_of_a_million_points_is_refused_unread(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    pose = path((0.0, 0.0, 0.0)).poses
+    message = path()
+    message.poses = pose * 1_000_000
+    sender = bench.publisher(topics.PLAN)
+    sender.publish(bytes(serialize_message(message)))
+    bench.pump(lambda: node.received[topics.PLAN] == 1, seconds=60.0)
+    text = bench.diagnosis(node)["plan"][1]
+    assert f"are more than {MAX_POINTS} points" in text
+    assert all(not bench.heard[topic] for topic in ANSWERS)
+
+
 def test_a_path_with_and_without_times(bench):
     node = bench.start(EnergyNode, nominal_speed=20.0)
     bench.listen(*ANSWERS)
@@ -140,7 +195,9 @@ def test_a_path_with_and_without_times(bench):
     assert [p.time_from_start.sec for p in timed.points] == [0, 60, 180]
     (nominal,), _ = ask(bench, node, topics.PLAN, path(*points))
     duration = nominal.points[-1].time_from_start
-    assert duration.sec == pytest.approx(3000 / 20 + 20, abs=1)
+    bend = math.sqrt(COMFORT_LATERAL * BEND / 2 / math.sin(math.atan2(600, 800) / 2))  # m/s
+    slowing = (20 - bend) ** 2 / 20
+    assert duration.sec == pytest.approx(3000 / 20 + 20 + slowing, abs=1.5)
     flat = [(x, y, 0.0) for x, y, _ in points]
     (level,), _ = ask(bench, node, topics.PLAN, path(*flat))
     assert nominal.points[-1].positions[0] > level.points[-1].positions[0] + 4e5

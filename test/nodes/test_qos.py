@@ -16,6 +16,7 @@ LISTENS = {
     "energy": {
         topics.BATTERY,
         topics.IDENTIFIABLE,
+        topics.MODEL,
         topics.PLAN,
         topics.POWER_MEASURED,
         topics.POWER_SMOOTHED,

@@ -1,0 +1,154 @@
+"""Drives of one car in order: each is foretold as a plan before it is driven, then learned from.
+
+The plan holds speed once a second and elevation, nothing else: no heater, no wind, no traffic.
+What the car knows of itself then is what it learned on the drives before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
+from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.energy.power_model import PowerModel, combined_model
+from evpinn_ros.energy.quadrature import EnergyIntegral
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.estimation.worker import Clock, InlineWorker
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.vehicle.files import Vehicle
+
+PLAN_STEP = 1.0  # s between points of a plan
+ELEVATION_STEP = 5.0  # m
+ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
+MIN_DURATION = 10.0  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Foretold:
+    """One drive.
+
+    Attributes:
+        measured_j: energy of the battery, J.
+        forecast_j: before it was driven.
+        sigma_j: 1-sigma of that.
+        combinations_j: a forecast that knows the five published combinations alone.
+        distance_m: m.
+    """
+
+    measured_j: float
+    forecast_j: float
+    sigma_j: float
+    combinations_j: float
+    distance_m: float
+
+    @property
+    def error_percent(self) -> float:
+        """Of the forecast."""
+        return 100.0 * (self.forecast_j - self.measured_j) / abs(self.measured_j)
+
+    @property
+    def covered(self) -> bool:
+        """Whether the 90 % band holds the truth."""
+        return abs(self.forecast_j - self.measured_j) <= GAUSSIAN_QUANTILE * self.sigma_j
+
+
+class ForecastBenchmark:
+    """Foretells drives and learns them, one after the other."""
+
+    def __init__(self, vehicle: Vehicle, clock: Clock) -> None:
+        """Start at the vehicle's priors."""
+        self._vehicle = vehicle
+        self._estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(clock))
+
+    def drive(self, readings: Iterable[Reading]) -> Foretold:
+        """Foretell a drive, and learn from it.
+
+        Raises:
+            InputError: too short to be a drive.
+        """
+        drive = list(readings)
+        plan, measured = driven_plan(drive), _measured(drive)
+        self._estimator.handle_time_jump()  # it is another day
+        known, linear = self._estimator.parameters(), self._estimator.linear_power()
+        combinations = combined_model(
+            known.identifiable, known.identifiable_std, self._vehicle, FIRST_RESIDUAL
+        )
+        model = combinations if linear is None else PowerModel(linear)
+        density = self._vehicle.air_density
+        found = forecast_plan(plan, model, density)
+        simple = forecast_plan(plan, combinations, density)
+        for reading in drive:
+            for _ in self._estimator.push(reading):
+                pass
+        distance = float(plan.distance[-1])
+        energy, sigma = float(found.energy[-1]), float(found.sigma[-1])
+        return Foretold(measured, energy, sigma, float(simple.energy[-1]), distance)
+
+
+def driven_plan(readings: Iterable[Reading]) -> Plan:
+    """The plan that a drive would have been: speed once a second, and elevation.
+
+    Raises:
+        InputError: too short to be a drive.
+    """
+    speeds, altitudes = [], []
+    for reading in readings:
+        if isinstance(reading, SpeedReading):
+            speeds.append((reading.stamp_ns, reading.speed))
+        elif isinstance(reading, AltitudeReading):
+            altitudes.append((reading.stamp_ns, reading.altitude))
+    if not speeds or speeds[-1][0] - speeds[0][0] < MIN_DURATION * NANOSECONDS:
+        raise InputError(f"a drive of less than {MIN_DURATION:g} s is no plan")
+    start = speeds[0][0]
+    time, speed = _series(speeds, start)
+    grid = np.arange(0.0, time[-1], PLAN_STEP)
+    travelled = np.concatenate(([0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)))
+    at = np.maximum(np.interp(grid, time, speed), 0.0)
+    # Distance as the plan's speeds make it, so that both agree.
+    distance = np.concatenate(([0.0], np.cumsum(np.diff(grid) * (at[1:] + at[:-1]) / 2)))
+    if not altitudes:
+        return plan_from_speed_profile(grid, distance, at)
+    where, height = _series(altitudes, start)
+    road = np.arange(0.0, travelled[-1] + ELEVATION_STEP, ELEVATION_STEP)
+    seen = np.interp(where, time, travelled)
+    first = np.concatenate(([True], np.diff(seen) > 0))
+    smooth = gaussian_filter1d(
+        np.interp(road, seen[first], height[first]), ELEVATION_SMOOTHING / ELEVATION_STEP
+    )
+    return plan_from_speed_profile(grid, distance, at, np.interp(distance, road, smooth))
+
+
+def forecast_totals(drives: Sequence[Foretold]) -> tuple[float, float, int, int] | None:
+    """Median and mean absolute error, percent, drives covered and counted, after the first."""
+    counted = drives[1:]
+    if not counted:
+        return None
+    errors = [abs(one.error_percent) for one in counted]
+    covered = sum(one.covered for one in counted)
+    return float(np.median(errors)), float(np.mean(errors)), covered, len(counted)
+
+
+def _series(rows: list[tuple[int, float]], start: int) -> tuple[np.ndarray, np.ndarray]:
+    stamps, values = np.array([row[0] - start for row in rows]), np.array([row[1] for row in rows])
+    order = np.argsort(stamps, kind="stable")
+    return stamps[order] / NANOSECONDS, values[order]
+
+
+def _measured(readings: Iterable[Reading]) -> float:
+    integral = EnergyIntegral()
+    for reading in readings:
+        if isinstance(reading, BatteryReading):
+            integral.push(reading.stamp_ns, reading.power)
+    return integral.energy

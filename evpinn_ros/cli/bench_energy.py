@@ -1,0 +1,175 @@
+"""`evpinn bench energy`: integration, forecasts of real drives, and how quick forecasts are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from importlib.util import find_spec
+import json
+import os
+from pathlib import Path
+import time
+from typing import Annotated, Any
+
+import typer
+
+from evpinn_ros.bench.energy_forecast import ForecastBenchmark, Foretold, forecast_totals
+from evpinn_ros.bench.energy_library import (
+    BATCH,
+    POINTS,
+    CycleRow,
+    Throughput,
+    compare_cycles,
+    measure_throughput,
+)
+from evpinn_ros.bench.fastsim_peer import fastsim_version
+from evpinn_ros.bench.logs import Log, find_logs
+from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.one_thread import one_thread
+from evpinn_ros.replay.sources import open_source
+from evpinn_ros.vehicle.files import load_vehicle
+
+CAR = "tesla_model_3_lr"  # of the figures of speed
+JOULES_PER_WH = 3600.0
+
+
+def energy(
+    paths: Annotated[
+        list[str],
+        typer.Argument(metavar="PATH...", help="Each one car's drives: PATH or PATH=VEHICLE."),
+    ],
+    vehicle: Annotated[str, typer.Option(help="Whose drives, where PATH does not say.")] = CAR,
+    cycles: Annotated[
+        Path | None, typer.Option(help="Folder with udds.csv, hwfet.csv and us06.csv.")
+    ] = None,
+    plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the figures as JSON.")
+    ] = None,
+) -> None:
+    """Forecast each drive before it is driven, and time forecasts.
+
+    The drives of a PATH are one car's, in order of names: each is foretold from its own speed and
+    elevation by what was learned on those before, the first from the vehicle file.
+
+    Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
+    """
+    one_thread()
+    cars = [find_logs(path, vehicle) for path in paths]
+    found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
+    found["forecasts"] = [_forecasts(logs) for logs in cars]
+    throughput = measure_throughput(load_vehicle(CAR))
+    found["library"] = throughput._asdict()
+    _show_throughput(throughput)
+    if cycles is not None:
+        found["cycles"] = _cycles(cycles)
+    if find_spec("rclpy") is None:
+        note("rclpy is not installed: plans over DDS are left out")
+    else:
+        found["plans"] = _plans(plans)
+    if json_file is not None:
+        json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
+    car = load_vehicle(logs[0].vehicle)
+    benchmark = ForecastBenchmark(car, time.thread_time)
+    found: dict[str, Foretold] = {}
+    with progress_bar("drives", total=None) as progress:
+        for number, log in enumerate(logs, start=1):
+            try:
+                source = open_source(log.path, car, log.can_profile)
+                found[str(log.path)] = benchmark.drive(source.readings())
+            except InputError as error:
+                note(f"evpinn: {log.path}: {error}")
+            progress(number)
+    _show_forecasts(car.name, found)
+    totals = forecast_totals(list(found.values()))
+    if totals is not None:
+        median, mean, covered, counted = totals
+        results.print(
+            f"After the first: median error {median:.1f} % (goal 5 %), mean {mean:.1f} %, "
+            f"{covered} of {counted} in the 90 % band"
+        )
+    drives = {name: asdict(one) for name, one in found.items()}
+    return {"vehicle": car.key, "drives": drives, "totals": totals}
+
+
+def _show_forecasts(car: str, found: Mapping[str, Foretold]) -> None:
+    table = titled_table(f"{car}: energy of each drive, forecast before it was driven")
+    table.add_column("drive")
+    for column in ("measured Wh", "forecast Wh", "1-sigma Wh", "error", "in band", "combinations"):
+        table.add_column(column, justify="right")
+    for name, one in found.items():
+        measured, forecast, sigma, simple = (
+            f"{joules / JOULES_PER_WH:.0f}"
+            for joules in (one.measured_j, one.forecast_j, one.sigma_j, one.combinations_j)
+        )
+        error, inside = f"{one.error_percent:+.1f} %", "yes" if one.covered else "no"
+        table.add_row(Path(name).name, measured, forecast, sigma, error, inside, simple)
+    results.print(table)
+
+
+def _show_throughput(found: Throughput) -> None:
+    rows = [
+        ("vehicle file, numpy", f"{found.vehicle_file_ms:.0f} ms", "100 ms"),
+        ("learned model, numpy", f"{found.learned_ms:.0f} ms", "100 ms"),
+        ("learned model, torch", f"{found.torch_ms:.0f} ms", ""),
+        ("  with the gradient", f"{found.torch_gradient_ms:.0f} ms", ""),
+    ]
+    _show_figures(f"{BATCH} profiles of {POINTS} points, one core", rows)
+
+
+def _cycles(folder: Path) -> Any:
+    """Beside FASTSim; None without it."""
+    installed = fastsim_version()
+    if installed is None:
+        note("fastsim is not installed: the comparison is left out (see bench/fastsim_peer.py)")
+        return None
+    rows = list(compare_cycles(folder, load_vehicle(CAR)))
+    table = titled_table(f"Beside fastsim {installed}, Model 3, flat")
+    table.add_column("cycle")
+    columns = ("fastsim Wh/km", "same car", "vehicle file", "fastsim a step", "ours", "times")
+    for column in columns:
+        table.add_column(column, justify="right")
+    for row in rows:
+        table.add_row(*_cycle_cells(row))
+    results.print(table)
+    return {"fastsim": installed, "rows": [row._asdict() for row in rows]}
+
+
+def _cycle_cells(row: CycleRow) -> Iterator[str]:
+    yield row.cycle
+    for joules in (row.fastsim_j, row.same_car_j, row.vehicle_file_j):
+        yield f"{joules / JOULES_PER_WH / (row.distance_m / 1e3):.1f}"
+    yield f"{row.fastsim_us:.1f} us"
+    yield f"{row.ours_us:.3f} us"
+    yield f"{row.fastsim_us / row.ours_us:.0f}"
+
+
+def _plans(plans: int) -> dict[str, Any]:
+    # Imported here: the rest works where no ROS is.
+    from evpinn_ros.nodes.plan_load import measure_plans
+
+    with progress_bar("plans", total=plans) as progress:
+        load = measure_plans(plans, POINTS, progress)
+    rows = [
+        ("p50", f"{load.p50_ms:.1f} ms", ""),
+        ("p99", f"{load.p99_ms:.1f} ms", "20 ms"),
+        ("largest", f"{load.largest_ms:.1f} ms", ""),
+        ("the node's processor", f"{load.node_ms:.1f} ms", ""),
+    ]
+    _show_figures(f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows)
+    return load._asdict()
+
+
+def _show_figures(title: str, rows: Sequence[tuple[str, str, str]]) -> None:
+    table = titled_table(title)
+    table.add_column("")
+    for column in ("measured", "goal"):
+        table.add_column(column, justify="right")
+    for row in rows:
+        table.add_row(*row)
+    results.print(table)

@@ -1,0 +1,139 @@
+"""How soon the node `energy` answers a plan: its executable and a planner, a process each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.power_filter import PowerFilter
+from evpinn_ros.nodes import factory, topics
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.messages import header
+from evpinn_ros.nodes.model_messages import model_message
+from evpinn_ros.nodes.plan_messages import DISTANCE_JOINT, ELEVATION_JOINT, duration_message
+from evpinn_ros.nodes.processes import (
+    START_TIMEOUT,
+    node_process,
+    own_network,
+    processor_seconds,
+)
+from evpinn_ros.nodes.topics import NAMESPACE
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.vehicle.files import load_vehicle
+
+VEHICLE = "tesla_model_3_lr"
+WARM_UP = 20  # plans that are not counted: the first load code and learn addresses
+SETTLE = 2.0  # s until both ends surely know of each other
+ANSWER_TIMEOUT = 10.0  # s
+PAUSE = 0.02  # s between plans
+
+
+class PlanLoad(NamedTuple):
+    """How many plans of how many points were answered, and after how many ms.
+
+    Attributes:
+        node_ms: of the processor that the node took for one, whatever else the machine did.
+    """
+
+    plans: int
+    points: int
+    p50_ms: float
+    p99_ms: float
+    largest_ms: float
+    node_ms: float
+
+
+def measure_plans(plans: int, points: int, progress: Callable[[float], None]) -> PlanLoad:
+    """Ask for plans one after the other, and time from publishing each to hearing its answer.
+
+    The node has the model of an estimator.
+
+    Raises:
+        InputError: the node did not come up, or left a plan without an answer.
+    """
+    own_network()
+    rclpy.init(args=[])
+    planner = _Planner()
+    try:
+        with node_process("energy", {"vehicle": VEHICLE}) as node:
+            planner.await_node()
+            times, begin = [], 0.0
+            for number in range(WARM_UP + plans):
+                if number == WARM_UP:
+                    begin = processor_seconds(node.pid)
+                times.append(planner.ask(speed_profile(number, points)))
+                progress(number)
+                time.sleep(PAUSE)
+            node_seconds = processor_seconds(node.pid) - begin
+    finally:
+        rclpy.try_shutdown()
+    p50, p99, largest = np.quantile(times[WARM_UP:], (0.5, 0.99, 1.0)).tolist()
+    each = node_seconds / plans
+    return PlanLoad(plans, points, *(1e3 * seconds for seconds in (p50, p99, largest, each)))
+
+
+def speed_profile(number: int, points: int) -> Any:
+    """A drive over hills, one second a point, as trajectory_msgs/JointTrajectory."""
+    time_s = np.arange(points)
+    speed = 15.0 + 8.0 * np.sin(time_s / 25.0 + number)
+    distance = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)))
+    elevation = 20.0 * np.sin(distance / 700.0)
+    rows = zip(distance.tolist(), elevation.tolist(), speed.tolist(), strict=True)
+    return new_message(
+        topics.TRAJECTORY_TYPE,
+        header=header(new_message, NANOSECONDS, f"plan {number}"),
+        joint_names=[DISTANCE_JOINT, ELEVATION_JOINT],
+        points=[
+            new_message(
+                "trajectory_msgs/msg/JointTrajectoryPoint",
+                positions=[along, height],
+                velocities=[v, 0.0],
+                time_from_start=duration_message(new_message, second * NANOSECONDS),
+            )
+            for second, (along, height, v) in enumerate(rows)
+        ],
+    )
+
+
+class _Planner:
+    """The far end: publishes plans, hears answers."""
+
+    def __init__(self) -> None:
+        self._node = rclpy.create_node("planner", namespace=NAMESPACE)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._plans = factory.advertise(self._node, topics.SPEED_PROFILE)
+        self._model = factory.advertise(self._node, topics.MODEL)
+        factory.subscribe(self._node, topics.FORECAST, self._take)
+        self._heard: str | None = None
+
+    def await_node(self) -> None:
+        """Wait until the node listens, and give it a model."""
+        model = PowerFilter(load_vehicle(VEHICLE)).linear_power()
+        self._model.publish(model_message(new_message, VEHICLE, model))
+        self._spin_until(lambda: self._plans.get_subscription_count() > 0, START_TIMEOUT)
+        end = time.monotonic() + SETTLE
+        self._spin_until(lambda: time.monotonic() > end, START_TIMEOUT)
+
+    def ask(self, plan: Any) -> float:
+        """Publish a plan; gives the seconds until its answer was heard."""
+        wanted, begin = plan.header.frame_id, time.perf_counter()
+        self._plans.publish(plan)
+        self._spin_until(lambda: self._heard == wanted, ANSWER_TIMEOUT)
+        return time.perf_counter() - begin
+
+    def _take(self, message: Any) -> None:
+        self._heard = message.header.frame_id
+
+    def _spin_until(self, condition: Callable[[], bool], seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end:
+                raise InputError(f"the node 'energy' said nothing for {seconds:g} s")
+            self._executor.spin_once(timeout_sec=0.05)

@@ -1,0 +1,72 @@
+"""Battery power of one car as numbers that add up: what an estimator gives and a forecast takes.
+
+Power at a moment is a sum of features of the moment, each times a coefficient (`FEATURES`, then a
+grid of Gaussian units over speed and acceleration), and what is not known of the coefficients is a
+sum of independent directions, each of one sigma. So energy along a trip is one product with the
+integrals of the features, and its variance the sum of the squares of the products with the
+directions: an error of a coefficient is wrong in the same sense for the whole trip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# With drag (air_density v^3 / 2, per m^2), rolling (g v cos(grade), per kg of mass times c_rr) and
+# force (v (g sin(grade) + factor a), per kg): apart for a car that drives and one that brakes.
+FEATURES = (
+    "drive_drag",
+    "drive_rolling",
+    "drive_force",
+    "brake_drag",
+    "brake_rolling",
+    "brake_force",
+    "constant",
+    "acceleration_squared",
+    "present_drift",  # exp(-t / drift_time): what is left of the present drift of auxiliary power
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearPower:
+    """A car; see the module's text.
+
+    Attributes:
+        drag_area: m^2; with the next two it tells driving from braking, by the sign of the power
+            at the wheels.
+        rolling_mass: mass times c_rr, kg.
+        mass: kg.
+        rotating_mass_factor: effective over static mass when accelerating.
+        standing_noise: 1-sigma of the power around the model at standstill, W.
+        moving_noise: likewise while moving, over speed, N; both together as squares.
+        drift_std: W, 1-sigma of the auxiliary power around its mean.
+        drift_time: s within which that forgets itself.
+        slope_force: N at the battery, 1-sigma of unknown slopes and wind.
+        slope_length: m within which these change.
+        mean: coefficients, shape (len(FEATURES) + p q,); those of the features in W per unit of
+            the feature, those of the units in N.
+        directions: of what is not known of them, shape (k, len(FEATURES) + p q).
+        unit_speeds: centres of the units, evenly spaced and as wide as far apart, m/s, shape (p,).
+        unit_accelerations: likewise, m/s^2, shape (q,).
+    """
+
+    drag_area: float
+    rolling_mass: float
+    mass: float
+    rotating_mass_factor: float
+    standing_noise: float
+    moving_noise: float
+    drift_std: float
+    drift_time: float
+    slope_force: float
+    slope_length: float
+    mean: np.ndarray
+    directions: np.ndarray
+    unit_speeds: np.ndarray
+    unit_accelerations: np.ndarray
+
+    @property
+    def has_network(self) -> bool:
+        """Whether there are units."""
+        return self.unit_speeds.size > 0

@@ -1,0 +1,245 @@
+"""`evpinn_ros.energy.forecast`: many profiles at once, numpy or torch."""
+
+import subprocess
+import sys
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+import torch
+
+import evpinn_ros.energy
+from evpinn_ros.energy.forecast import Profiles, forecast, forecast_plan
+from evpinn_ros.energy.plan import PlanError, plan_from_speed_profile
+from evpinn_ros.energy.power_model import PowerModel, combined_model, prior_identifiable
+from evpinn_ros.estimation.power_filter import PowerFilter
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.identifiable import Identifiable
+from evpinn_ros.vehicle.physics import GRAVITY
+
+CAR = load_vehicle("tesla_model_3_lr")
+COMBINED, SIGMAS = prior_identifiable(CAR)
+SIMPLE = combined_model(COMBINED, SIGMAS, CAR, 1000.0)
+
+
+def taught():
+    """A model whose network has something to say."""
+    found = PowerFilter(CAR)
+    rng = np.random.default_rng(4)
+    for second in range(1500):
+        speed, acceleration = 16 + 14 * np.sin(second / 40), float(rng.normal(0, 0.8))
+        sample = Sample(second * 10**9, speed, acceleration, 0.0, 1.2, 300.0)
+        found.advance(sample)
+        power = 1500 + speed * (300 + 0.5 * speed**2 + 2400 * acceleration)
+        found.update(sample, power + 3000 * np.sin(speed / 3), 1.0)
+    return PowerModel(found.linear_power())
+
+
+LEARNED = taught()
+MODELS = pytest.mark.parametrize("model", [SIMPLE, LEARNED], ids=["combinations", "learned"])
+
+
+def profiles(seed=0, batch=5, points=60, hills=True):
+    rng = np.random.default_rng(seed)
+    speed = np.clip(14 + np.cumsum(rng.normal(0, 0.9, (batch, points)), axis=1), 0.5, 38)
+    elevation = np.cumsum(rng.normal(0, 0.15, (batch, points)), axis=1)
+    return Profiles(np.arange(float(points)), speed, elevation if hills else None)
+
+
+def closed(seed):
+    """A flat trip from rest to rest."""
+    found = profiles(seed, 1, hills=False)
+    speed = found.speed.copy()
+    speed[:, [0, -1]] = 0.0
+    return found._replace(speed=speed)
+
+
+def energy(found, model):
+    return forecast(found, CAR, model).energy[0]
+
+
+def changed(model, column, amount):
+    """The same car with one coefficient more."""
+    linear = model.linear
+    mean = linear.mean.copy()
+    mean[column] += amount
+    return PowerModel(
+        type(linear)(**{
+            name: mean if name == "mean" else getattr(linear, name)
+            for name in type(linear).__dataclass_fields__
+        })
+    )  # fmt: skip
+
+
+def test_the_package_has_it():
+    assert evpinn_ros.energy.forecast is forecast
+
+
+@MODELS
+def test_a_batch_is_its_plans(model):
+    many = profiles(1)
+    found = forecast(many, CAR, model)
+    for i, (speed, height) in enumerate(zip(many.speed, many.elevation, strict=True)):
+        distance = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)))
+        plan = plan_from_speed_profile(many.time, distance, speed, height)
+        one = forecast_plan(plan, model, CAR.air_density)
+        # One point in the middle of a leg against three, where the car turns to braking.
+        assert found.energy[i] == pytest.approx(one.energy[-1], rel=0.01)
+        assert found.sigma[i] == pytest.approx(one.sigma[-1], rel=0.01)
+
+
+@MODELS
+def test_chunks_make_no_difference(model):
+    many = profiles(2, batch=70)
+    found = forecast(many, CAR, model)
+    alone = [forecast(Profiles(many.time, v[None], z[None]), CAR, model)
+             for v, z in zip(many.speed, many.elevation, strict=True)]  # fmt: skip
+    assert found.energy == pytest.approx([one.energy[0] for one in alone], rel=1e-12)
+    assert found.sigma == pytest.approx([one.sigma[0] for one in alone], rel=1e-12)
+
+
+@MODELS
+def test_torch_gives_the_same_and_its_own_kind(model):
+    many = profiles(3)
+    found = forecast(many, CAR, model)
+    tensors = forecast(Profiles(*map(torch.as_tensor, many)), CAR, model)
+    assert isinstance(found.energy, np.ndarray) and isinstance(tensors.energy, torch.Tensor)
+    assert tensors.energy.numpy() == pytest.approx(found.energy, rel=1e-10)
+    assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=1e-10)
+
+
+@MODELS
+@pytest.mark.parametrize("name", Profiles._fields)
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_gradient_is_that_of_finite_differences(model, name, seed):
+    """Away from where power bends or jumps, which a step this small does not cross."""
+    many = profiles(seed, batch=2, points=20)
+    wanted = getattr(many, name)
+    leaves = {field: torch.as_tensor(array) for field, array in many._asdict().items()}
+    leaves[name].requires_grad_()
+    found = forecast(Profiles(**leaves), CAR, model)
+    (found.energy.sum() + found.sigma.sum()).backward()
+    gradient = leaves[name].grad.numpy()
+    step = 1e-6
+    index = tuple(np.random.default_rng(seed).integers(0, wanted.shape))
+    ends = []
+    for side in (step, -step):
+        array = wanted.copy()
+        array[index] += side
+        at = forecast(many._replace(**{name: array}), CAR, model)
+        ends.append(at.energy.sum() + at.sigma.sum())
+    difference = (ends[0] - ends[1]) / (2 * step)
+    assert gradient[index] == pytest.approx(difference, rel=1e-4, abs=1.0)
+
+
+def test_numpy_alone_never_loads_torch():
+    code = (
+        "import sys, numpy as np\n"
+        "from evpinn_ros.energy import Profiles, forecast\n"
+        "from evpinn_ros.vehicle.files import load_vehicle\n"
+        "found = forecast(Profiles(np.arange(3.0), np.ones((1, 3))), load_vehicle('generic'))\n"
+        "assert found.energy[0] > 0 and 'torch' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"time": np.array([0.0, 1.0, 1.0])}, "time does not rise"),
+        ({"time": np.arange(4.0)}, "must be"),
+        ({"speed": np.ones(3)}, "must be"),
+        ({"speed": -np.ones((2, 3))}, "speed is negative"),
+        ({"speed": np.full((2, 3), np.nan)}, "not finite"),
+        ({"speed": np.full((2, 3), np.inf)}, "not finite"),
+        ({"time": np.array([0.0, np.nan, 2.0])}, "time does not rise"),
+        ({"elevation": np.full((2, 3), np.inf)}, "not finite"),
+    ],
+)
+@MODELS
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_what_is_no_profile_is_refused(change, reason, model):
+    with pytest.raises(PlanError, match=reason):
+        forecast(Profiles(np.arange(3.0), np.ones((2, 3)))._replace(**change), CAR, model)
+
+
+# What holds for the physics and for every learned model, exactly.
+
+
+@MODELS
+@given(st.integers(0, 10_000), st.integers(1, 58))
+def test_a_profile_cut_in_two_adds_up(model, seed, cut):
+    # The drift that is present fades from the start of a plan, so a cut starts it anew.
+    model = changed(model, 8, -model.linear.mean[8])
+    whole = profiles(seed, 1)
+    first = Profiles(*(array[..., : cut + 1] for array in whole))
+    second = Profiles(*(array[..., cut:] for array in whole))
+    parts = energy(first, model) + energy(second, model)
+    assert parts == pytest.approx(energy(whole, model), rel=1e-9)
+
+
+@MODELS
+@given(st.floats(1.0, 1e5))
+def test_standing_costs_auxiliary_power(model, duration):
+    found = Profiles(np.array([0.0, duration]), np.zeros((1, 2)))
+    fading = model.linear.drift_time * -np.expm1(-duration / model.linear.drift_time)
+    expected = model.linear.mean[6] * duration + model.linear.mean[8] * fading
+    assert energy(found, model) == pytest.approx(expected, rel=1e-9, abs=0.1)
+
+
+@MODELS
+@given(st.integers(0, 10_000), st.sampled_from([0, 1, 3, 4, 6]))
+def test_more_drag_rolling_or_auxiliary_load_is_never_cheaper(model, seed, column):
+    more = changed(model, column, 0.1 * abs(model.linear.mean[column]))
+    assert energy(profiles(seed, 1), more) >= energy(profiles(seed, 1), model) - 1e-6
+
+
+@MODELS
+@given(st.integers(0, 10_000))
+def test_what_is_not_known_only_adds_to_sigma(model, seed):
+    found = forecast(profiles(seed), CAR, model)
+    certain = type(model.linear)(**{
+        name: 0 * getattr(model.linear, name) if name == "directions" else value
+        for name, value in ((f, getattr(model.linear, f)) for f in
+                            type(model.linear).__dataclass_fields__)
+    })  # fmt: skip
+    assert (forecast(profiles(seed), CAR, PowerModel(certain)).sigma <= found.sigma).all()
+
+
+# What holds for the physics alone: a table that was learned need not be convex, and where the car
+# turns to braking a learned model jumps, for its two sides are learned apart.
+
+
+@given(st.floats(1, 40), st.floats(0, 4.0))
+def test_hills_never_save_energy(speed, climb):
+    height = min(climb, 0.2 * speed) * np.arange(30.0)
+    base = Profiles(np.arange(30.0), np.full((1, 30), speed))
+    up, down = (energy(base._replace(elevation=way * height), SIMPLE) for way in (1, -1))
+    # On a slope the car presses on the road less, so it rolls that much easier.
+    grade = height[1] / speed
+    rolling = 2 * COMBINED.c_rr * COMBINED.mass_over_eta * GRAVITY * speed * 29
+    easier = rolling * (1 - np.sqrt(1 - grade**2))
+    assert up + down - 2 * energy(base, SIMPLE) >= -easier - 1e-3
+
+
+@given(st.integers(0, 10_000))
+def test_more_mass_is_never_cheaper_from_rest_to_rest(seed):
+    heavy = COMBINED._replace(mass_over_eta=1.2 * COMBINED.mass_over_eta)
+    more = combined_model(heavy, SIGMAS, CAR, 1000.0)
+    assert energy(closed(seed), more) >= energy(closed(seed), SIMPLE) - 1e-6
+
+
+@given(st.floats(5, 35), st.floats(0.3, 3.0))
+def test_driving_slower_saves_drag_and_costs_auxiliary_power(speed, slower):
+    """The same way at constant speed in `slower` times the time."""
+    exact = combined_model(COMBINED, Identifiable(0.0, 0.0, 0.0, 0.0, 0.0), CAR, 0.0)
+    time = np.arange(0.0, 601.0, 60.0)
+    base = Profiles(time, np.full((1, time.size), speed))
+    scaled = Profiles(slower * time, base.speed / slower)
+    drag = 0.5 * CAR.air_density * COMBINED.drag_area_over_eta * speed**3 * 600
+    change = drag * (slower**-2 - 1) + COMBINED.p_aux * 600 * (slower - 1)
+    found = energy(scaled, exact) - energy(base, exact)
+    assert found == pytest.approx(change, rel=1e-6, abs=1e-3 * drag)
