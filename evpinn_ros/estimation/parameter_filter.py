@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations
 import math
 from typing import Any, NamedTuple
 
@@ -43,6 +44,7 @@ from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED, drag_force, in
 STATES = (*PARAMETER_NAMES, "copper", "slope")
 ETA, MU, MASS, C_RR, C_D, P_AUX, COPPER, SLOPE = range(len(STATES))
 LOGARITHMIC = [ETA, MU, MASS, C_RR, C_D]
+BOUNDED = {ETA: 1, MU: 1, P_AUX: -1}  # never above 0 (eta and mu at most 1), never below
 
 COPPER_STD = 600.0  # W/(m/s^2)^2: loss that grows with force squared, 1-sigma about zero
 SLOPE_STD = 0.006  # rad: unknown grade and wind
@@ -136,7 +138,7 @@ class ParameterFilter:
         self.mean = self.mean + gain * residual
         self.covariance = self.covariance - np.outer(gain, projected)
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        self.limit_efficiencies()
+        self.limit_states()
         return residual
 
     def parameters(self) -> Parameters:
@@ -327,20 +329,24 @@ class ParameterFilter:
         scale = self.noise_scale * (1.0 + rate * (excess - 1.0))
         self.noise_scale = min(max(scale, NOISE_RANGE[0]), NOISE_RANGE[1])
 
-    def limit_efficiencies(self) -> None:
-        """Project onto eta <= 1 and mu <= 1 along the covariance (Simon, 2010, section 2.4).
+    def limit_states(self) -> None:
+        """Project onto `BOUNDED` along the covariance (Simon, 2010, section 2.4).
 
-        First onto the one limit that is passed; where that leads beyond the other, onto both.
+        Onto as few bounds as keep all of them.
         """
-        limited = [ETA, MU]
-        passed = [[index] for index in limited if self.mean[index] > 0.0]
-        for held in (*passed, limited) if passed else ():
-            columns = self.covariance[:, held]
-            mean = self.mean - columns @ np.linalg.solve(columns[held], self.mean[held])
-            mean[held] = 0.0
-            if (mean[limited] <= 0.0).all():
-                self.mean = mean
-                return
+        passed = {index for index, sign in BOUNDED.items() if sign * self.mean[index] > 0.0}
+        if not passed:
+            return
+        for count in range(1, len(BOUNDED) + 1):
+            for held in map(list, combinations(BOUNDED, count)):
+                if passed.isdisjoint(held):
+                    continue
+                columns = self.covariance[:, held]
+                mean = self.mean - columns @ np.linalg.solve(columns[held], self.mean[held])
+                mean[held] = 0.0
+                if all(sign * mean[index] <= 0.0 for index, sign in BOUNDED.items()):
+                    self.mean = mean
+                    return
 
     def _is_possible(self, mean: np.ndarray, covariance: np.ndarray) -> bool:
         """Whether a state has a true covariance within the prior's, and a mean not too far off."""

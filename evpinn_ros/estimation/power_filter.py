@@ -242,7 +242,7 @@ class PowerFilter(ParameterFilter):
         self.covariance[SLOPE, :] *= shrink
         self.covariance[:, SLOPE] *= shrink
 
-    def limit_efficiencies(self) -> None:
+    def limit_states(self) -> None:
         """Set no limit: what lies beyond one of a linear model is no efficiency beyond one."""
 
     def _model(self, sample: Sample | Batch, slope: Any) -> tuple[Any, np.ndarray]:

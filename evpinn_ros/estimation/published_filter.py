@@ -107,7 +107,7 @@ class PublishedFilter(ParameterFilter):
         told = self._told
         told.mean, told.covariance = self._published()
         told.noise_scale = self.noise_scale
-        told.limit_efficiencies()
+        told.limit_states()
         return told
 
     def mass_over_eta(self) -> tuple[float, float]:

@@ -371,3 +371,18 @@ def test_a_clock_that_is_set_does_not_forget_the_car(synthetic):
     after = found.identifiable()[0]
     assert after.mass_over_eta == pytest.approx(before.mass_over_eta, rel=0.01)
     assert after.regeneration == pytest.approx(before.regeneration, rel=0.02)
+
+
+@given(states)
+def test_bounds_are_kept_by_as_few_as_needed(by):
+    """Whatever was learned, eta and mu stay at most 1 and auxiliaries draw, never give."""
+    found = moved(by)
+    rng = np.random.default_rng(0)
+    mix = np.diag(np.sqrt(np.diag(found.covariance))) @ rng.standard_normal((len(STATES),) * 2)
+    found.covariance = mix @ mix.T
+    found.mean[P_AUX] -= 1000.0 * abs(by[0])
+    before = found.mean.copy()
+    found.limit_states()
+    inside = before[0] <= 0.0 and before[1] <= 0.0 and before[P_AUX] >= 0.0
+    assert found.mean[0] <= 0.0 and found.mean[1] <= 0.0 and found.mean[P_AUX] >= 0.0
+    assert np.array_equal(found.mean, before) == inside

@@ -20,6 +20,7 @@ LISTENS = {
         topics.PLAN,
         topics.POWER_MEASURED,
         topics.POWER_SMOOTHED,
+        topics.SPEED,
         topics.SPEED_PROFILE,
     },
 }
