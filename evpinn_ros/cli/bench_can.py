@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from importlib.util import find_spec
-import json
 import os
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,9 +20,8 @@ from evpinn_ros.bench.can_decoding import (
     measure_throughput,
 )
 from evpinn_ros.bench.can_traffic import Idle, measure_idle
-from evpinn_ros.cli.console import note, progress_bar, results
-from evpinn_ros.cli.tables import titled_table
-from evpinn_ros.errors import InputError
+from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.tables import figures_table, titled_table
 
 BUSY = 0.3  # load of other programs from which the figures are not those of the bridge alone
 
@@ -52,7 +50,7 @@ def can(
         note(f"other programs take {found['load_average']:.1f} cores: expect worse figures")
     throughput = measure_throughput()
     found["offline"] = asdict(throughput)
-    _show_figures("Decoding a log, one core", _offline_rows(throughput))
+    results.print(figures_table("Decoding a log, one core", _offline_rows(throughput)))
     if find_spec("rclpy") is None:
         note("rclpy is not installed: the bridge itself is left out")
     else:
@@ -62,7 +60,7 @@ def can(
         found["captures"] = [asdict(each) | {"live_equal": live} for each, live in agreements]
         _show_captures(agreements)
     if json_file is not None:
-        _write(json_file, found)
+        write_json(json_file, found)
 
 
 def _measure_live(seconds: float) -> dict[str, Any]:
@@ -73,7 +71,9 @@ def _measure_live(seconds: float) -> dict[str, Any]:
     with progress_bar("full bus", total=seconds) as progress:
         load: Load = measure_load(seconds, progress)
     rows = _live_rows(asdict(load), idle)
-    _show_figures(f"A full bus for {seconds / 60:g} min: 4000 frames a second", rows)
+    results.print(
+        figures_table(f"A full bus for {seconds / 60:g} min: 4000 frames a second", rows)
+    )
     return asdict(load) | {"idle": idle._asdict()}
 
 
@@ -95,16 +95,6 @@ def _offline_rows(throughput: Throughput) -> Iterator[tuple[str, str, str]]:
     yield "frames in memory to readings", f"{throughput.decoding:,.0f} a second", ""
     yield "  of the profile's ids alone", f"{throughput.decoding_known:,.0f} a second", ""
     yield "candump file to readings", f"{throughput.whole_file:,.0f} a second", "100,000 a second"
-
-
-def _show_figures(title: str, rows: Iterator[tuple[str, str, str]]) -> None:
-    table = titled_table(title)
-    table.add_column("")
-    for column in ("measured", "goal"):
-        table.add_column(column, justify="right")
-    for row in rows:
-        table.add_row(*row)
-    results.print(table)
 
 
 def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
@@ -131,11 +121,3 @@ def _all_of(count: int, total: int) -> str:
 
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
-
-
-def _write(path: Path, found: dict[str, Any]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-import json
 from pathlib import Path
 import time
 from typing import Annotated
@@ -13,7 +12,7 @@ import typer
 
 from evpinn_ros.bench.carried import CarriedBenchmark, Foretold, energy_errors
 from evpinn_ros.bench.logs import find_logs
-from evpinn_ros.cli.console import note, results
+from evpinn_ros.cli.console import note, results, write_json
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.sources import open_source
@@ -61,8 +60,7 @@ def carried(
             f"Energy error after the first: median {errors[0]:.1f} %, mean {errors[1]:.1f} %"
         )
     if json_file is not None:
-        text = json.dumps({name: asdict(one) for name, one in found.items()}, indent=1)
-        json_file.write_text(text + "\n", encoding="utf-8")
+        write_json(json_file, {name: asdict(one) for name, one in found.items()})
 
 
 def _table(found: dict[str, Foretold]) -> Table:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
-import json
 import os
 from pathlib import Path
 import time
@@ -24,8 +23,8 @@ from evpinn_ros.bench.energy_library import (
 )
 from evpinn_ros.bench.fastsim_peer import fastsim_version
 from evpinn_ros.bench.logs import Log, find_logs
-from evpinn_ros.cli.console import note, progress_bar, results
-from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.sources import open_source
@@ -70,7 +69,7 @@ def energy(
     else:
         found["plans"] = _plans(plans)
     if json_file is not None:
-        json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        write_json(json_file, found)
 
 
 def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
@@ -119,7 +118,7 @@ def _show_throughput(found: Throughput) -> None:
         ("learned model, torch", f"{found.torch_ms:.0f} ms", ""),
         ("  with the gradient", f"{found.torch_gradient_ms:.0f} ms", ""),
     ]
-    _show_figures(f"{BATCH} profiles of {POINTS} points, one core", rows)
+    results.print(figures_table(f"{BATCH} profiles of {POINTS} points, one core", rows))
 
 
 def _cycles(folder: Path) -> Any:
@@ -161,15 +160,9 @@ def _plans(plans: int) -> dict[str, Any]:
         ("largest", f"{load.largest_ms:.1f} ms", ""),
         ("the node's processor", f"{load.node_ms:.1f} ms", ""),
     ]
-    _show_figures(f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows)
+    results.print(
+        figures_table(
+            f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows
+        )
+    )
     return load._asdict()
-
-
-def _show_figures(title: str, rows: Sequence[tuple[str, str, str]]) -> None:
-    table = titled_table(title)
-    table.add_column("")
-    for column in ("measured", "goal"):
-        table.add_column(column, justify="right")
-    for row in rows:
-        table.add_row(*row)
-    results.print(table)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-import json
 from pathlib import Path
 import time
 from typing import Annotated, Any
@@ -16,7 +15,7 @@ import typer
 from evpinn_ros.bench.logs import Log, find_logs
 from evpinn_ros.bench.online import METHODS, OnlineBenchmark, Run
 from evpinn_ros.bench.scores import Score, log_scores, total_scores
-from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.console import note, progress_bar, results, write_json
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.run import PROGRESS_STEP, WARM_UP, has_battery
@@ -80,7 +79,7 @@ def online(
         title = f"All {len(found['logs'])} logs by samples; errors of energy without their sign"
         _show(title, total, markdown)
     if json_file is not None:
-        _write(json_file, {"warm_up_s": warm_up, **found, "total": total})
+        write_json(json_file, {"warm_up_s": warm_up, **found, "total": total})
     if found["failed"]:
         raise typer.Exit(1)
 
@@ -178,12 +177,3 @@ def _row(score: Score) -> list[str]:
 
 def _number(value: float | None, form: str = ".0f") -> str:
     return "-" if value is None else format(value, form).rstrip("%")
-
-
-def _write(path: Path, found: Mapping[str, Any]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(found, indent=1, allow_nan=False)
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error

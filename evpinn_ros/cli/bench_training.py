@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -11,10 +10,9 @@ import typer
 
 from evpinn_ros.bench.deepxde_peer import deepxde_version
 from evpinn_ros.bench.training import Timed, bench_training
-from evpinn_ros.cli.console import note, results
+from evpinn_ros.cli.console import note, results, write_json
 from evpinn_ros.cli.reproduce import training_progress
 from evpinn_ros.cli.tables import titled_table
-from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.reproduction.drive_log import read_drive_log
 from evpinn_ros.vehicle.files import load_vehicle
@@ -45,7 +43,7 @@ def training(
         timed = list(bench_training(drive, car, epochs, seed, on_epoch))
     _show(timed)
     if json_file is not None:
-        _write(json_file, timed)
+        write_json(json_file, [asdict(one) for one in timed])
 
 
 def _show(timed: list[Timed]) -> None:
@@ -64,14 +62,3 @@ def _show(timed: list[Timed]) -> None:
             "1" if one is published else ratio if one.reached else "not reached",
         )
     results.print(table)
-
-
-def _write(path: Path, timed: list[Timed]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(
-            json.dumps([asdict(one) for one in timed], indent=1, allow_nan=False) + "\n",
-            encoding="utf-8",
-        )
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error

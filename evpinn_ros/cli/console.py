@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import json
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from evpinn_ros.errors import InputError
 
 Report = Callable[[float], None]  # takes seconds of the drive done
 
@@ -17,6 +22,20 @@ notes = Console(stderr=True, highlight=False, soft_wrap=True)
 def note(text: str) -> None:
     """One line to the person, on stderr."""
     notes.print(text, markup=False)
+
+
+def write_json(path: Path, found: Any) -> None:
+    """Write results for scripts, the folder too if need be.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    text = json.dumps(found, indent=1, allow_nan=False)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -96,6 +96,17 @@ def energy_lines(found: Mapping[str, Any]) -> list[str]:
 def titled_table(title: str) -> Table:
     """An empty table in the style of all."""
     return Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+
+
+def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> Table:
+    """What was measured, beside its goal: (name, measured, goal)."""
+    table = titled_table(title)
+    table.add_column("")
+    for column in ("measured", "goal"):
+        table.add_column(column, justify="right")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def _energy_line(title: str, score: Mapping[str, float | None]) -> str:
