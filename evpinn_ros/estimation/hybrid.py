@@ -47,6 +47,7 @@ RIDGE = 30.0  # pull of the network's weights to their start
 MIN_SAMPLES = 100  # in the window, before the network is trained
 THINNING = 3  # of the window: neighbours within `CORRELATION_TIME` say the same
 MAX_STEP = 1.0  # s one sample may stand for
+PARKED = 600.0  # s without speed, then it is another drive
 TRUST_MEMORY = 300.0  # s of driving over which the network's merit is judged
 TRUST_PRIOR = 200.0  # samples' worth of belief that the network is of no use
 
@@ -68,7 +69,8 @@ class HybridLearner:
         self._merit = _unproven()
         self._window = SlidingWindow(WINDOW)
         self._store = SampleStore()
-        self._last_ns: int | None = None
+        self._last_ns: int | None = None  # of what was learned from
+        self._seen_ns: int | None = None  # of what was predicted
         self._payload = LoadDetector()
         self._suspicion = SignSuspicion()
         self._grade_suspicion = GradeSuspicion()
@@ -81,7 +83,14 @@ class HybridLearner:
         return float(np.clip(self._merit[0] / self._merit[1], 0.0, 1.0))
 
     def advance(self, sample: Sample) -> None:
-        """Let time pass up to a smoothed sample."""
+        """Let time pass up to a smoothed sample.
+
+        After a pause of `PARKED`, or before what was last seen, it is another drive: its slope,
+        loads and drift are not those of the last.
+        """
+        seen_ns, self._seen_ns = self._seen_ns, sample.stamp_ns
+        if seen_ns is not None and not 0 <= sample.stamp_ns - seen_ns <= PARKED * NANOSECONDS:
+            self.power_filter.forget_time()
         self.parameter_filter.advance(sample)
         self.power_filter.advance(sample)
         self._unknown_load.advance(sample.stamp_ns)
@@ -183,7 +192,7 @@ class HybridLearner:
         self._window.clear()
         self._merit = _unproven()
         self._candidate = None
-        self._last_ns = None
+        self._last_ns = self._seen_ns = None
         self._payload.forget_time()
         self.parameter_filter.forget_time()
         self.power_filter.forget_time()
@@ -198,6 +207,7 @@ class HybridLearner:
             "current_suspicion": self._suspicion.export(),
             "grade_suspicion": self._grade_suspicion.export(),
             "network": self._network.vector().tolist(),
+            "seen_ns": self._seen_ns,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -214,6 +224,7 @@ class HybridLearner:
         self._grade_suspicion.restore(state["grade_suspicion"])
         self._network.load_vector(weights)
         self._merit = _unproven()
+        self._seen_ns = None if state["seen_ns"] is None else int(state["seen_ns"])
 
     def _follow_payload(self, sample: Sample, power: float, step: float) -> None:
         """Let what is published follow a change of payload, and power once the change stood."""

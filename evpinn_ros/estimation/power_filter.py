@@ -77,8 +77,6 @@ HILL_LENGTH = 10e3  # m over which it is learned how hilly the roads are
 REPORTED = len(STATES) + UNITS + COURSE
 DRIFT = REPORTED + 1
 ROAD_STATES = (REPORTED, DRIFT)  # beside the slope: of this drive, not of the car
-
-
 FORECAST_STATES = [*range(SLOPE), *range(len(STATES), len(STATES) + UNITS), REPORTED, DRIFT]
 DIRECTIONS = 24  # of what is not known, that forecasts are told
 LOADS_TIME = HOUR  # s of driving over which reported loads are averaged

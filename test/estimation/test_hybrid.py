@@ -8,6 +8,7 @@ import torch
 
 from evpinn_ros.estimation.estimate import State
 from evpinn_ros.estimation.hybrid import MIN_SAMPLES, TRUST_PRIOR, WIDTHS, HybridLearner
+from evpinn_ros.estimation.power_filter import DRIFT
 from evpinn_ros.signals.kinematics import COURSE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -268,3 +269,17 @@ def test_what_the_window_showed_fades_in_silence_and_is_unproven_after_a_jump(ve
     assert told[2] - load == pytest.approx(0.0, abs=0.01 * network)
     learner.forget_window()
     assert learner.trust == 0.0
+
+
+@pytest.mark.parametrize(("pause", "kept"), [(1.0, True), (8 * 3600.0, False), (-3600.0, False)])
+def test_the_next_drive_has_loads_and_slopes_of_its_own(vehicle, synthetic, pause, kept):
+    """A restart goes on where it was; a night later, or on a clock set back, it does not."""
+    drive = synthetic(TRUTH, seconds=60.0)
+    learner = teach(HybridLearner(vehicle), drive)
+    learner.power_filter.mean[DRIFT] = 900.0
+    again = HybridLearner(vehicle)
+    again.restore(learner.export())
+    last = drive.samples[-1]
+    again.advance(replace(last, stamp_ns=last.stamp_ns + round(pause * NANOSECONDS)))
+    assert again.power_filter.mean[DRIFT] == pytest.approx(900.0 if kept else 0.0, rel=0.01)
+    assert again.power_filter.mean[0] == pytest.approx(learner.power_filter.mean[0], rel=0.01)
