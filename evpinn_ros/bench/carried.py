@@ -95,5 +95,6 @@ def energy_errors(drives: Iterable[Foretold]) -> tuple[float, float] | None:
 
     Before the first nothing is known of the car. None without any.
     """
-    errors = [abs(one.error_percent) for one in drives if one.error_percent is not None][1:]
-    return (float(np.median(errors)), float(np.mean(errors))) if errors else None
+    known = [one.error_percent for one in list(drives)[1:] if one.error_percent is not None]
+    errors = np.abs(known)
+    return (float(np.median(errors)), float(np.mean(errors))) if known else None
