@@ -18,9 +18,12 @@ from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, Sp
 
 STALE_PERIODS = 10
 PERIOD_WEIGHT = 0.05
-SHORTEST_PERIOD_NS = NANOSECONDS // 100
+SHORTEST_PERIOD_NS = NANOSECONDS // 10
+"""Period below which nothing is called late: less than a second may be a busy computer."""
 LONGEST_PERIOD_NS = NANOSECONDS
 """Period of the slowest signal worth waiting for, and of one not yet known."""
+WAITING = "waiting"
+"""Text of a bridge before the first frame."""
 
 _KINDS: Mapping[str, type[Reading]] = {"speed": SpeedReading, "battery": BatteryReading}
 
@@ -163,7 +166,7 @@ class CanBridge:
         decoder, guard = self._decoder, self._guard
         if not decoder.known and not self._answers:
             if not decoder.unknown:
-                return "waiting"
+                return WAITING
             advice = guard.advice() if guard is not None else None
             better = f" '{advice}' fits" if advice else ""
             return f"no frame of this profile: another bus or car?{better}"

@@ -8,7 +8,7 @@ from pathlib import Path
 import threading
 from typing import Any
 
-from evpinn_ros.can.bridge import BridgeStatus, CanBridge
+from evpinn_ros.can.bridge import WAITING, BridgeStatus, CanBridge
 from evpinn_ros.can.bus import BusReader, BusState
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
@@ -31,6 +31,7 @@ from evpinn_ros.signals.readings import BatteryReading, Reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 PUBLISHES = (topics.SPEED, topics.BATTERY, topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
+BEGINNINGS = (BusState.CLOSED.value, WAITING)  # how every bus begins is no news
 LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the process ends anyway
 
 
@@ -59,7 +60,7 @@ class CanBridgeNode(GuardedNode):
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
         self._seen: dict[str, str] = {}  # text of each status at the last look
-        self._said = {"bus": BusState.CLOSED.value}  # how it begins is no news
+        self._said: dict[str, str] = {}
         self.every(REPORT_PERIOD, self._say_changes)
         self._threads = [self._start(self.guarded(self._read, "source"), "can")]
         if self._bridge.poller is not None and self.values["poll"]:
@@ -139,7 +140,7 @@ class CanBridgeNode(GuardedNode):
         for status in self.statuses():
             lasts = self._seen.get(status.name) == status.text
             self._seen[status.name] = status.text
-            if lasts and self._said.get(status.name) != status.text:
+            if lasts and status.text not in (self._said.get(status.name), *BEGINNINGS):
                 self._said[status.name] = status.text
                 self._say(status)
 

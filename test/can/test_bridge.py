@@ -45,17 +45,28 @@ def test_receiving(profile):
 
 
 def test_stale_after_ten_periods_and_back(profile):
-    bridge = CanBridge(profile)
-    drive(bridge, profile, 0, 1000)
-    drive(bridge, profile, 1000, 1180, speed=False)
-    assert bridge.status(1180 * MS).ok
-    assert drive(bridge, profile, 1180, 1400, speed=False)
-    status = bridge.status(1400 * MS)
+    bridge, encoder = CanBridge(profile), Encoder(profile)
+    for time in range(0, 8000, 10):
+        bridge.push(encoder.battery(BatteryReading(time * MS, 390.0, -20.0)))
+        if time % 400 == 0 and time < 4000:
+            bridge.push(encoder.speed(SpeedReading(time * MS, 10.0)))
+        if time == 7590:
+            assert bridge.status(time * MS).ok
+    status = bridge.status(8000 * MS)
     assert not status.ok and status.text == "no speed"
     assert status.signals["speed"].stale and not status.signals["battery"].stale
-    drive(bridge, profile, 1400, 1500)
-    assert bridge.status(1500 * MS).ok
+    bridge.push(encoder.speed(SpeedReading(8000 * MS, 10.0)))
+    assert bridge.status(8000 * MS).ok
     assert bridge.status(60_000 * MS).text == "no speed and no battery"
+
+
+def test_a_quick_signal_may_be_a_second_late(profile):
+    bridge = CanBridge(profile)
+    drive(bridge, profile, 0, 1000)
+    drive(bridge, profile, 1000, 1980, speed=False)
+    assert bridge.status(1980 * MS).ok
+    drive(bridge, profile, 1980, 2000, speed=False)
+    assert bridge.status(2000 * MS).text == "no speed"
 
 
 def test_equal_stamps_do_not_end_patience(profile):
