@@ -19,7 +19,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint bags docs clean
+.PHONY: demo test lint bags golden docs clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
@@ -37,6 +37,10 @@ lint: $(INSTALLED)
 bags: $(INSTALLED)
 	@rm -rf bags/urban bags/highway
 	@sed -n '/^evpinn /,/[^\\]$$/p' bags/README.md | PATH="$(CURDIR)/$(BIN):$$PATH" bash -eux
+
+# What the bundled bags give: show what is different from the record, and write it down.
+golden: $(INSTALLED)
+	@$(BIN)/python test/replay/golden.py --renew
 
 # The pictures of the README and the reference pages, from code.
 docs: demo
