@@ -139,11 +139,19 @@ def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
 def test_what_was_noticed_of_the_car_is_told():
     change = LoadChange(5_000_000_000, 151.23456, 24.0)
     noticed = LearnerReport(change, 2, 1, "current_sign")
-    status = dataclasses.replace(STATUS, report=noticed, progress={"mass": 73.4})
+    status = dataclasses.replace(
+        STATUS,
+        report=noticed,
+        progress={"mass": 73.4},
+        seen={"30_60_kmh_steady": 12},
+        band_coverage={"smoothed": 0.9},
+    )
     found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
     assert found.level == Level.WARN and "sign of current" in found.text
     told = {key: found.values[key] for key in ("load_change_kg", "load_changes", "progress.mass")}
     assert told == {"load_change_kg": 151.235, "load_changes": 2, "progress.mass": 73}
+    assert found.values["seen.30_60_kmh_steady"] == 12
+    assert found.values["in_90_band.smoothed"] == 0.9
     assert found.values["suspicion"] == "current_sign"
 
 
