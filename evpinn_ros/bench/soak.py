@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 import gc
 from itertools import cycle
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +17,7 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import Clock, InlineWorker
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.simulation.car import Car
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -41,42 +44,53 @@ class Hour(NamedTuple):
     energy: float
 
 
-def soak(hours: int, clock: Clock, progress: Callable[[float], None]) -> Iterator[Hour]:
+def soak(
+    hours: int, clock: Clock, progress: Callable[[float], None], duration: float = HOUR
+) -> Iterator[Hour]:
     """Drive one chain for hours, each of another drive, with a pause after it.
 
     Args:
         hours: of driving.
         clock: processor time, s.
         progress: takes the seconds done.
+        duration: of an hour, s.
 
     Raises:
         InputError: no /proc here.
     """
-    vehicle = load_vehicle(VEHICLE)
-    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(clock))
+    chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(clock))
     car = None
-    for hour, kind in zip(range(hours), cycle(DriveKind), strict=False):
-        start_ns = EPOCH_NS + hour * (HOUR + PAUSE) * NANOSECONDS
-        drive = simulate(kind, vehicle, HOUR, SEED + hour, car=car, start_ns=start_ns)
-        car, readings = drive.car, drive.readings
-        del drive
-        begin = clock()
-        _push(chain, readings, start_ns, hour * HOUR, progress)
-        seconds = clock() - begin
-        count = len(readings)
-        del readings
-        gc.collect()
-        energy = chain.account.state.consumed
-        yield Hour(count, resident_mb("self"), 1e6 * seconds / count, energy)
+    # Simulated elsewhere: the memory that is watched shall be the chain's.
+    with ProcessPoolExecutor(1, get_context("spawn")) as elsewhere:
+        for hour, kind in zip(range(hours), cycle(DriveKind), strict=False):
+            readings, car = elsewhere.submit(_drive, kind, hour, car, duration).result()
+            count, begin = len(readings), clock()
+            _push(chain, readings, hour * duration, progress)
+            seconds = clock() - begin
+            del readings
+            gc.collect()
+            energy = chain.account.state.consumed
+            yield Hour(count, resident_mb("self"), 1e6 * seconds / count, energy)
+
+
+def _drive(
+    kind: DriveKind, hour: int, car: Car | None, duration: float
+) -> tuple[tuple[Reading, ...], Car]:
+    """One hour of the same car, after the pause that follows the hour before."""
+    start_ns = EPOCH_NS + round(hour * (duration + PAUSE) * NANOSECONDS)
+    drive = simulate(
+        kind, load_vehicle(VEHICLE), duration, SEED + hour, car=car, start_ns=start_ns
+    )
+    return drive.readings, drive.car
 
 
 def _push(
     chain: Chain,
     readings: Sequence[Reading],
-    start_ns: int,
     done: float,
     progress: Callable[[float], None],
 ) -> None:
+    start_ns = readings[0].stamp_ns
     for index, reading in enumerate(readings):
         for _ in chain.push(reading):
             pass
