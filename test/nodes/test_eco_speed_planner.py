@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
@@ -119,7 +120,7 @@ def test_it_picks_the_cheapest_of_those_in_time(bench, start, deadline):
     assert 1 < len(in_time) < len(planner.candidates)
     assert name == min(in_time)[1]
     (candidate,) = [each for each in planner.candidates if each.name == name]
-    plan, sent = speed_profile_plan(chosen[0]), plan_of(candidate)
+    plan, sent = speed_profile_plan(serialize_message(chosen[0])), plan_of(candidate)
     for field in Plan.__slots__:
         assert getattr(plan, field) == pytest.approx(getattr(sent, field), abs=1e-9)
 

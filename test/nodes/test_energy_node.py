@@ -183,7 +183,7 @@ def test_a_plan_of_a_million_points_is_refused_unread(bench):
     sender.publish(bytes(serialize_message(message)))
     bench.pump(lambda: node.received[topics.PLAN] == 1, seconds=60.0)
     text = bench.diagnosis(node)["plan"][1]
-    assert f"are more than {MAX_POINTS} points" in text
+    assert f"1000000 points are more than {MAX_POINTS}" in text
     assert all(not bench.heard[topic] for topic in ANSWERS)
 
 
