@@ -11,6 +11,7 @@ from typing import Any
 from std_srvs.srv import Trigger
 
 from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.energy.rknn import load_rknn
@@ -41,11 +42,13 @@ from evpinn_ros.nodes.plan_messages import (
     request_header,
     speed_profile_plan,
 )
+from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 
@@ -74,6 +77,7 @@ class EnergyNode(GuardedNode):
         self._speed_guard = StampGuard(topics.SPEED)
         self._answered = self._refused = 0
         self._plan_problem: str | None = None
+        self._charge_after = UNKNOWN
         self.advertise(*PUBLISHES)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
@@ -81,6 +85,8 @@ class EnergyNode(GuardedNode):
         self.listen(topics.SPEED, self._on_speed)
         self.listen(topics.MODEL, self._on_model)
         self.listen(topics.BATTERY, self._on_battery)
+        for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
+            self.listen(topic, partial(self._on_air, topic))
         for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
             self.listen(topic, partial(self._on_plan, read), raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -99,8 +105,9 @@ class EnergyNode(GuardedNode):
             health=self.health(self._guard.dropped + self._speed_guard.dropped),
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
-            state_of_charge=self.forecaster.state_of_charge,
             basis=self.forecaster.basis,
+            air=self.forecaster.air(self.now_ns()),
+            charge_after=self._charge_after,
             answered=self._answered,
             refused=self._refused,
             plan_problem=self._plan_problem,
@@ -187,6 +194,13 @@ class EnergyNode(GuardedNode):
     def _on_model(self, message: Any) -> None:
         self.forecaster.hear_model(read_model(message, self._vehicle.key))
 
+    def _on_air(self, topic: Topic, message: Any) -> None:
+        reading: Any = to_reading(topic.type_name, message)
+        reason = why_impossible(reading)
+        if reason is not None:
+            raise BadMessage(reason)
+        self.forecaster.hear_air(reading, self.now_ns())
+
     def _path(self, data: bytes) -> Plan:
         return path_plan(data, self.values["nominal_speed"])
 
@@ -203,14 +217,14 @@ class EnergyNode(GuardedNode):
 
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
-        self.forecaster.hear_battery(self.account.charge().value)
-        answer = self.forecaster.answer(plan)
-        result = answer.forecast
+        charge, capacity = self.account.charge(), self.account.gauge.capacity
+        answer = self.forecaster.answer(plan, charge, capacity, self.now_ns())
+        result, self._charge_after = answer.forecast, answer.charge
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
         yield topics.FORECAST, forecast_bytes(header, times, *columns)
-        if answer.state_of_charge is not None:
-            reading = BatteryReading(0, math.nan, math.nan, answer.state_of_charge)
+        if answer.charge.known:
+            reading = BatteryReading(0, math.nan, math.nan, answer.charge.value)
             battery = battery_message(new_message, reading)
             battery.header = header
             yield topics.FORECAST_BATTERY, battery
