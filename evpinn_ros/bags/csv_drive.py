@@ -1,8 +1,8 @@
 """A drive in a CSV file: the columns that `evpinn convert` takes, as readings.
 
 `t_s` and `speed_mps`, then `voltage_v` and `current_a` or `power_w`, and optionally `elevation_m`,
-`ambient_c`, `heating_w` and `aircon_w`. Here current and power are positive while the battery
-discharges. Other columns are ignored.
+`ambient_c`, `heating_w`, `aircon_w` and `soc_pct`, the state of charge. Here current and power are
+positive while the battery discharges. Other columns are ignored.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from evpinn_ros.signals.readings import (
 
 REQUIRED = ("t_s", "speed_mps")
 BATTERY = ("voltage_v", "current_a", "power_w")
-OPTIONAL = ("elevation_m", "ambient_c", "heating_w", "aircon_w")
+OPTIONAL = ("elevation_m", "ambient_c", "heating_w", "aircon_w", "soc_pct")
 COLUMNS = (*REQUIRED, *BATTERY, *OPTIONAL)
 
 # Where a drive whose time starts near zero is placed, 2020-01-01T00:00:00Z: header stamps must
@@ -118,14 +118,23 @@ class CsvDrive:
         if voltage <= 0:
             self.dropped["voltage_not_positive"] += 1
             return None
+        charge = self._charge(cells)
         if "voltage_v" in cells and "current_a" in cells:
-            return BatteryReading(stamp_ns, voltage, -cells["current_a"])
+            return BatteryReading(stamp_ns, voltage, -cells["current_a"], charge)
         if "power_w" in cells:
             self.at_nominal_voltage += "voltage_v" not in cells
-            return BatteryReading(stamp_ns, voltage, -cells["power_w"] / voltage)
+            return BatteryReading(stamp_ns, voltage, -cells["power_w"] / voltage, charge)
         if "voltage_v" in cells or "current_a" in cells:
             self.dropped["voltage_or_current_alone"] += 1
         return None
+
+    def _charge(self, cells: dict[str, float]) -> float:
+        """State of charge, 0..1, NaN where there is none."""
+        percent = cells.get("soc_pct", math.nan)
+        if percent < 0 or percent > 100:
+            self.dropped["soc_pct_out_of_range"] += 1
+            return math.nan
+        return percent / 100
 
     def _numbers(self, row: list[str]) -> dict[str, float]:
         """The numbers of the used, not empty cells of a row by column."""

@@ -38,7 +38,7 @@ def convert(
     """Convert a recorded drive into a rosbag2 MCAP bag.
 
     A CSV file has the columns t_s, speed_mps, voltage_v, current_a (positive = discharge) or
-    power_w, and optionally elevation_m, ambient_c, heating_w, aircon_w.
+    power_w, and optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct.
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
     """

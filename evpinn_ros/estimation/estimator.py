@@ -190,7 +190,7 @@ class OnlineEstimator:
 
     def linear_power(self) -> LinearPower | None:
         """What forecasts of plans need of the car; None in the paper's mode."""
-        return self._learner.linear_power()
+        return self._learner.linear_power(self._stream.celsius)
 
     def status(self) -> EstimatorStatus:
         """Counters and activity."""
