@@ -187,7 +187,7 @@ def _networks(drive: PowerSeries, epochs: int) -> dict[str, Integrator]:
 
         return integrate
 
-    return {"RKNN, trained on the first drive": network(0), "DNN, likewise": network(1)}
+    return {"RKNN, as published": network(0), "DNN, as published": network(1)}
 
 
 RULES: Mapping[str, Integrator] = {

@@ -33,9 +33,8 @@ def integrators(cars: Sequence[Sequence[Log]], epochs: int) -> dict[str, Any]:
         drives = _drives(logs)
         agreements += [agreement(drive) for drive in drives]
         if drives:
-            rows += compare_integrators(logs[0].vehicle, drives, epochs)
-    rows += compare_integrators(SIMULATED, simulated_power(), epochs)
-    _show(rows)
+            rows += _compared(logs[0].vehicle, drives, epochs)
+    rows += _compared(SIMULATED, simulated_power(), epochs)
     if agreements:
         worst = max(agreements, key=lambda each: abs(each.percent))
         results.print(
@@ -58,21 +57,20 @@ def _drives(logs: Sequence[Log]) -> list[PowerSeries]:
     return drives
 
 
-def _show(rows: Sequence[IntegratorRow]) -> None:
-    """Methods down, samplings across: median / worst."""
-    samplings = list(dict.fromkeys(row.sampling for row in rows))
-    table = titled_table("Integrators: median / worst error, % of gross energy")
-    for column in ("drives of", "method"):
-        table.add_column(column)
-    for sampling in samplings:
-        table.add_column(sampling, justify="right")
-    cells: dict[tuple[str, str], list[str]] = {}
+def _compared(car: str, drives: Sequence[PowerSeries], epochs: int) -> list[IntegratorRow]:
+    """One car's figures, shown with methods down and samplings across."""
+    rows = list(compare_integrators(car, drives, epochs))
+    table = titled_table(f"{car} ({len(drives)}): median / worst error, % of gross energy")
+    table.add_column("method")
+    cells: dict[str, list[str]] = {}
     for row in rows:
-        name = f"{row.car} ({row.drives})", row.method
-        cells.setdefault(name, []).append(f"{row.median:.3f} / {row.worst:.3f}")
-    for (car, method), errors in cells.items():
-        table.add_row(car, method, *errors)
+        cells.setdefault(row.method, []).append(f"{row.median:.3f} / {row.worst:.3f}")
+    for sampling in dict.fromkeys(row.sampling for row in rows):
+        table.add_column(sampling, justify="right")
+    for method, errors in cells.items():
+        table.add_row(method, *errors)
     results.print(table)
+    return rows
 
 
 def counting(cars: Sequence[Sequence[Log]]) -> list[dict[str, Any]]:
