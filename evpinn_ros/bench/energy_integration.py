@@ -143,11 +143,13 @@ def _integral(time: np.ndarray, power: np.ndarray) -> float:
 
 def _car_rows(logs: Sequence[Log], clock: Clock) -> Iterator[IntegrationRow]:
     vehicle = load_vehicle(logs[0].vehicle)
-    drives = [list(open_source(log.path, vehicle, log.can_profile).readings()) for log in logs]
+    drives = list(_measured_drives(logs, vehicle))
+    if not drives:
+        return
     silent, whole, gappy = _through_the_chain(vehicle, drives, clock)
     name = vehicle.key
     yield from _error_rows(f"{name}, battery silent for {SILENCE:g} s", silent, "<= 3 %")
-    so_far = [abs(100 * one.error / one.gross_so_far) for one in silent]
+    so_far = [abs(100 * one.error / one.gross_so_far) for one in silent if one.gross_so_far > 0]
     if so_far:
         text = f"{name}, the same of the gross energy since the start of the drive: "
         yield from _spread_rows(text, so_far, "<= 3 %")
@@ -158,7 +160,16 @@ def _car_rows(logs: Sequence[Log], clock: Clock) -> Iterator[IntegrationRow]:
     yield from _capacity_rows(name, vehicle, drives)
 
 
+def _measured_drives(logs: Sequence[Log], vehicle: Vehicle) -> Iterator[list[Reading]]:
+    """The drives on which the battery gave or took any energy."""
+    for log in logs:
+        readings = list(open_source(log.path, vehicle, log.can_profile).readings())
+        if readings and _battery(readings, 0, readings[-1].stamp_ns).gross > 0:
+            yield readings
+
+
 def _error_rows(name: str, found: Sequence[Counted], goal: str = "") -> Iterator[IntegrationRow]:
+    found = [one for one in found if one.gross > 0]
     if not found:
         return
     yield from _spread_rows(f"{name}: ", [abs(100 * one.error / one.gross) for one in found], goal)
