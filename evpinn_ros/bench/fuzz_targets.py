@@ -50,12 +50,6 @@ _PACKED_METADATA = """rosbag2_bagfile_information:
   compression_mode: FILE
   relative_file_paths: [drive.mcap.zstd]
 """
-_DBC_PROFILE = """name: m
-source: s
-verified_by: v
-dbc: input.dbc
-speed: {message: ESP_wheelSpeeds, signal: vehicleSpeed, unit: km/h, valid: [0, 300]}
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +122,9 @@ def _dbc(path: Path) -> None:
 
 
 def _profile_beside(folder: Path) -> None:
-    (folder / "profile.yaml").write_text(_DBC_PROFILE)
+    (profile,) = seeds.bundled("can/tesla_model_3.yaml")
+    dbc = profile.replace(b"dbc: tesla_model_3.dbc", b"dbc: input.dbc")
+    (folder / "profile.yaml").write_bytes(dbc)
 
 
 def _dbc_beside(folder: Path) -> None:
@@ -228,7 +224,7 @@ TARGETS = (
     ),
     Target("log.gz", "drive.log.gz", seeds.zipped_log, _log),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive),
-    Target("dbc", "input.dbc", partial(seeds.bundled, "can/tesla_*.dbc"), _dbc, _profile_beside),
+    Target("dbc", "input.dbc", partial(seeds.bundled, "can/tesla_model_3.dbc"), _dbc, _profile_beside),
     Target("profile", "p.yaml", partial(seeds.bundled, "can/*.yaml"), load_profile, _dbc_beside),
     Target("vehicle", "car.yaml", partial(seeds.bundled, "vehicles/*.yaml"), load_vehicle),
     Target("params", "p.yaml", partial(seeds.bundled, "*.param.yaml"), check_parameter_file),
