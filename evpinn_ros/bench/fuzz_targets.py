@@ -224,7 +224,9 @@ TARGETS = (
     ),
     Target("log.gz", "drive.log.gz", seeds.zipped_log, _log),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive),
-    Target("dbc", "input.dbc", partial(seeds.bundled, "can/tesla_model_3.dbc"), _dbc, _profile_beside),
+    Target(
+        "dbc", "input.dbc", partial(seeds.bundled, "can/tesla_model_3.dbc"), _dbc, _profile_beside
+    ),
     Target("profile", "p.yaml", partial(seeds.bundled, "can/*.yaml"), load_profile, _dbc_beside),
     Target("vehicle", "car.yaml", partial(seeds.bundled, "vehicles/*.yaml"), load_vehicle),
     Target("params", "p.yaml", partial(seeds.bundled, "*.param.yaml"), check_parameter_file),

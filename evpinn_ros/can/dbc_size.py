@@ -1,12 +1,11 @@
-"""How much a DBC file would make of little: cantools lays out every bit and page that one claims."""
+"""How much a DBC file would make of little: cantools lays out every bit and page it claims."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 import re
 
-# Bytes of a file; cantools takes 15 s and up to 1 GB for so much. The largest public ones have 2 MB.
-LARGEST_FILE = 5_000_000
+LARGEST_FILE = 5_000_000  # characters; cantools takes 15 s and up to 1 GB for so much
 LAST_BIT = 20_000  # J1939 carries 1785 bytes
 MOST_SIGNALS = 2_000  # of one message: cantools compares each with each
 MOST_PAGES = 5_000_000  # of multiplexed signals, which cantools lists one by one

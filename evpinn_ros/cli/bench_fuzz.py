@@ -10,7 +10,8 @@ from typing import Annotated
 from rich.table import Table
 import typer
 
-from evpinn_ros.bench.fuzz import FuzzResult, fuzz as fuzz_target
+from evpinn_ros.bench.fuzz import FuzzResult
+from evpinn_ros.bench.fuzz import fuzz as fuzz_target
 from evpinn_ros.bench.fuzz_targets import TARGETS
 from evpinn_ros.cli.console import note, results, write_json
 from evpinn_ros.errors import InputError

@@ -1,7 +1,6 @@
 """Small files that would become large: each is refused, counted or reported, in little memory."""
 
 import gzip
-from pathlib import Path
 import sqlite3
 import struct
 import zlib
@@ -125,14 +124,14 @@ def test_a_line_without_an_end_is_not_read(tmp_path, name):
 
 
 def blf(path, objects):
-    """A .blf log of one frame, and these bytes as its next container."""
+    """A .blf log of one frame, and these bytes as each of its next two containers."""
     with can.BLFWriter(str(path)) as writer:
         writer.on_message_received(can.Message(arbitration_id=1, data=b"1", timestamp=1e9))
     packed = zlib.compress(objects)
     size = 16 + 16 + len(packed)
     head = struct.pack("<4sHHII", b"LOBJ", 16, 1, size, 10)
     container = head + struct.pack("<H6xL4x", 2, len(objects)) + packed
-    Path(path).write_bytes(Path(path).read_bytes() + container + bytes(size % 4))
+    path.write_bytes(path.read_bytes() + 2 * (container + bytes(size % 4)))
 
 
 NO_SIZE = struct.pack("<4sHHII", b"LOBJ", 32, 9, 0, 1) + bytes(32)
@@ -147,8 +146,6 @@ def test_a_blf_object_that_never_ends(tmp_path, objects, reason):
     """python-can reads the first for ever and keeps all that follows the second."""
     path = tmp_path / "a.blf"
     blf(path, objects)
-    whole = path.read_bytes()
-    path.write_bytes(whole + whole[-(len(whole) - 144) :])
     log = LogFile(path)
     assert len(list(log.frames())) == 1
     assert reason in log.problem

@@ -1,7 +1,6 @@
 from pathlib import Path
 
 import pytest
-import yaml
 
 from evpinn_ros.can.profile import load_profile, profile_names
 from evpinn_ros.errors import InputError

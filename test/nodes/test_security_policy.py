@@ -29,7 +29,9 @@ def allowed(name):
     assert (profile.get("ns"), profile.get("node")) == (NAMESPACE, name)
     found = {kind: set() for kind in ATTRIBUTES}
     for rule in profile:
-        assert rule.attrib and {*rule.attrib} <= ATTRIBUTES and {*rule.attrib.values()} == {"ALLOW"}
+        assert (
+            rule.attrib and {*rule.attrib} <= ATTRIBUTES and {*rule.attrib.values()} == {"ALLOW"}
+        )
         for kind in rule.attrib:
             found[kind] |= {full_name(entry.text, name) for entry in rule}
     return found
