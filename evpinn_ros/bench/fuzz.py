@@ -30,7 +30,7 @@ class FuzzResult:
         seconds: they took, with loading.
         slowest_s: the longest of them.
         memory_mb: most of the process; instrumented libraries are most of that.
-        crash: the file with the input that crashed, hung or grew, None if none did.
+        crash: the file with the input that crashed, hung or grew, None if none was kept.
         said: the error, empty if there was none.
     """
 
@@ -87,9 +87,9 @@ def fuzz(target: Target, inputs: int, seconds: int, crashes: Path) -> FuzzResult
         slowest = json.loads(result.read_text())["slowest_s"] if result.exists() else 0.0
     found = {key: _statistic(done.stderr, name) for key, name in STATISTICS.items()}
     artifact = re.search(r"Test unit written to (\S+)", done.stderr)
-    if not artifact and (done.returncode or not found["inputs"]):
-        said = done.stderr.splitlines()
-        raise InputError(f"{target.name}: {said[-1] if said else 'atheris did not start'}")
+    if not found["inputs"]:
+        last = next(reversed(done.stderr.splitlines()), "atheris said nothing")
+        raise InputError(f"{target.name}: exit code {done.returncode}: {last}")
     return FuzzResult(
         target=target.name,
         inputs=found["inputs"],
@@ -97,7 +97,7 @@ def fuzz(target: Target, inputs: int, seconds: int, crashes: Path) -> FuzzResult
         slowest_s=slowest,
         memory_mb=found["memory_mb"],
         crash=Path(artifact[1]) if artifact else None,
-        said=_reason(done.stderr) if artifact else "",
+        said=f"exit code {done.returncode}: {_reason(done.stderr)}" if done.returncode else "",
     )
 
 
@@ -111,4 +111,4 @@ def _reason(text: str) -> str:
     found = re.search(r"Uncaught Python exception[^\n]*\n(.*)", text) or re.search(
         r"(ERROR: libFuzzer: .*)", text
     )
-    return found[1].strip() if found else "see the file"
+    return found[1].strip() if found else "for no reason given"

@@ -44,7 +44,7 @@ def fuzz(
     results.print(_table(found))
     if metrics is not None:
         write_json(metrics, [asdict(each) | {"crash": str(each.crash or "")} for each in found])
-    if any(each.crash for each in found):
+    if any(each.said for each in found):
         raise typer.Exit(1)
 
 
@@ -57,7 +57,7 @@ def _table(found: list[FuzzResult]) -> Table:
             f"{each.inputs / each.seconds:.0f}",
             f"{1e3 * each.slowest_s:.0f}",
             str(each.memory_mb),
-            str(each.crash or "none"),
+            str(each.crash or each.said or "none"),
         )
     table.add_row("all", str(sum(each.inputs for each in found)))
     return table
