@@ -26,6 +26,7 @@ from evpinn_ros.signals.readings import (
     SpeedReading,
     TemperatureReading,
 )
+from evpinn_ros.text_lines import bounded_lines
 
 REQUIRED = ("t_s", "speed_mps")
 BATTERY = ("voltage_v", "current_a", "power_w")
@@ -35,9 +36,10 @@ COLUMNS = (*REQUIRED, *BATTERY, *OPTIONAL)
 # Where a drive whose time starts near zero is placed, 2020-01-01T00:00:00Z: header stamps must
 # not be zero, and the same file must give the same bag.
 DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
+LAST_TIME_S = 2.0**31  # the end of ROS time, in 2038
 RELATIVE_BELOW_S = 1e8  # a first `t_s` below this (3 years) counts from the start of the drive
 
-READ_ERRORS = (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error)
+READ_ERRORS = (OSError, EOFError, zlib.error, ValueError, csv.Error)  # ValueError: no text
 
 
 class CsvDrive:
@@ -88,6 +90,9 @@ class CsvDrive:
             cells = self._numbers(row)
             if "t_s" not in cells:
                 self.dropped["no_time"] += 1
+                continue
+            if abs(cells["t_s"]) >= LAST_TIME_S:
+                self.dropped["time_out_of_range"] += 1
                 continue
             if offset_ns is None:
                 offset_ns = DRIVE_START_NS if cells["t_s"] < RELATIVE_BELOW_S else 0
@@ -156,7 +161,7 @@ class CsvDrive:
         line = 0
         try:
             with _open(self.path) as file:
-                reader = csv.reader(file)
+                reader = csv.reader(bounded_lines(file))
                 for row in reader:
                     line = reader.line_num
                     if row:

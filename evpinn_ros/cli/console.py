@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.errors import InputError, printable
 
 Report = Callable[[float], None]  # takes seconds of the drive done
 
@@ -21,7 +21,7 @@ notes = Console(stderr=True, highlight=False, soft_wrap=True)
 
 def note(text: str) -> None:
     """One line to the person, on stderr."""
-    notes.print(text, markup=False)
+    notes.print(printable(text), markup=False)
 
 
 def write_json(path: Path, found: Any) -> None:

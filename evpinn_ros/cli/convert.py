@@ -47,8 +47,11 @@ def convert(
     readings = source.readings()
     # What gives no reading at all is refused here, before there is an empty bag of it.
     begun = list(islice(readings, 1))
-    with BagWriter(out) as writer:
-        dropped: Counter[str] = write_readings(chain(begun, readings), writer)
+    try:
+        with BagWriter(out) as writer:
+            dropped: Counter[str] = write_readings(chain(begun, readings), writer)
+    except OSError as error:  # the disk is full
+        raise InputError(f"{out}: {error.strerror}; the bag is cut there") from error
     dropped.update(source.dropped)
     if isinstance(source, CsvSource):
         _explain_csv(source, car.nominal_voltage)
