@@ -135,7 +135,9 @@ class CsvDrive:
 
     def _charge(self, cells: dict[str, float]) -> float:
         """State of charge, 0..1, NaN where there is none."""
-        percent = cells.get("soc_pct", math.nan)
+        if "soc_pct" not in cells:
+            return math.nan
+        percent = cells["soc_pct"]
         if percent < 0 or percent > 100:
             self.dropped["soc_pct_out_of_range"] += 1
             return math.nan

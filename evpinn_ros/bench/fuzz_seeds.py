@@ -20,7 +20,7 @@ from evpinn_ros.estimation.power_filter import PowerFilter
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import header, scalar, speed_message
 from evpinn_ros.nodes.model_messages import model_message
-from evpinn_ros.nodes.plan_messages import DISTANCE_JOINT, duration_message
+from evpinn_ros.nodes.plan_messages import DISTANCE_JOINT
 from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.share import share_directory
 from evpinn_ros.signals.readings import (
@@ -148,7 +148,7 @@ def plans() -> list[bytes]:
             "trajectory_msgs/msg/JointTrajectoryPoint",
             positions=[10.0 * second],
             velocities=[10.0],
-            time_from_start=duration_message(new_message, second * NANOSECONDS),
+            time_from_start=new_message("builtin_interfaces/msg/Duration", sec=second, nanosec=0),
         )
         for second in range(6)
     ]

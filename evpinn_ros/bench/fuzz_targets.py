@@ -40,7 +40,7 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.model_messages import read_model
 from evpinn_ros.nodes.parameter_file import check_parameter_file
-from evpinn_ros.nodes.plan_messages import path_plan, refuse_long, speed_profile_plan
+from evpinn_ros.nodes.plan_messages import path_plan, speed_profile_plan
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.share import share_directory
 from evpinn_ros.simulation.truth_file import TRUTH_FILE, read_truth
@@ -180,11 +180,8 @@ def _model(data: bytes) -> None:
 
 
 def _plan(data: bytes) -> None:
-    refuse_long(len(data))
-    if data[:1] == b"\0":
-        path_plan(decode(topics.PATH_TYPE, data[1:]))
-    else:
-        speed_profile_plan(decode(topics.TRAJECTORY_TYPE, data[1:]))
+    read = path_plan if data[:1] == b"\0" else speed_profile_plan
+    read(data[1:])
 
 
 @cache
