@@ -42,6 +42,7 @@ bags: $(INSTALLED)
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
 	@$(BIN)/python docs/eco_speed.py
+	@$(BIN)/python docs/report.py
 	@$(BIN)/python docs/generate.py
 
 clean:

@@ -129,12 +129,13 @@ class History:
         if self._start_ns is None:
             self._start_ns = self._last_ns = reading.stamp_ns
         self._last_ns = max(self._last_ns, reading.stamp_ns)
-        if isinstance(reading, SpeedReading):
-            self._speed.add(self.seconds(reading.stamp_ns), reading.speed)
-        elif isinstance(reading, BatteryReading) and np.isfinite(reading.power):
-            self._measured.add(self.seconds(reading.stamp_ns), reading.power)
-        elif isinstance(reading, AltitudeReading):
-            self._altitude.add(self.seconds(reading.stamp_ns), reading.altitude)
+        time = self.seconds(reading.stamp_ns)
+        if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
+            self._speed.add(time, reading.speed)
+        elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
+            self._measured.add(time, reading.power)
+        elif isinstance(reading, AltitudeReading) and math.isfinite(reading.altitude):
+            self._altitude.add(time, reading.altitude)
 
     def add_output(self, output: ChainOutput) -> None:
         """Take what the chain said of the last reading."""
