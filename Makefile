@@ -38,12 +38,12 @@ bags: $(INSTALLED)
 	@rm -rf bags/urban bags/highway
 	@sed -n '/^evpinn /,/[^\\]$$/p' bags/README.md | PATH="$(CURDIR)/$(BIN):$$PATH" bash -eux
 
-# The pictures of the README and the reference pages, from code.
+# The pictures of the README and the reference pages, from code; that of the report needs Chromium.
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
 	@$(BIN)/python docs/eco_speed.py
-	@$(BIN)/python docs/report.py
 	@$(BIN)/python docs/generate.py
+	@$(BIN)/python docs/report.py
 
 clean:
 	rm -rf $(VENV) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache

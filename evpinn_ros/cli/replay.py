@@ -54,7 +54,9 @@ def replay(
         Path | None,
         typer.Option(help="New bag for inputs and outputs; for several inputs a folder of bags."),
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write an HTML report.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a report: one HTML file, for a browser.")
+    ] = None,
     metrics: Annotated[Path | None, typer.Option(help="Write the scores as JSON.")] = None,
     withhold_battery_after: Annotated[
         float | None,
