@@ -214,7 +214,11 @@ def _course(events: Sequence[Event]) -> str:
         + _figure("speed", "Speed.", f"Shaded: warm-up or withheld battery.{marks}")
         + _figure("power", "Battery power", "measured, and predicted with its 90 % band.")
         + _figure("error", "Error of power:", "predicted less measured, in the band claimed.")
-        + _figure("energy", "Energy", "since the start, as measured and as predicted.")
+        + _figure(
+            "energy",
+            "Energy",
+            "since the start; measured stands still while the battery is silent.",
+        )
     )
 
 
