@@ -23,7 +23,11 @@ setup(
     maintainer_email="maintainers@evpinn-ros.example",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.energy": ["rknn_weights.npz"]},
+    package_data={
+        NAME: ["py.typed"],
+        f"{NAME}.energy": ["rknn_weights.npz"],
+        f"{NAME}.report": ["browser/*.*", "browser/uplot/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

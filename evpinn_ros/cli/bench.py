@@ -15,6 +15,7 @@ COMMANDS = (
     "energy",
     "soak",
     "fuzz",
+    "report",
 )  # each a function in `bench_<name>.py`
 
 

@@ -14,7 +14,7 @@ import typer
 
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, results
-from evpinn_ros.cli.tables import energy_lines, parameter_table, score_table
+from evpinn_ros.cli.tables import parameter_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.state_file import read_state, write_state
@@ -33,10 +33,10 @@ from evpinn_ros.replay.run import (
 )
 from evpinn_ros.replay.run import replay as replay_drive
 from evpinn_ros.replay.sources import Source, open_source
-from evpinn_ros.report.figure import drive_figure
-from evpinn_ros.report.html import write_html
+from evpinn_ros.replay.tables import energy_lines
+from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.simulation.truth_file import read_truth
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 
 def replay(
@@ -54,7 +54,9 @@ def replay(
         Path | None,
         typer.Option(help="New bag for inputs and outputs; for several inputs a folder of bags."),
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write an HTML report.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a report: one HTML file, for a browser.")
+    ] = None,
     metrics: Annotated[Path | None, typer.Option(help="Write the scores as JSON.")] = None,
     withhold_battery_after: Annotated[
         float | None,
@@ -101,7 +103,7 @@ def replay(
             _show(done[-1], source, warm_up)
     finally:
         # Whatever ends a later drive, the results of those before it are kept.
-        written = _write(done, chain, metrics, report, state, withhold_battery_after)
+        written = _write(done, chain, car, options, (metrics, report, state))
     if not written or any(result.problem for result in done):
         raise typer.Exit(1)
 
@@ -179,17 +181,17 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
 def _write(
     done: list[Replayed],
     chain: Chain,
-    metrics: Path | None,
-    report: Path | None,
-    state: Path | None,
-    withheld_from: float | None,
+    car: Vehicle,
+    options: ReplayOptions,
+    files: tuple[Path | None, Path | None, Path | None],
 ) -> bool:
     """Write all that was asked for; one file that cannot be written does not cost the others."""
     if not done:
         return True
+    metrics, report, state = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
         (metrics, lambda path: _write_metrics(path, done)),
-        (report, lambda path: _write_report(path, done, withheld_from)),
+        (report, lambda path: _write_report(path, done, car, options)),
         (state, lambda path: write_state(path, chain.estimator.export())),
     ]
     problems = 0
@@ -197,7 +199,7 @@ def _write(
         try:
             if path is not None:
                 write(path)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, InputError) as error:
             problems += 1
             note(f"evpinn: {path}: {getattr(error, 'strerror', None) or error}")
     return problems == 0
@@ -210,10 +212,17 @@ def _write_metrics(path: Path, done: list[Replayed]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def _write_report(path: Path, done: list[Replayed], withheld_from: float | None) -> None:
+def _write_report(path: Path, done: list[Replayed], car: Vehicle, options: ReplayOptions) -> None:
+    after, warm_up = options.withhold_battery_after, options.warm_up
     drives = [
-        (drive_figure(r.drive, Path(r.metrics["input"]["path"]).name, None, withheld_from), r)
-        for r in done
+        ReportedDrive(
+            drive=each.drive,
+            found=each.metrics,
+            vehicle=car,
+            warm_up=warm_up,
+            withheld_from=after,
+            truth=read_truth(Path(each.metrics["input"]["path"])),
+        )
+        for each in done
     ]
-    command = shlex.join(["evpinn", *sys.argv[1:]])
-    write_html(path, [(figure, r.metrics) for figure, r in drives], command)
+    write_drives(path, drives, shlex.join(["evpinn", *sys.argv[1:]]))

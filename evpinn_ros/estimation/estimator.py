@@ -192,6 +192,10 @@ class OnlineEstimator:
         """What forecasts of plans need of the car; None in the paper's mode."""
         return self._learner.linear_power(self._stream.celsius)
 
+    def noticed(self) -> LearnerReport:
+        """Changes of payload and suspicions."""
+        return self._learner.report()
+
     def status(self) -> EstimatorStatus:
         """Counters and activity."""
         return EstimatorStatus(

@@ -15,6 +15,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
 from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.replay.chain import Chain, ChainOutput
@@ -69,6 +70,7 @@ def replay(
         InputError: the source holds no speed at all.
     """
     history = History()
+    history.add_noticed(chain.estimator.noticed())  # what earlier drives left is no event of this
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
     for reading in _paced(source.readings(), history, options.rate, progress):
@@ -102,9 +104,13 @@ def _outputs(
     withholding = after is not None and history.seconds(reading.stamp_ns) > after
     if withholding and isinstance(reading, BatteryReading):
         return []
+    if history.wants_model:
+        history.add_model(chain.estimator.linear_power())
     outputs = list(chain.push(reading))
     for output in outputs:
         history.add_output(output)
+        if isinstance(output, ParameterSet):
+            history.add_noticed(chain.estimator.noticed())
     return outputs
 
 
