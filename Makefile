@@ -1,5 +1,7 @@
 # `make demo` and `make test` need python3 with its venv module, and the package index.
 PYTHON ?= python3
+PYTHON312 ?= python3.12
+CONSTRAINTS ?= constraints.txt
 JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
@@ -19,13 +21,22 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint bags docs clean
+.PHONY: demo test test-matrix lint bags golden docs clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
 
 test: lint
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=ci
+
+# Both distributions that rclpy comes as wheels of: Kilted as `make test` has it, and Jazzy.
+# PyTorch for Python 3.12 is a download of gigabytes.
+JAZZY := .venv-jazzy
+test-matrix: test
+	@mkdir -p $(JAZZY)
+	@{ grep -v '^ros-' constraints.txt; cat constraints-jazzy.txt; } > $(JAZZY)/constraints.txt
+	@$(MAKE) --no-print-directory test VENV=$(JAZZY) PYTHON=$(PYTHON312) \
+		CONSTRAINTS=$(JAZZY)/constraints.txt
 
 lint: $(INSTALLED)
 	@$(BIN)/ruff check
@@ -38,6 +49,10 @@ bags: $(INSTALLED)
 	@rm -rf bags/urban bags/highway
 	@sed -n '/^evpinn /,/[^\\]$$/p' bags/README.md | PATH="$(CURDIR)/$(BIN):$$PATH" bash -eux
 
+# What the bundled bags give: show what is different from the record, and write it down.
+golden: $(INSTALLED)
+	@$(BIN)/python test/replay/golden.py --renew
+
 # The pictures of the README and the reference pages, from code.
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
@@ -45,11 +60,11 @@ docs: demo
 	@$(BIN)/python docs/generate.py
 
 clean:
-	rm -rf $(VENV) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(JAZZY) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
 $(INSTALLED): setup.py setup.cfg constraints.txt
 	@echo "Installing evpinn_ros and its tools into $(VENV); the first time takes minutes."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
 	@$(BIN)/python -m pip install -qq --no-input --disable-pip-version-check \
-		-c constraints.txt -e '.[$(EXTRAS)]'
+		-c $(CONSTRAINTS) -e '.[$(EXTRAS)]'
 	@touch $@

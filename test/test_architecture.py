@@ -20,7 +20,7 @@ LAYERS = [
     {"signals"},
     {"can", "energy", "estimation"},
     {"nodes.topics"},  # with the messages the contract of the topics: no ROS, so bags share it
-    {"nodes.messages"},
+    {"nodes.messages", "nodes.cdr"},
     {
         "nodes.reading_messages",
         "nodes.model_messages",

@@ -119,6 +119,13 @@ QUANTITIES: Mapping[str, Quantity] = {
         _words("temperature temp current voltage signal request"),
         _POWER,
     ),
+    "charge": Quantity(
+        "soc_pct",
+        _words("soc stateofcharge"),
+        _words("battery displayed"),
+        _words("min max target limit"),
+        {"%": 1.0, "pct": 1.0, "percent": 1.0, "fraction": 100.0},
+    ),
 }
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 SIGNED = ("current", "power")
@@ -171,7 +178,7 @@ def columns_of(
         column = _chosen(text, header)
         found[column.quantity] = column
         fixed.add(column.quantity)
-    for quantity in QUANTITIES:
+    for quantity in () if _is_ours(found) else QUANTITIES:
         taken = {column.name for column in found.values()}
         name = _likeliest(quantity, [each for each in header if each not in taken])
         # Power is voltage times current: of a stranger's file it is not needed then.
@@ -183,6 +190,12 @@ def columns_of(
     places = {column.name: header.index(column.name) for column in found.values()}
     _guess_units(found, [*rows], places, fixed)
     return tuple(sorted(found.values(), key=lambda column: places[column.name]))
+
+
+def _is_ours(found: Mapping[str, Column]) -> bool:
+    """Whether all that is needed is there: other columns of such a file are not guessed at."""
+    battery = "power" in found or {"voltage", "current"} <= found.keys()
+    return battery and {"time", "speed"} <= found.keys()
 
 
 def _chosen(text: str, header: Sequence[str]) -> Column:
@@ -255,6 +268,11 @@ def _guess_units(
             speeds = values("speed")
         for quantity in {*SIGNED} & found.keys() - fixed:
             found[quantity] = _signed(found[quantity], times, speeds, values(quantity))
+    if "charge" in found and not found["charge"].unit and "charge" not in fixed:
+        highest = max((value for value in values("charge") if math.isfinite(value)), default=100.0)
+        if highest <= 1.0:
+            unit = "fraction"
+            found["charge"] = replace(found["charge"], factor=100.0, unit=unit, why="by its size")
     for quantity in found.keys() - fixed:
         if not found[quantity].unit:
             unit = next(iter(QUANTITIES[quantity].units))

@@ -1,8 +1,9 @@
 """A drive in a CSV file: the columns that `evpinn convert` takes, as readings.
 
 `t_s` and `speed_mps`, then `voltage_v` and `current_a` or `power_w`, and optionally `elevation_m`,
-`ambient_c`, `heating_w` and `aircon_w`. Here current and power are positive while the battery
-discharges. Columns of other names are guessed (`evpinn_ros.bags.csv_columns`) or ignored.
+`ambient_c`, `heating_w`, `aircon_w` and `soc_pct`, the state of charge. Here current and power are
+positive while the battery discharges. Columns of other names are guessed
+(`evpinn_ros.bags.csv_columns`) or ignored.
 """
 
 from __future__ import annotations
@@ -130,14 +131,23 @@ class CsvDrive:
         if voltage <= 0:
             self.dropped["voltage_not_positive"] += 1
             return None
+        charge = self._charge(cells)
         if "voltage_v" in cells and "current_a" in cells:
-            return BatteryReading(stamp_ns, voltage, -cells["current_a"])
+            return BatteryReading(stamp_ns, voltage, -cells["current_a"], charge)
         if "power_w" in cells:
             self.at_nominal_voltage += "voltage_v" not in cells
-            return BatteryReading(stamp_ns, voltage, -cells["power_w"] / voltage)
+            return BatteryReading(stamp_ns, voltage, -cells["power_w"] / voltage, charge)
         if "voltage_v" in cells or "current_a" in cells:
             self.dropped["voltage_or_current_alone"] += 1
         return None
+
+    def _charge(self, cells: dict[str, float]) -> float:
+        """State of charge, 0..1, NaN where there is none."""
+        percent = cells.get("soc_pct", math.nan)
+        if percent < 0 or percent > 100:
+            self.dropped["soc_pct_out_of_range"] += 1
+            return math.nan
+        return percent / 100
 
     def _numbers(self, row: list[str]) -> dict[str, float]:
         """The numbers of the used, not empty cells of a row by column."""

@@ -1,7 +1,8 @@
 """Drives of one car in order: each is foretold as a plan before it is driven, then learned from.
 
 The plan holds speed once a second and elevation, nothing else: no heater, no wind, no traffic.
-What the car knows of itself then is what it learned on the drives before.
+What the car knows of itself then is what it learned on the drives before, and of the day what its
+thermometer says before it drives off.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ from evpinn_ros.signals.readings import (
     BatteryReading,
     Reading,
     SpeedReading,
+    TemperatureReading,
 )
+from evpinn_ros.signals.road import density_of_air
 from evpinn_ros.vehicle.files import Vehicle
 
 PLAN_STEP = 1.0  # s between points of a plan
@@ -81,12 +84,17 @@ class ForecastBenchmark:
         drive = list(readings)
         plan, measured = driven_plan(drive), _measured(drive)
         self._estimator.handle_time_jump()  # it is another day
+        celsius = None
+        thermometer = next((r for r in drive if isinstance(r, TemperatureReading)), None)
+        if thermometer is not None:
+            celsius = thermometer.celsius
+            list(self._estimator.push(thermometer))
         known, linear = self._estimator.parameters(), self._estimator.linear_power()
         combinations = combined_model(
             known.identifiable, known.identifiable_std, self._vehicle, FIRST_RESIDUAL
         )
         model = combinations if linear is None else PowerModel(linear)
-        density = self._vehicle.air_density
+        density = density_of_air(self._vehicle.air_density, celsius, None)
         found = forecast_plan(plan, model, density)
         simple = forecast_plan(plan, combinations, density)
         for reading in drive:

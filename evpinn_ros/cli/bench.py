@@ -13,6 +13,7 @@ COMMANDS = (
     "truth",
     "can",
     "energy",
+    "soak",
     "recover",
 )  # each a function in `bench_<name>.py`
 

@@ -12,12 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.energy.power_model import Motion, PowerModel, namespace, vehicle_model
 from evpinn_ros.vehicle.files import Vehicle
 
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6
 FIRST_RESIDUAL = 3000.0  # W, 1-sigma of power around the physics before any was seen
+DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
 CHUNK = 32  # profiles computed together, so that what they need stays in the cache
 
 
@@ -103,10 +105,23 @@ def forecast(
     return _checked(Energies(*map(np.concatenate, zip(*parts, strict=True))))
 
 
-def forecast_plan(plan: Plan, model: PowerModel, air_density: float) -> Forecast:
-    """Energy, power and 1-sigma along a plan; `air_density` in kg/m^3."""
+def forecast_plan(
+    plan: Plan, model: PowerModel, air_density: float, head_wind: float = 0.0
+) -> Forecast:
+    """Energy, power and 1-sigma along a plan.
+
+    Args:
+        plan: one trip, or many.
+        model: of the car.
+        air_density: kg/m^3.
+        head_wind: against the car at the start, m/s over ground. Few plans say where they lead,
+            so less and less of it is expected along the way; what else the wind may do is in the
+            sigma of slopes and winds.
+    """
     legs = _Legs.of(plan)
-    powers = model.powers(Motion(legs.speed, legs.acceleration, legs.climb, air_density))
+    along = plan.distance[..., :-1, None] - plan.distance[..., :1, None]
+    wind = head_wind * np.exp(-along / DIRECTION_LENGTH)
+    powers = model.powers(Motion(legs.speed, legs.acceleration, legs.climb, air_density, wind))
     steps = np.einsum("...lsk,s,...l->...lk", powers, SIMPSON, legs.duration)
     elapsed = plan.time - plan.time[..., :1]
     energies = model.with_present_drift(_accumulated(steps, axis=-2), elapsed)
@@ -121,23 +136,23 @@ def forecast_plan(plan: Plan, model: PowerModel, air_density: float) -> Forecast
     )
 
 
-def battery_after(
-    result: Forecast, state_of_charge: float | None, capacity_j: float | None
-) -> float | None:
-    """State of charge at the end of one plan, 0..1, or None while it cannot be known.
+def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> Uncertain:
+    """State of charge at the end of one plan, 0..1, and its 1-sigma; unknown where either is.
 
     Args:
         result: forecast of a single plan, shape (n,).
-        state_of_charge: now, 0..1, None or NaN if unknown.
-        capacity_j: usable energy of the full battery, J, None or NaN if unknown.
+        charge: now, 0..1.
+        capacity: usable energy of the full battery, J.
 
     Returns:
         0 means that the plan ends, or would have ended, with an empty battery.
     """
-    if state_of_charge is None or capacity_j is None:
-        return None
-    after = state_of_charge - float(result.energy[-1]) / capacity_j
-    return min(max(after, 0.0), 1.0) if math.isfinite(after) else None
+    if not (charge.known and capacity.known):
+        return UNKNOWN
+    share = float(result.energy[-1]) / capacity.value
+    parts = charge.sigma, float(result.sigma[-1]) / capacity.value
+    sigma = math.hypot(*parts, share * capacity.sigma / capacity.value)
+    return Uncertain(min(max(charge.value - share, 0.0), 1.0), sigma)
 
 
 def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies:

@@ -43,12 +43,14 @@ class Motion(NamedTuple):
         acceleration: m/s^2.
         climb: m/s, rate of ascent.
         air_density: kg/m^3, a number or of the same shape.
+        head_wind: wind against the car, m/s over ground, likewise.
     """
 
     speed: Any
     acceleration: Any
     climb: Any
     air_density: Any
+    head_wind: Any = 0.0
 
 
 class PowerModel:
@@ -117,7 +119,8 @@ class PowerModel:
     def _features(self, motion: Motion, xp: Any) -> list[Any]:
         """The features but the last, each of the motion's shape."""
         car, v = self.linear, motion.speed
-        drag = 0.5 * motion.air_density * v * v * v
+        flow = v + motion.head_wind
+        drag = 0.5 * motion.air_density * flow * abs(flow) * v
         # v cos(grade), as a root that has a slope at standstill too
         level = xp.clip(v * v - motion.climb * motion.climb, 0.0, None)
         rolling = GRAVITY * (xp.sqrt(level + TINY**2) - TINY)

@@ -7,6 +7,7 @@ on a logarithmic scale), and sigma is scaled so that +-1.645 sigma covers 90 %.
 
 from __future__ import annotations
 
+from collections import deque
 import math
 
 from evpinn_ros.signals.sample import Sample
@@ -16,6 +17,7 @@ COVERAGE = 0.9
 GAUSSIAN_QUANTILE = 1.6449  # of |z| at COVERAGE
 RATE = 0.02  # of the logarithm: up by 0.9 of it after a miss, down by 0.1 of it otherwise
 RATIO_RANGE = (0.05, 20.0)
+RECENT = 600  # samples over which coverage is told, a minute at 10 Hz
 
 
 class BandCalibration:
@@ -23,6 +25,12 @@ class BandCalibration:
 
     def __init__(self) -> None:
         self._ratio = {True: GAUSSIAN_QUANTILE, False: GAUSSIAN_QUANTILE}
+        self._inside: deque[bool] = deque(maxlen=RECENT)
+
+    @property
+    def coverage(self) -> float:
+        """Share of the recent samples inside the 90 % band, NaN before the first."""
+        return sum(self._inside) / len(self._inside) if self._inside else math.nan
 
     def sigma(self, sample: Sample, model_sigma: float) -> float:
         """Calibrated 1-sigma, W, from the model's."""
@@ -33,6 +41,7 @@ class BandCalibration:
         moving = _moving(sample)
         ratio = self._ratio[moving]
         missed = abs(error) > ratio * model_sigma
+        self._inside.append(not missed)
         step = RATE * (float(missed) - (1.0 - COVERAGE))
         self._ratio[moving] = min(max(ratio * math.exp(step), RATIO_RANGE[0]), RATIO_RANGE[1])
 

@@ -25,6 +25,7 @@ from evpinn_ros.estimation.learner import (
     PowerPrediction,
     gate,
 )
+from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.paper import PaperLearner
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -98,6 +99,8 @@ class EstimatorStatus:
         durations: seconds each update took.
         report: changes of payload and suspicions.
         progress: percent told of each parameter.
+        seen: samples learned from, by speed and acceleration.
+        band_coverage: share of recent samples inside the 90 % band, by kind of prediction.
         newest_ns: stamp of the newest speed, None before the first.
         unknown: optional inputs that tell nothing (see `Road.unknown`).
     """
@@ -113,6 +116,8 @@ class EstimatorStatus:
     unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
+    seen: Mapping[str, int] = field(default_factory=dict)
+    band_coverage: Mapping[str, float] = field(default_factory=dict)
 
 
 class OnlineEstimator:
@@ -134,6 +139,7 @@ class OnlineEstimator:
         self._stream = SampleStream(self._settings.stream, self._vehicle.air_density)
         kinds = (PowerKind.PREDICTED, PowerKind.SMOOTHED)
         self._bands = {kind: BandCalibration() for kind in kinds}
+        self._seen = OperatingRange()
         self._begin_time()
 
     def handle_time_jump(self) -> None:
@@ -184,7 +190,7 @@ class OnlineEstimator:
 
     def linear_power(self) -> LinearPower | None:
         """What forecasts of plans need of the car; None in the paper's mode."""
-        return self._learner.linear_power()
+        return self._learner.linear_power(self._stream.celsius)
 
     def status(self) -> EstimatorStatus:
         """Counters and activity."""
@@ -200,6 +206,8 @@ class OnlineEstimator:
             unknown=self._stream.unknown,
             report=self._learner.report(),
             progress={name: p.progress for name, p in self.parameters().parameters.items()},
+            seen=self._seen.counts(),
+            band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
         )
 
     def export(self) -> dict[str, Any]:
@@ -245,6 +253,8 @@ class OnlineEstimator:
             case MeasuredSample():
                 if gate(event.sample, event.power) is None:
                     self._learn_bands(event)
+                    if self.enabled:
+                        self._seen.add(event.sample)
                 if self.enabled:
                     self._learner.observe(event.sample, event.power)
             case Gap():

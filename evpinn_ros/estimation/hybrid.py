@@ -165,9 +165,9 @@ class HybridLearner:
         suspected = self._suspicion.suspected
         return self._states.judge(found, told.deviation()._asdict(), suspected=suspected)
 
-    def linear_power(self) -> LinearPower:
+    def linear_power(self, celsius: float | None) -> LinearPower:
         """The filter that predicts power, as forecasts take it."""
-        return self.power_filter.linear_power()
+        return self.power_filter.linear_power(celsius)
 
     def report(self) -> LearnerReport:
         """Changes of payload, a current or grade of the wrong sign, and the lag of power."""

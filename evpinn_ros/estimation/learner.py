@@ -15,7 +15,7 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
-STATE_VERSION = 3
+STATE_VERSION = 4
 
 
 class PowerPrediction(NamedTuple):
@@ -68,8 +68,11 @@ class Learner(Protocol):
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
 
-    def linear_power(self) -> LinearPower | None:
-        """What forecasts of plans need of the car; None when it is no linear model."""
+    def linear_power(self, celsius: float | None) -> LinearPower | None:
+        """What forecasts of plans need of the car at an ambient temperature, None where unknown.
+
+        None when it is no linear model.
+        """
 
     def report(self) -> LearnerReport:
         """What was noticed of the car and its signals."""

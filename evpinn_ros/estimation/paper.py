@@ -185,7 +185,7 @@ class PaperLearner:
         std = _combined_std(combined, self._trained.covariance, prior.std)
         return ParameterSet(self._last_ns or 0, estimates, combined, std, reliable=False)
 
-    def linear_power(self) -> None:
+    def linear_power(self, celsius: float | None) -> None:
         """Nothing: the network that predicts knows no speed that was not driven."""
 
     def report(self) -> LearnerReport:

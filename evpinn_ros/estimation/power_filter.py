@@ -27,7 +27,6 @@ slopes found were.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 import math
 from typing import Any
@@ -51,6 +50,7 @@ from evpinn_ros.estimation.parameter_filter import (
     STATES,
     ParameterFilter,
 )
+from evpinn_ros.estimation.reported_loads import ExpectedLoads, ReportedLoads
 from evpinn_ros.estimation.window import Batch
 from evpinn_ros.signals.kinematics import COURSE, COURSE_TIMES
 from evpinn_ros.signals.sample import Sample
@@ -78,40 +78,8 @@ REPORTED = len(STATES) + UNITS + COURSE
 DRIFT = REPORTED + 1
 ROAD_STATES = (REPORTED, DRIFT)  # beside the slope: of this drive, not of the car
 FORECAST_STATES = [*range(SLOPE), *range(len(STATES), len(STATES) + UNITS), REPORTED, DRIFT]
-DIRECTIONS = 24  # of what is not known, that forecasts are told
-LOADS_TIME = HOUR  # s of driving over which reported loads are averaged
-
-
-@dataclass(slots=True)
-class ReportedLoads:
-    """Mean, W, and variance, W^2, of the loads reported in the last hour of driving.
-
-    Attributes:
-        seen: s of driving.
-        mean: W.
-        variance: W^2.
-    """
-
-    seen: float = 0.0
-    mean: float = 0.0
-    variance: float = 0.0
-
-    def __post_init__(self) -> None:
-        """ValueError when these can be no such numbers."""
-        if not all(0.0 <= number < math.inf for number in self.export()):
-            raise ValueError("the saved loads are out of range")
-
-    def push(self, load: float, step: float) -> None:
-        """Take a load, W, that stands for `step` seconds."""
-        self.seen += step
-        rate = step / min(self.seen, LOADS_TIME)
-        away = load - self.mean
-        self.mean += rate * away
-        self.variance += rate * ((1.0 - rate) * away**2 - self.variance)
-
-    def export(self) -> list[float]:
-        """State to save."""
-        return [self.seen, self.mean, self.variance]
+CONSTANT = FEATURES.index("constant")
+DIRECTIONS = 24  # of what is not known of the car, that forecasts are told
 
 
 class PowerFilter(ParameterFilter):
@@ -151,7 +119,7 @@ class PowerFilter(ParameterFilter):
     def update(self, sample: Sample, power: float, step: float) -> float:
         """Learn as `ParameterFilter` does, and how hilly the roads are."""
         residual = super().update(sample, power, step)
-        self._loads.push(sample.known_auxiliary, step)
+        self._loads.push(sample.known_auxiliary, sample.celsius, step)
         if abs(sample.speed) > STANDSTILL_SPEED:
             found = self.mean[SLOPE] ** 2 + self.covariance[SLOPE, SLOPE]
             share = min(1.0, abs(sample.speed) * step / HILL_LENGTH)
@@ -162,6 +130,7 @@ class PowerFilter(ParameterFilter):
     def forget_time(self) -> None:
         """Start time anew after a jump: another road, and perhaps another day."""
         super().forget_time()
+        self._loads.end_drive()
         for index in ROAD_STATES:
             self.mean[index] = self._prior_mean[index]
             self.covariance[index, :] = self.covariance[:, index] = 0.0
@@ -176,7 +145,7 @@ class PowerFilter(ParameterFilter):
         hilliness = float(state["hilliness"])
         if not HILL_RANGE[0] <= hilliness <= HILL_RANGE[1]:
             raise ValueError("the saved hilliness is out of range")
-        loads = ReportedLoads(*(float(number) for number in state["loads"]))
+        loads = ReportedLoads.restored(state["loads"])
         before = self._prior_variance[SLOPE]
         self._prior_variance[SLOPE] = hilliness**2
         try:
@@ -186,17 +155,20 @@ class PowerFilter(ParameterFilter):
             raise
         self._loads = loads
 
-    def linear_power(self) -> LinearPower:
-        """What was learned of the car, as forecasts take it.
+    def linear_power(self, celsius: float | None = None) -> LinearPower:
+        """What was learned of the car, as forecasts take it at an ambient temperature.
 
-        The course of the acceleration is left out, for its mean effect is zero. Loads that were
-        reported are expected as they were. The slope of the present road is none of a plan's.
+        The course of the acceleration is left out, for its mean effect is zero. Reported loads go
+        from what they are now to what `ReportedLoads` expects, as drift does. The slope of the
+        present road is none of a plan's.
         """
-        base, by_state = self._coefficients()
+        loads = self._loads.expected(celsius)
+        base, by_state = self._coefficients(loads)
         away = (self.mean - self._prior_mean)[FORECAST_STATES]
         covariance = self.covariance[np.ix_(FORECAST_STATES, FORECAST_STATES)]
         eta, _, mass, c_rr, c_d = np.exp(self._prior_mean[LOGARITHMIC])
-        loads_std = math.sqrt(self._loads.variance) * abs(1.0 + float(self.mean[REPORTED]))
+        unknown_loads = np.zeros((1, base.size))
+        unknown_loads[0, CONSTANT] = loads.sigma * abs(1.0 + float(self.mean[REPORTED]))
         return LinearPower(
             drag_area=self._vehicle.frontal_area * c_d,
             rolling_mass=mass * c_rr,
@@ -204,32 +176,33 @@ class PowerFilter(ParameterFilter):
             rotating_mass_factor=self._vehicle.rotating_mass_factor,
             standing_noise=POWER_NOISE,
             moving_noise=FORCE_NOISE * math.sqrt(self.noise_scale),
-            drift_std=math.hypot(DRIFT_STD, loads_std),
+            drift_std=DRIFT_STD,
             drift_time=DRIFT_TIME,
             slope_force=mass / eta * GRAVITY * self.hilliness,
             slope_length=SLOPE_LENGTH,
             mean=base + away @ by_state,
-            directions=_leading_directions(by_state, covariance),
+            directions=np.concatenate((_leading_directions(by_state, covariance), unknown_loads)),
             unit_speeds=UNIT_SPEEDS,
             unit_accelerations=UNIT_ACCELERATIONS,
         )
 
-    def _coefficients(self) -> tuple[np.ndarray, np.ndarray]:
+    def _coefficients(self, loads: ExpectedLoads) -> tuple[np.ndarray, np.ndarray]:
         """Of `LinearPower`: those at the prior's mean, and their change by each forecast state."""
         eta, mu, mass, c_rr, c_d = np.exp(self._prior_mean[LOGARITHMIC])
         whole = np.array([self._vehicle.frontal_area * c_d, mass * c_rr, mass])
         base = np.zeros(len(FEATURES) + UNITS)
-        driving, braking, constant, copper, drift = slice(3), slice(3, 6), 6, 7, 8
+        driving, braking, copper, drift = slice(3), slice(3, 6), 7, 8
         base[driving], base[braking] = whole / eta, whole * mu
-        base[constant] = self._prior_mean[P_AUX] + self._loads.mean
+        base[CONSTANT], base[drift] = self._prior_mean[P_AUX] + loads.settled, loads.excess
         by_state = np.zeros((len(FORECAST_STATES), base.size))
         by_state[ETA, driving] = -base[driving]
         by_state[MU, braking] = base[braking]
         for state, part in ((C_D, [0, 3]), (C_RR, [1, 4]), (MASS, [1, 2, 4, 5])):
             by_state[state, part] = base[part]
-        by_state[P_AUX, constant] = by_state[COPPER, copper] = 1.0
+        by_state[P_AUX, CONSTANT] = by_state[COPPER, copper] = 1.0
         by_state[SLOPE : SLOPE + UNITS, len(FEATURES) :] = np.eye(UNITS)
-        by_state[-2, constant], by_state[-1, drift] = self._loads.mean, 1.0
+        by_state[-2, CONSTANT], by_state[-2, drift] = loads.settled, loads.excess
+        by_state[-1, drift] = 1.0
         return base, by_state
 
     def _set_hills(self, variance: float) -> None:

@@ -41,9 +41,9 @@ def with_health(status: Status, health: Health) -> Status:
     return status._replace(level=Level.ERROR, text=f"internal fault: {newest}", values=values)
 
 
-def flat(name: str, counts: Mapping[str, int]) -> dict[str, object]:
-    """Counters as values of a status: `name.reason`."""
-    return {f"{name}.{reason}": count for reason, count in sorted(counts.items())}
+def flat(name: str, values: Mapping[str, object]) -> dict[str, object]:
+    """Counters and the like as values of a status: `name.reason`."""
+    return {f"{name}.{reason}": value for reason, value in sorted(values.items())}
 
 
 def rounded(number: float) -> object:

@@ -8,16 +8,16 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.charge import UNKNOWN
+from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.cdr import CdrError
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.energy_diagnosis import (
     EnergyReport,
@@ -26,7 +26,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.estimate_messages import energy_messages, summary_messages
-from evpinn_ros.nodes.factory import message_class, new_message
+from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.messages import (
     BadMessage,
@@ -37,16 +37,18 @@ from evpinn_ros.nodes.messages import (
 )
 from evpinn_ros.nodes.model_messages import read_model
 from evpinn_ros.nodes.plan_messages import (
-    forecast_message,
+    forecast_bytes,
     path_plan,
-    refuse_long,
+    request_header,
     speed_profile_plan,
 )
+from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 
@@ -64,7 +66,11 @@ class EnergyNode(GuardedNode):
         """
         super().__init__("energy", **kwargs)
         vehicle = load_vehicle(self.values["vehicle"])
-        self.meter = EnergyMeter(load_rknn(), max_gap=self.values["max_gap"])
+        self.meter = EnergyMeter(
+            load_rknn(),
+            integrator=Integrator(self.values["integrator"]),
+            max_gap=self.values["max_gap"],
+        )
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
         self.forecaster = Forecaster(vehicle)
@@ -75,6 +81,7 @@ class EnergyNode(GuardedNode):
         self._speed_guard = StampGuard(topics.SPEED)
         self._answered = self._refused = 0
         self._plan_problem: str | None = None
+        self._charge_after = UNKNOWN
         self.advertise(*PUBLISHES)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
@@ -82,8 +89,10 @@ class EnergyNode(GuardedNode):
         self.listen(topics.SPEED, self._on_speed)
         self.listen(topics.MODEL, self._on_model)
         self.listen(topics.BATTERY, self._on_battery)
+        for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
+            self.listen(topic, partial(self._on_air, topic))
         for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
-            self.listen(topic, partial(self._on_plan, topic, read), raw=True)
+            self.listen(topic, partial(self._on_plan, read), raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
@@ -100,8 +109,9 @@ class EnergyNode(GuardedNode):
             health=self.health(self._guard.dropped + self._speed_guard.dropped),
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
-            state_of_charge=self.forecaster.state_of_charge,
             basis=self.forecaster.basis,
+            air=self.forecaster.air(self.now_ns()),
+            charge_after=self._charge_after,
             answered=self._answered,
             refused=self._refused,
             plan_problem=self._plan_problem,
@@ -188,33 +198,37 @@ class EnergyNode(GuardedNode):
     def _on_model(self, message: Any) -> None:
         self.forecaster.hear_model(read_model(message, self._vehicle.key))
 
-    def _path(self, message: Any) -> Plan:
-        return path_plan(message, self.values["nominal_speed"])
+    def _on_air(self, topic: Topic, message: Any) -> None:
+        reading: Any = to_reading(topic.type_name, message)
+        reason = why_impossible(reading)
+        if reason is not None:
+            raise BadMessage(reason)
+        self.forecaster.hear_air(reading, self.now_ns())
 
-    def _on_plan(self, topic: Topic, read: Callable[[Any], Plan], data: bytes) -> None:
-        """Answer a plan, given as bytes: how long it is can be told before it is unpacked."""
+    def _path(self, data: bytes) -> Plan:
+        return path_plan(data, self.values["nominal_speed"])
+
+    def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
         try:
-            refuse_long(len(data))
-            message = deserialize_message(data, message_class(topic.type_name))
-            plan = read(message)
-        except PlanError as error:
+            plan, header = read(data), request_header(new_message, data)
+        except (CdrError, PlanError) as error:
             self._refused += 1
             self._plan_problem = str(error)
             return
-        self.publish(self._forecast(message.header, plan))
+        self.publish(self._forecast(header, plan))
         self._answered += 1
         self._plan_problem = None
 
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
-        self.forecaster.hear_battery(self.account.charge().value)
-        answer = self.forecaster.answer(plan)
-        result = answer.forecast
-        times_ns = np.rint((result.time - result.time[0]) * NANOSECONDS).astype(int).tolist()
-        columns = (result.energy.tolist(), result.power.tolist(), result.sigma.tolist())
-        yield topics.FORECAST, forecast_message(new_message, header, times_ns, *columns)
-        if answer.state_of_charge is not None:
-            reading = BatteryReading(0, math.nan, math.nan, answer.state_of_charge)
+        charge, capacity = self.account.charge(), self.account.gauge.capacity
+        answer = self.forecaster.answer(plan, charge, capacity, self.now_ns())
+        result, self._charge_after = answer.forecast, answer.charge
+        times = result.time - result.time[0]
+        columns = (result.energy, result.power, result.sigma)
+        yield topics.FORECAST, forecast_bytes(header, times, *columns)
+        if answer.charge.known:
+            reading = BatteryReading(0, math.nan, math.nan, answer.charge.value)
             battery = battery_message(new_message, reading)
             battery.header = header
             yield topics.FORECAST_BATTERY, battery

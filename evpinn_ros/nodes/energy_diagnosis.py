@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import math
 
 from evpinn_ros.energy.account import AccountSummary
+from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import SILENT_AFTER, Health, Status, rounded, with_health
-from evpinn_ros.nodes.forecaster import Basis
+from evpinn_ros.nodes.forecaster import Air, Basis
 from evpinn_ros.nodes.messages import Level
 
 JOULES_PER_WH = 3600.0
@@ -28,8 +29,9 @@ class EnergyReport:
         health: of the node.
         power_age: s since the last power/smoothed, NaN before the first.
         jumps: times that time went back.
-        state_of_charge: 0..1, NaN while unknown.
         basis: what forecasts rest on.
+        air: of the surroundings, that forecasts take.
+        charge_after: state of charge, 0..1, at the end of the last plan.
         answered: plans answered.
         refused: plans refused.
         plan_problem: why the last plan was refused, None when it was answered.
@@ -43,8 +45,9 @@ class EnergyReport:
     health: Health
     power_age: float
     jumps: int
-    state_of_charge: float
     basis: Basis
+    air: Air
+    charge_after: Uncertain
     answered: int
     refused: int
     plan_problem: str | None
@@ -135,8 +138,10 @@ def plan_status(report: EnergyReport) -> Status:
     values = {
         "answered": report.answered,
         "refused": report.refused,
-        "state_of_charge": rounded(report.state_of_charge),
         "forecasts_from": report.basis.value,
+        **_air_values(report.air),
+        "charge_after": rounded(report.charge_after.value),
+        "charge_after_sigma": rounded(report.charge_after.sigma),
     }
     if report.plan_problem is not None:
         return Status("plan", Level.WARN, f"plan refused: {report.plan_problem}", values)
@@ -144,3 +149,9 @@ def plan_status(report: EnergyReport) -> Status:
         text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)
     return Status("plan", Level.OK, "ready", values)
+
+
+def _air_values(air: Air) -> dict[str, object]:
+    """What forecasts take from the air outside; what is not told is that of the vehicle file."""
+    named = zip(("air_celsius", "air_pascal", "head_wind_mps"), air, strict=True)
+    return {name: "unknown" if value is None else rounded(value) for name, value in named}

@@ -47,6 +47,7 @@ class EstimatorReport:
 def estimator_status(report: EstimatorReport) -> Status:
     """The health of the estimator."""
     status = report.status
+    bands = {kind: rounded(share) for kind, share in status.band_coverage.items()}
     values = {
         "activity": status.activity.value,
         "updates": status.updates,
@@ -59,6 +60,8 @@ def estimator_status(report: EstimatorReport) -> Status:
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),
         **flat("progress", {name: round(p) for name, p in status.progress.items()}),
+        **flat("seen", status.seen),
+        **flat("in_90_band", bands),
         **_noticed(status.report),
     }
     level, text = _estimator_verdict(report)

@@ -5,23 +5,53 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 import math
+from typing import NamedTuple, TypeVar
 
+from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_after, forecast_plan
 from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.power_model import PowerModel, combined_model, prior_identifiable
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    PressureReading,
+    TemperatureReading,
+    WindReading,
+)
+from evpinn_ros.signals.road import WIND_STALE_AFTER, density_of_air
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 from evpinn_ros.vehicle.linear_power import LinearPower
 
 RESIDUAL_MEMORY = 300.0  # samples of power/smoothed over which that is averaged
+STALE_AFTER = {  # s since it was heard, then it counts as unknown
+    TemperatureReading: 1800.0,
+    PressureReading: 1800.0,
+    WindReading: WIND_STALE_AFTER,
+}
+
+AirReading = TypeVar("AirReading", TemperatureReading, PressureReading, WindReading)
+
+
+class Air(NamedTuple):
+    """The air outside; None where nothing fresh tells.
+
+    Attributes:
+        celsius: temperature.
+        pascal: pressure.
+        head_wind: against the car as it points now, m/s over ground.
+    """
+
+    celsius: float | None = None
+    pascal: float | None = None
+    head_wind: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The forecast of a plan, and the state of charge at its end, None while it is unknown."""
+    """The forecast of a plan, and the state of charge at its end, 0..1."""
 
     forecast: Forecast
-    state_of_charge: float | None
+    charge: Uncertain
 
 
 class Basis(str, Enum):
@@ -37,7 +67,6 @@ class Forecaster:
 
     Attributes:
         basis: what they rest on.
-        state_of_charge: newest known, 0..1, NaN before.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -48,10 +77,10 @@ class Forecaster:
     def reset(self) -> None:
         """Forget all that was heard."""
         self.basis = Basis.VEHICLE_FILE
-        self.state_of_charge = math.nan
         self._combined, self._sigmas = prior_identifiable(self._vehicle)
         self._model: PowerModel | None = None
         self._residual_variance = FIRST_RESIDUAL**2
+        self._heard: dict[type, tuple[object, int]] = {}
 
     def hear_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
         """Take an estimate of the car and its 1-sigma."""
@@ -63,21 +92,48 @@ class Forecaster:
         """Take all that is known of the car's power."""
         self._model, self.basis = PowerModel(model), Basis.MODEL
 
-    def hear_battery(self, state_of_charge: float) -> None:
-        """Take a state of charge; one that is NaN says nothing."""
-        if math.isfinite(state_of_charge):
-            self.state_of_charge = state_of_charge
+    def hear_air(
+        self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
+    ) -> None:
+        """Take what is told of the air, heard now."""
+        self._heard[type(reading)] = reading, now_ns
 
     def hear_sigma(self, sigma: float) -> None:
         """Take the 1-sigma of one prediction of power, W; its mean square is what plans get."""
         if math.isfinite(sigma):
             self._residual_variance += (sigma**2 - self._residual_variance) / RESIDUAL_MEMORY
 
-    def answer(self, plan: Plan) -> Answer:
-        """The energy a plan takes."""
-        result = forecast_plan(plan, self._model or self._simple(), self._vehicle.air_density)
-        capacity = self._vehicle.battery_capacity
-        return Answer(result, battery_after(result, self.state_of_charge, capacity))
+    def air(self, now_ns: int) -> Air:
+        """What is known of the air now; a clock that went back makes nothing younger."""
+        temperature = self._fresh(TemperatureReading, now_ns)
+        pressure = self._fresh(PressureReading, now_ns)
+        wind = self._fresh(WindReading, now_ns)
+        return Air(
+            None if temperature is None else temperature.celsius,
+            None if pressure is None else pressure.pascal,
+            None if wind is None else wind.head,
+        )
+
+    def answer(self, plan: Plan, charge: Uncertain, capacity: Uncertain, now_ns: int) -> Answer:
+        """The energy a plan takes, and what it leaves in the battery.
+
+        Args:
+            plan: one trip.
+            charge: state of charge now, 0..1.
+            capacity: energy of the full battery, J.
+            now_ns: by the clock of `hear_air`.
+        """
+        air = self.air(now_ns)
+        density = density_of_air(self._vehicle.air_density, air.celsius, air.pascal)
+        model = self._model or self._simple()
+        result = forecast_plan(plan, model, density, air.head_wind or 0.0)
+        return Answer(result, battery_after(result, charge, capacity))
+
+    def _fresh(self, kind: type[AirReading], now_ns: int) -> AirReading | None:
+        """The newest reading of a kind, while it is no older than such may be."""
+        reading, heard_ns = self._heard.get(kind, (None, 0))
+        fresh = abs(now_ns - heard_ns) <= STALE_AFTER[kind] * NANOSECONDS
+        return reading if isinstance(reading, kind) and fresh else None
 
     def _simple(self) -> PowerModel:
         residual = math.sqrt(self._residual_variance)

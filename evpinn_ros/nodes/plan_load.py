@@ -1,4 +1,7 @@
-"""How soon the node `energy` answers a plan: its executable and a planner, a process each."""
+"""How soon the node `energy` answers a plan: its executable and a planner, a process each.
+
+The planner publishes and hears bytes, for what it does with a message is no part of the answer.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import serialize_message
 
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.power_filter import PowerFilter
@@ -16,7 +20,7 @@ from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import header
 from evpinn_ros.nodes.model_messages import model_message
-from evpinn_ros.nodes.plan_messages import DISTANCE_JOINT, ELEVATION_JOINT, duration_message
+from evpinn_ros.nodes.plan_messages import DISTANCE_JOINT, ELEVATION_JOINT, request_header
 from evpinn_ros.nodes.processes import (
     START_TIMEOUT,
     node_process,
@@ -94,7 +98,7 @@ def speed_profile(number: int, points: int) -> Any:
                 "trajectory_msgs/msg/JointTrajectoryPoint",
                 positions=[along, height],
                 velocities=[v, 0.0],
-                time_from_start=duration_message(new_message, second * NANOSECONDS),
+                time_from_start=new_message("builtin_interfaces/msg/Duration", sec=second),
             )
             for second, (along, height, v) in enumerate(rows)
         ],
@@ -110,7 +114,7 @@ class _Planner:
         self._executor.add_node(self._node)
         self._plans = factory.advertise(self._node, topics.SPEED_PROFILE)
         self._model = factory.advertise(self._node, topics.MODEL)
-        factory.subscribe(self._node, topics.FORECAST, self._take)
+        factory.subscribe(self._node, topics.FORECAST, self._take, raw=True)
         self._heard: str | None = None
 
     def await_node(self) -> None:
@@ -123,13 +127,14 @@ class _Planner:
 
     def ask(self, plan: Any) -> float:
         """Publish a plan; gives the seconds until its answer was heard."""
-        wanted, begin = plan.header.frame_id, time.perf_counter()
-        self._plans.publish(plan)
+        wanted, data = plan.header.frame_id, bytes(serialize_message(plan))
+        begin = time.perf_counter()
+        self._plans.publish(data)
         self._spin_until(lambda: self._heard == wanted, ANSWER_TIMEOUT)
         return time.perf_counter() - begin
 
-    def _take(self, message: Any) -> None:
-        self._heard = message.header.frame_id
+    def _take(self, data: bytes) -> None:
+        self._heard = request_header(new_message, data).frame_id
 
     def _spin_until(self, condition: Callable[[], bool], seconds: float) -> None:
         end = time.monotonic() + seconds

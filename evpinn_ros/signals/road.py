@@ -67,6 +67,20 @@ def why_impossible(reading: RoadReading) -> str | None:
     return None if possible else f"{what}_out_of_range"
 
 
+def density_of_air(reference: float, celsius: float | None, pascal: float | None) -> float:
+    """Density of dry air, an ideal gas, kg/m^3; what is None is that of the vehicle file.
+
+    Args:
+        reference: density that the vehicle file has at `REFERENCE_CELSIUS`, kg/m^3.
+        celsius: temperature, degrees Celsius.
+        pascal: pressure, Pa.
+    """
+    kelvin = KELVIN + (REFERENCE_CELSIUS if celsius is None else celsius)
+    if pascal is not None:
+        return pascal / (GAS_CONSTANT * kelvin)
+    return reference * (REFERENCE_CELSIUS + KELVIN) / kelvin
+
+
 class GradeSource(str, Enum):
     """Where grade comes from. `auto` takes the IMU if it speaks, else altitude, else none."""
 
@@ -130,15 +144,14 @@ class Road:
             return self._altitude_grade(stamp_ns)
         return 0.0
 
-    def air_density(self) -> float:
-        """Air density, kg/m^3: that of the vehicle file until temperature or pressure is known.
+    @property
+    def celsius(self) -> float | None:
+        """Temperature of the air outside, None while unknown."""
+        return self._celsius
 
-        Dry ideal gas: at the pressure told, or at that of the reference.
-        """
-        kelvin = KELVIN + (REFERENCE_CELSIUS if self._celsius is None else self._celsius)
-        if self._pascal is not None:
-            return self._pascal / (GAS_CONSTANT * kelvin)
-        return self._reference_density * (REFERENCE_CELSIUS + KELVIN) / kelvin
+    def air_density(self) -> float:
+        """Air density, kg/m^3: that of the vehicle file until temperature or pressure is known."""
+        return density_of_air(self._reference_density, self._celsius, self._pascal)
 
     def head_wind(self, stamp_ns: int) -> float:
         """Wind against the car, m/s, 0 while unknown."""

@@ -20,6 +20,7 @@ class Sample:
         course: of a smoothed sample, how the acceleration runs around it, shape
             (`kinematics.COURSE`,), m/s^2; empty for the newest moment, whose future is unknown.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
+        celsius: temperature of the air outside, None while unknown.
     """
 
     stamp_ns: int
@@ -30,6 +31,7 @@ class Sample:
     known_auxiliary: float
     course: tuple[float, ...] = ()
     head_wind: float = 0.0
+    celsius: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

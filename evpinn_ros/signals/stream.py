@@ -94,6 +94,11 @@ class SampleStream:
         return self._road.unknown(self.newest_ns or 0)
 
     @property
+    def celsius(self) -> float | None:
+        """Temperature of the air outside, None while unknown."""
+        return self._road.celsius
+
+    @property
     def battery_ns(self) -> int | None:
         """Stamp of the newest battery reading, None before the first."""
         return self._power.newest_ns
@@ -192,6 +197,7 @@ class SampleStream:
             known_auxiliary=self._road.known_auxiliary(stamp_ns),
             course=course,
             head_wind=self._road.head_wind(stamp_ns),
+            celsius=self._road.celsius,
         )
 
     def _push_battery(self, reading: BatteryReading) -> None:

@@ -29,19 +29,19 @@ def drive_of(folder: Path, text: str) -> CsvDrive:
 def test_all_columns(tmp_path):
     drive = drive_of(
         tmp_path,
-        "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w,soc\n"
-        "0.5,10,400,50,1,570,-3,1500,250,80\n",
+        "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w,soc_pct,x\n"
+        "0.5,10,400,50,1,570,-3,1500,250,80,7\n",
     )
     stamp = START + 500_000_000
     expected = [
         SpeedReading(stamp, 10.0),
-        BatteryReading(stamp, 400.0, -50.0),
+        BatteryReading(stamp, 400.0, -50.0, 0.8),
         AltitudeReading(stamp, 570.0),
         TemperatureReading(stamp, -3.0),
         AuxiliaryReading(stamp, 1500.0, 250.0),
     ]
     assert list(map(repr, drive.readings())) == list(map(repr, expected))  # NaN is not equal NaN
-    assert drive.ignored == ("soc",) and not drive.dropped
+    assert drive.ignored == ("x",) and not drive.dropped
 
 
 def batteries(drive: CsvDrive) -> list[tuple[float, float]]:
@@ -52,6 +52,14 @@ def test_discharge_is_positive_in_the_file_and_negative_in_the_reading(tmp_path)
     drive = drive_of(tmp_path, "t_s,speed_mps,voltage_v,current_a\n0,1,400,50\n1,1,400,-20\n")
     readings = [r for r in drive.readings() if isinstance(r, BatteryReading)]
     assert [r.power for r in readings] == [20_000.0, -8_000.0]
+
+
+def test_a_state_of_charge_that_is_none_is_left_out(tmp_path):
+    lines = [f"{i},1,400,50,{percent}" for i, percent in enumerate((100, 0, "", 101, -1, "nan"))]
+    drive = drive_of(tmp_path, "\n".join(["t_s,speed_mps,voltage_v,current_a,soc_pct", *lines]))
+    found = [r.state_of_charge for r in drive.readings() if isinstance(r, BatteryReading)]
+    assert found[:2] == [1.0, 0.0] and len(found) == 6 and all(map(math.isnan, found[2:]))
+    assert drive.dropped == {"soc_pct_out_of_range": 2, "soc_pct_not_a_number": 1}
 
 
 def test_power_alone_takes_the_nominal_voltage(tmp_path):
@@ -173,6 +181,9 @@ def test_real_drives():
     for reading in trip.readings():
         counts[type(reading)] = counts.get(type(reading), 0) + 1
     assert len({*counts.values()}) == 1 and len(counts) == 5 and not trip.dropped
+    charged = CsvDrive(DATA / "bmw_i3" / "TripA01.csv.gz", NOMINAL).readings()
+    first = next(r for r in charged if isinstance(r, BatteryReading))
+    assert first.state_of_charge == pytest.approx(0.869)
     assert "heating_can_w" in trip.ignored and len(trip.columns) + len(trip.ignored) == 15
 
     tesla = CsvDrive(DATA / "tesla_model3" / "drive_first_757s.csv", NOMINAL)

@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.forecast import battery_after, forecast_plan
+from evpinn_ros.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.energy.forecast import DIRECTION_LENGTH, battery_after, forecast_plan
 from evpinn_ros.energy.plan import Plan, plan_from_path, plan_from_speed_profile
 from evpinn_ros.energy.power_model import combined_model
 from evpinn_ros.vehicle.files import load_vehicle
@@ -171,12 +172,44 @@ def test_ten_thousand_points_are_quick():
     assert 100e3 * 300 < result.energy[-1] < 100e3 * 900  # J over 100 km
 
 
+@given(st.floats(2, 40), st.floats(1.1, 4))
+def test_the_same_way_more_slowly(speed, slower):
+    """Rolling costs as before, drag less by the square of speed, auxiliaries more by the time."""
+    length = 3000.0
+    quick, slow = cruise(speed, length / speed), cruise(speed / slower, length * slower / speed)
+    _, area, c_rr, _, p_aux = COMBINED
+    rolling = 2200.0 * c_rr * GRAVITY * length
+    drag = 0.5 * CAR.air_density * area * speed**2 * length
+    assert energy(quick) == pytest.approx(rolling + drag + p_aux * length / speed)
+    standing = p_aux * length * slower / speed
+    assert energy(slow) == pytest.approx(rolling + drag / slower**2 + standing)
+
+
+def test_wind_against_the_car_counts_less_the_farther_it_goes():
+    speed, wind = 20.0, 6.0
+    model, plan = combined_model(COMBINED, EXACT, CAR, 0.0), cruise(speed, 2000.0, points=2001)
+    calm, windy, tail = (
+        forecast_plan(plan, model, CAR.air_density, against) for against in (0.0, wind, -wind)
+    )
+    drag = 0.5 * CAR.air_density * COMBINED.drag_area_over_eta * speed
+    assert windy.power[0] - calm.power[0] == pytest.approx(drag * ((speed + wind) ** 2 - speed**2))
+    more = windy.energy[-1] - calm.energy[-1]
+    along = np.exp(-plan.distance / DIRECTION_LENGTH)
+    added = drag / speed * ((speed + wind * along) ** 2 - speed**2)
+    assert more == pytest.approx(np.trapezoid(added, plan.distance), rel=0.01)
+    assert -more < tail.energy[-1] - calm.energy[-1] < 0
+    many = Plan(*(np.stack([getattr(plan, name)] * 2) for name in Plan.__slots__))
+    both = forecast_plan(many, model, CAR.air_density, wind)
+    assert both.energy[:, -1] == pytest.approx(windy.energy[-1])
+
+
 def test_battery_after():
-    result = forecast(cruise(20.0, 100.0), COMBINED, EXACT, 0.0)
-    used = result.energy[-1]
-    assert battery_after(result, 0.5, 10 * used) == pytest.approx(0.4)
-    assert battery_after(result, 0.05, 10 * used) == 0.0
-    assert battery_after(result, None, 10 * used) is None
-    assert battery_after(result, math.nan, 10 * used) is None
-    assert battery_after(result, 0.5, None) is None
-    assert battery_after(result, 0.5, math.nan) is None
+    result = forecast(cruise(20.0, 100.0), COMBINED, SIGMAS, 0.0)
+    used, sigma = result.energy[-1], result.sigma[-1]
+    full = Uncertain(10 * used, used)  # 10 %
+    after = battery_after(result, Uncertain(0.5, 0.003), full)
+    assert after.value == pytest.approx(0.4)
+    assert after.sigma == pytest.approx(math.hypot(0.003, sigma / full.value, 0.1 * 0.1))
+    assert battery_after(result, Uncertain(0.05, 0.003), full).value == 0.0
+    assert not battery_after(result, UNKNOWN, full).known
+    assert not battery_after(result, Uncertain(0.5, 0.003), UNKNOWN).known

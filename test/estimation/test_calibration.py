@@ -60,3 +60,14 @@ def test_round_trip():
         with pytest.raises(ValueError, match="range"):
             other.restore(wrong)
     assert other.export() == band.export()
+
+
+def test_coverage_is_told_of_the_last_minute():
+    band = BandCalibration()
+    assert np.isnan(band.coverage)
+    for error in [1e6] * 300 + [0.0] * 300:
+        band.learn(MOVING, error, 100.0)
+    assert band.coverage == 0.5
+    for _ in range(300):
+        band.learn(STANDING, 0.0, 100.0)
+    assert band.coverage == 1.0

@@ -14,7 +14,6 @@ from evpinn_ros.estimation.power_filter import (
     REPORTED,
     UNITS,
     PowerFilter,
-    ReportedLoads,
 )
 from evpinn_ros.estimation.window import Observation, batch
 from evpinn_ros.signals.kinematics import COURSE
@@ -184,32 +183,16 @@ def test_a_round_trip_is_exact_and_what_does_not_fit_is_refused(vehicle, synthet
     for wrong in (
         {"hilliness": math.nan},
         {"hilliness": 1.0},
-        {"loads": [1.0, math.nan, 1.0]},
-        {"loads": [1.0, 100.0, -1.0]},
+        {"loads": {**saved["loads"], "mean": [1.0, math.nan, 1.0, 1.0, 1.0]}},
+        {"loads": {**saved["loads"], "drive": [1.0] * 6}},
+        {"loads": {**saved["loads"], "drive": [-1.0] * 7}},
+        {"loads": {**saved["loads"], "covariance": (-np.eye(5)).tolist()}},
         {"mean": saved["mean"][: len(STATES)]},
         {"mean": [1e6] * len(saved["mean"])},
     ):
         with pytest.raises(ValueError, match="saved"):
             fresh.restore({**saved, **wrong})
         assert fresh.export() == before
-
-
-@given(st.lists(st.floats(0.0, 5000.0), min_size=2, max_size=50))
-def test_within_an_hour_reported_loads_are_simply_averaged(loads):
-    found = ReportedLoads()
-    for load in loads:
-        found.push(load, 1.0)
-    assert found.mean == pytest.approx(np.mean(loads))
-    assert found.variance == pytest.approx(np.var(loads), abs=1e-6)
-
-
-def test_after_hours_only_the_last_loads_count():
-    found = ReportedLoads()
-    for hour, load in enumerate((5000.0, 300.0, 300.0, 300.0, 300.0, 300.0)):
-        assert found.seen == 3600.0 * hour
-        for _ in range(3600):
-            found.push(load, 1.0)
-    assert found.mean == pytest.approx(300.0, abs=50.0)
 
 
 def test_forecasts_expect_the_loads_that_were_reported(vehicle, synthetic):
@@ -220,10 +203,20 @@ def test_forecasts_expect_the_loads_that_were_reported(vehicle, synthetic):
         with_load = replace(sample, known_auxiliary=2000.0)
         found.advance(with_load)
         found.update(with_load, power + 2000.0, 1 / RATE)
-    after = found.linear_power()
-    constant = FEATURES.index("constant")
-    assert before.mean[constant] == vehicle.initial.p_aux
-    assert after.mean[constant] == pytest.approx(TRUTH.p_aux + 2000.0, rel=0.15)
+    now = found.linear_power()
+    constant, drift = FEATURES.index("constant"), FEATURES.index("present_drift")
+    assert before.mean[constant] == vehicle.initial.p_aux and before.mean[drift] == 0.0
+    assert now.mean[constant] + now.mean[drift] == pytest.approx(TRUTH.p_aux + 2000.0, rel=0.15)
+    assert TRUTH.p_aux < now.mean[constant], "some of it is of this drive"
+    found.forget_time()
+    later, frost = found.linear_power(20.0), found.linear_power(-10.0)
+    assert later.mean[constant] < now.mean[constant], "not every drive is like this one"
+    assert later.mean[drift] == 0.0, "on a mild day no cabin is to be heated at first"
+    assert frost.mean[constant] > later.mean[constant] + 1000.0
+    assert frost.mean[drift] > 1000.0
+    assert np.linalg.norm(later.directions[:, constant]) > np.linalg.norm(
+        before.directions[:, constant]
+    )
 
 
 def test_the_lag_between_speed_and_power_is_estimated(vehicle, drive):

@@ -2,6 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
+from functools import partial
 import os
 from pathlib import Path
 import time
@@ -129,8 +130,8 @@ def bench() -> Iterator[Bench]:
         rclpy.try_shutdown()
 
 
-def _messages(seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
-    with BagReader(ROOT / "bags" / "urban") as bag:
+def _messages(name: str, seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
+    with BagReader(ROOT / "bags" / name) as bag:
         start = None
         for record in bag.records():
             start = start or record.log_time_ns
@@ -143,6 +144,12 @@ def _messages(seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
 
 
 @pytest.fixture
-def urban() -> Callable[[float], Iterator[tuple[Topic, Any, Any]]]:
+def bundled() -> Callable[[str, float], Iterator[tuple[Topic, Any, Any]]]:
     """The first seconds of a bundled bag: topic, message of rosbags, the same of rclpy."""
     return _messages
+
+
+@pytest.fixture
+def urban() -> Callable[[float], Iterator[tuple[Topic, Any, Any]]]:
+    """The same of the bag `urban`."""
+    return partial(_messages, "urban")

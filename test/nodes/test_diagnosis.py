@@ -8,6 +8,7 @@ import pytest
 from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusState, BusStatus
 from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
@@ -17,7 +18,7 @@ from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Health
 from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
-from evpinn_ros.nodes.forecaster import Basis
+from evpinn_ros.nodes.forecaster import Air, Basis
 from evpinn_ros.nodes.messages import Level
 
 WELL = Health({}, {})
@@ -35,7 +36,20 @@ FLOW = Flow(3600.0, 100.0, 10.0)
 STATE = EnergyState(1, FLOW, FLOW, FLOW, FLOW, 3600.0, 0.0, 0, 0, 0.0, 0.0, True)
 ACCOUNT = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
 ENERGY = EnergyReport(
-    STATE, ACCOUNT.summary(), None, 0, None, WELL, 0.1, 0, 0.8, Basis.MODEL, 3, 0, None
+    state=STATE,
+    account=ACCOUNT.summary(),
+    reconciled=None,
+    learned_capacity=0,
+    file_problem=None,
+    health=WELL,
+    power_age=0.1,
+    jumps=0,
+    basis=Basis.MODEL,
+    air=Air(celsius=-3.0),
+    charge_after=Uncertain(0.42, 0.03),
+    answered=3,
+    refused=0,
+    plan_problem=None,
 )
 BRIDGE = BridgeStatus(True, "receiving", 9, 2, 1, {}, {"speed": SignalStatus(9, 50.0, 0.0, False)})
 
@@ -139,11 +153,19 @@ def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
 def test_what_was_noticed_of_the_car_is_told():
     change = LoadChange(5_000_000_000, 151.23456, 24.0)
     noticed = LearnerReport(change, 2, 1, "current_sign")
-    status = dataclasses.replace(STATUS, report=noticed, progress={"mass": 73.4})
+    status = dataclasses.replace(
+        STATUS,
+        report=noticed,
+        progress={"mass": 73.4},
+        seen={"30_60_kmh_steady": 12},
+        band_coverage={"smoothed": 0.9},
+    )
     found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
     assert found.level == Level.WARN and "sign of current" in found.text
     told = {key: found.values[key] for key in ("load_change_kg", "load_changes", "progress.mass")}
     assert told == {"load_change_kg": 151.235, "load_changes": 2, "progress.mass": 73}
+    assert found.values["seen.30_60_kmh_steady"] == 12
+    assert found.values["in_90_band.smoothed"] == 0.9
     assert found.values["suspicion"] == "current_sign"
 
 

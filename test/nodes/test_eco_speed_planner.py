@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.energy import EnergyNode
@@ -80,10 +82,13 @@ def plan_of(candidate):
     return plan_from_speed_profile(*profile)
 
 
+def forecast_of(plan):
+    return Forecaster(VEHICLE).answer(plan, UNKNOWN, UNKNOWN, 0).forecast
+
+
 def forecasts(planner):
     """The same from the library, without a topic in between."""
-    forecaster = Forecaster(VEHICLE)
-    return [forecaster.answer(plan_of(each)).forecast for each in planner.candidates]
+    return [forecast_of(plan_of(each)) for each in planner.candidates]
 
 
 def cost(pair):
@@ -119,7 +124,7 @@ def test_it_picks_the_cheapest_of_those_in_time(bench, start, deadline):
     assert 1 < len(in_time) < len(planner.candidates)
     assert name == min(in_time)[1]
     (candidate,) = [each for each in planner.candidates if each.name == name]
-    plan, sent = speed_profile_plan(chosen[0]), plan_of(candidate)
+    plan, sent = speed_profile_plan(serialize_message(chosen[0])), plan_of(candidate)
     for field in Plan.__slots__:
         assert getattr(plan, field) == pytest.approx(getattr(sent, field), abs=1e-9)
 
@@ -135,7 +140,7 @@ def test_hills_count(bench, start, tmp_path):
     assert energy == pytest.approx([f.energy[-1] for f in forecasts(planner)], rel=1e-6)
     flat = plan_of(planner.candidates[0])
     level = Plan(flat.time, flat.distance, flat.speed, np.zeros_like(flat.elevation))
-    climb = energy[0] - Forecaster(VEHICLE).answer(level).forecast.energy[-1]
+    climb = energy[0] - forecast_of(level).energy[-1]
     assert climb > VEHICLE.initial.mass * 9.81 * 150
 
 

@@ -6,6 +6,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import (
     BEND,
@@ -19,7 +20,14 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import Level, battery_message, header, named_vector
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.nodes.reading_messages import reading_message
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    PressureReading,
+    TemperatureReading,
+    WindReading,
+)
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 
@@ -124,6 +132,63 @@ def test_the_battery_at_the_end_follows_the_state_of_charge(bench):
     assert battery.percentage == 0.0
 
 
+def test_the_battery_at_the_end_rests_on_the_capacity_that_was_learned(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    half = VEHICLE.battery_capacity / 2
+    node.account.gauge.push(1, 0.9, Uncertain(0.0, 0.0), 0.0)
+    node.account.gauge.push(2, 0.5, Uncertain(0.4 * half, 0.0), 0.0)
+    learned = node.account.gauge.capacity
+    assert learned.value < 0.95 * VEHICLE.battery_capacity
+    charge(bench, node, 0.5)
+    (answer,), (battery,) = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    last = answer.points[-1]
+    assert battery.percentage == pytest.approx(0.5 - last.positions[0] / learned.value, abs=1e-7)
+    values = bench.diagnosis(node)["plan"][2]
+    assert float(values["charge_after"]) == pytest.approx(battery.percentage, abs=1e-3)
+    assert float(values["charge_after_sigma"]) >= last.effort[0] / learned.value - 1e-3
+
+
+def test_forecasts_take_the_air_outside_while_it_is_fresh(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+
+    def cost():
+        (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+        return answer.points[-1].positions[0]
+
+    calm = cost()
+    assert bench.diagnosis(node)["plan"][2]["head_wind_mps"] == "unknown"
+    for topic, reading in (
+        (topics.TEMPERATURE, TemperatureReading(NOW, -10.0)),
+        (topics.PRESSURE, PressureReading(NOW, 103_000.0)),
+        (topics.WIND, WindReading(NOW, 8.0)),
+    ):
+        bench.deliver(node, topic, reading_message(new_message, reading))
+    plan = plan_from_speed_profile(*zip(*TRIP, strict=True))
+    model = vehicle_model(VEHICLE, FIRST_RESIDUAL)
+    windy = forecast_plan(plan, model, 103_000.0 / (287.05 * 263.15), 8.0).energy[-1]
+    assert cost() == pytest.approx(windy) and windy > 1.1 * calm
+    values = bench.diagnosis(node)["plan"][2]
+    assert [values[name] for name in ("air_celsius", "air_pascal", "head_wind_mps")] == [
+        "-10.0",
+        "103000.0",
+        "8.0",
+    ]
+    later = node.now_ns() + 601 * NANOSECONDS
+    assert node.forecaster.air(later) == (-10.0, 103_000.0, None)
+    assert node.forecaster.air(later + 1200 * NANOSECONDS) == (None, None, None)
+    assert node.forecaster.air(NANOSECONDS) == (None, None, None), "the clock went far back"
+
+
+def test_air_that_cannot_be_is_counted_and_not_taken(bench):
+    node = bench.start(EnergyNode)
+    hurricane = reading_message(new_message, WindReading(NOW, 200.0))
+    bench.deliver(node, topics.WIND, hurricane)
+    assert bench.diagnosis(node)["meter"][2]["bad.environment/wind: wind_out_of_range"] == "1"
+    assert node.forecaster.air(node.now_ns()) == (None, None, None)
+
+
 def test_forecasts_follow_the_estimate_and_the_residual(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
@@ -183,7 +248,7 @@ def test_a_plan_of_a_million_points_is_refused_unread(bench):
     sender.publish(bytes(serialize_message(message)))
     bench.pump(lambda: node.received[topics.PLAN] == 1, seconds=60.0)
     text = bench.diagnosis(node)["plan"][1]
-    assert f"are more than {MAX_POINTS} points" in text
+    assert f"1000000 points are more than {MAX_POINTS}" in text
     assert all(not bench.heard[topic] for topic in ANSWERS)
 
 
@@ -280,3 +345,18 @@ def test_bad_messages_are_counted(bench):
     assert values["bad.power/smoothed: no_power"] == "1"
     assert values["bad.estimate/identifiable: incomplete"] == "1"
     assert values["bad.power/measured: no_stamp"] == "1"
+
+
+@pytest.mark.parametrize(("integrator", "flow"), [("trapezoid", "predicted"), ("rknn", "rknn")])
+def test_both_integrals_are_published_and_the_chosen_one_bridges_a_silence(
+    bench, integrator, flow
+):
+    node = bench.start(EnergyNode, integrator=integrator)
+    bench.listen(topics.ENERGY_STATE)
+    for tick in range(5):
+        bench.deliver(node, topics.POWER_SMOOTHED, power(tick, 9e3 * (-1) ** tick + 2e3))
+    bench.pump(lambda: len(bench.heard[topics.ENERGY_STATE]) == 5)
+    last = bench.heard[topics.ENERGY_STATE][-1]
+    values = dict(zip(last.name, last.position, strict=True))
+    assert values["predicted"] != values["rknn"]
+    assert values["consumed"] == values[flow]

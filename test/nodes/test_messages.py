@@ -12,7 +12,6 @@ import pytest
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
 from evpinn_ros.nodes import messages, reading_messages
 from evpinn_ros.nodes.messages import BadMessage, Level
-from evpinn_ros.nodes.plan_messages import forecast_message
 from evpinn_ros.nodes.topics import (
     DIAGNOSTICS,
     INPUTS,
@@ -218,7 +217,6 @@ NOT_FINITE = [
     lambda: reading_messages.temperature_message(new_message, TemperatureReading(NOW, math.inf)),
     lambda: messages.header(new_message, -1),
     lambda: messages.header(new_message, 2**31 * 10**9),
-    lambda: forecast_message(new_message, messages.header(new_message, NOW), [0], [math.nan], [1]),
 ]
 
 
@@ -251,9 +249,6 @@ def every_message(new: messages.NewMessage) -> list[tuple[str, Any]]:
         ("std_msgs/msg/Float64", messages.scalar(new, np.float64(3.5))),
         ("sensor_msgs/msg/JointState",
          messages.named_vector(new, NOW, ["a", "b"], np.array([1.0, 2.0]), [0.1, 0.2], [3, 4])),
-        ("trajectory_msgs/msg/JointTrajectory",
-         forecast_message(new, messages.header(new, NOW, "map"), [0, 1_500_000_000],
-                          np.array([0.0, 100.0]), [10, 20], [1.0, math.nan])),
         ("diagnostic_msgs/msg/DiagnosticArray",
          messages.diagnostics(new, NOW, [("estimator", Level.WARN, "no battery", level_reasons),
                                          ("energy", Level.OK, "", {})])),

@@ -1,7 +1,10 @@
 """L1 equals L0: the real nodes over real topics give the numbers of the cores, bit for bit."""
 
 from collections import defaultdict
+import math
 import time
+
+import pytest
 
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
@@ -45,13 +48,15 @@ def messages_of(outputs):
             yield topic, [message]
 
 
-def test_nodes_over_topics_equal_the_cores(bench, urban):
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("bag", ["urban", "highway"])
+def test_nodes_over_topics_equal_the_cores(bench, bundled, bag):
     estimator = bench.start(EstimatorNode, wait_for_update=True)
     energy = bench.start(EnergyNode)
     bench.listen(*HEARD)
     core = chain()
     expected = defaultdict(list)
-    for topic, bag_message, ros_message in urban(60.0):
+    for topic, bag_message, ros_message in bundled(bag, math.inf):
         for name, messages in messages_of(core.push(to_reading(topic.type_name, bag_message))):
             expected[name] += messages
         bench.deliver(estimator, topic, ros_message)

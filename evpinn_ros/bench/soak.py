@@ -1,0 +1,124 @@
+"""Years in short: many hours of driving through one chain, with memory and time watched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+import gc
+from itertools import cycle
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import Clock, InlineWorker
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.simulation.car import Car
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
+from evpinn_ros.vehicle.files import load_vehicle
+
+VEHICLE = "tesla_model_3_lr"
+HOUR = 3600  # s
+PAUSE = 900  # s that the car is parked after each hour
+SEED = 5000
+
+
+class Hour(NamedTuple):
+    """One hour of driving.
+
+    Attributes:
+        readings: that went through the chain.
+        resident_mb: memory of the process at its end.
+        us_per_reading: processor time for one, all learning included.
+        energy: counted since the first hour, J.
+    """
+
+    readings: int
+    resident_mb: float
+    us_per_reading: float
+    energy: float
+
+
+def soak(
+    hours: int, clock: Clock, progress: Callable[[float], None], duration: float = HOUR
+) -> Iterator[Hour]:
+    """Drive one chain for hours, each of another drive, with a pause after it.
+
+    Args:
+        hours: of driving.
+        clock: processor time, s.
+        progress: takes the seconds done.
+        duration: of an hour, s.
+
+    Raises:
+        InputError: no /proc here.
+    """
+    chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(clock))
+    car = None
+    # Simulated elsewhere: the memory that is watched shall be the chain's.
+    with ProcessPoolExecutor(1, get_context("spawn")) as elsewhere:
+        for hour, kind in zip(range(hours), cycle(DriveKind), strict=False):
+            readings, car = elsewhere.submit(_drive, kind, hour, car, duration).result()
+            count, begin = len(readings), clock()
+            _push(chain, readings, hour * duration, progress)
+            seconds = clock() - begin
+            del readings
+            gc.collect()
+            energy = chain.account.state.consumed
+            yield Hour(count, resident_mb("self"), 1e6 * seconds / count, energy)
+
+
+def _drive(
+    kind: DriveKind, hour: int, car: Car | None, duration: float
+) -> tuple[tuple[Reading, ...], Car]:
+    """One hour of the same car, after the pause that follows the hour before."""
+    start_ns = EPOCH_NS + round(hour * (duration + PAUSE) * NANOSECONDS)
+    drive = simulate(
+        kind, load_vehicle(VEHICLE), duration, SEED + hour, car=car, start_ns=start_ns
+    )
+    return drive.readings, drive.car
+
+
+def _push(
+    chain: Chain,
+    readings: Sequence[Reading],
+    done: float,
+    progress: Callable[[float], None],
+) -> None:
+    start_ns = readings[0].stamp_ns
+    for index, reading in enumerate(readings):
+        for _ in chain.push(reading):
+            pass
+        if index % 1000 == 0:
+            progress(done + (reading.stamp_ns - start_ns) / NANOSECONDS)
+
+
+def resident_mb(process: int | str) -> float:
+    """Memory of a process that is in use, MB.
+
+    Raises:
+        InputError: no such process any more, or no Linux.
+    """
+    try:
+        text = Path(f"/proc/{process}/status").read_text()
+    except OSError as error:
+        raise InputError(f"the process ended, or this is no Linux: {error}") from error
+    (line,) = (line for line in text.splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1]) * 1024 / 1e6
+
+
+def memory_growth(hours: Sequence[Hour]) -> float:
+    """Largest memory after the first hour, relative to it; 0.02 is two percent more."""
+    return max(hour.resident_mb for hour in hours) / hours[0].resident_mb - 1
+
+
+def time_drift(hours: Sequence[Hour]) -> float:
+    """Time of a reading in the last quarter relative to the first; hours of each kind in both."""
+    times = np.array([hour.us_per_reading for hour in hours])
+    part = max(len(times) // 4, 1)
+    return float(np.median(times[-part:]) / np.median(times[:part]) - 1)

@@ -1,0 +1,187 @@
+"""Plans and forecasts as bytes, against the same messages made and read field by field."""
+
+from contextlib import suppress
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.bags.types import decode, encode, new_message, typestore
+from evpinn_ros.energy.plan import MAX_POINTS, PlanError
+from evpinn_ros.nodes.cdr import CdrError
+from evpinn_ros.nodes.messages import header
+from evpinn_ros.nodes.plan_messages import (
+    forecast_bytes,
+    path_plan,
+    request_header,
+    speed_profile_plan,
+)
+from evpinn_ros.nodes.topics import PATH_TYPE, TRAJECTORY_TYPE
+
+NOW = 1_700_000_000_123_456_789
+NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
+FRAMES = st.sampled_from(["", "a", "map", "base", "base_", "odom_long"])
+
+
+def path(frames, name="map", step_ns=2_500_000_000):
+    """One pose in each frame, 25 m on and 1 m up each."""
+    poses = [
+        new_message(
+            "geometry_msgs/msg/PoseStamped",
+            header=header(new_message, NOW + i * step_ns, frame),
+            pose=new_message(
+                "geometry_msgs/msg/Pose",
+                position=new_message("geometry_msgs/msg/Point", x=25.0 * i, y=-3.0, z=1.0 * i),
+            ),
+        )
+        for i, frame in enumerate(frames)
+    ]
+    return new_message(PATH_TYPE, header=header(new_message, NOW, name), poses=poses)
+
+
+def profile(points, name="map", joints=("distance", "elevation")):
+    """Points of (accelerations, efforts), so many numbers each; 25 m on and 1 m up each."""
+    return new_message(
+        TRAJECTORY_TYPE,
+        header=header(new_message, NOW, name),
+        joint_names=list(joints),
+        points=[
+            new_message(
+                "trajectory_msgs/msg/JointTrajectoryPoint",
+                positions=[{"distance": 25.0, "elevation": 1.0}.get(j, 7.0) * i for j in joints],
+                velocities=[10.0] * len(joints),
+                accelerations=[0.5] * accelerations,
+                effort=[0.5] * efforts,
+                time_from_start=new_message(
+                    "builtin_interfaces/msg/Duration",
+                    sec=int(2.5 * i),
+                    nanosec=500_000_000 * (i % 2),
+                ),
+            )
+            for i, (accelerations, efforts) in enumerate(points)
+        ],
+    )
+
+
+def check(plan, points):
+    n = np.arange(points)
+    assert plan.time == pytest.approx(2.5 * n, abs=0)
+    assert plan.distance == pytest.approx(n * plan.distance[1], abs=1e-9)
+    assert plan.elevation == pytest.approx(n, abs=0)
+    assert np.all(plan.speed > 9.9)
+
+
+@settings(deadline=None)
+@given(st.lists(FRAMES, min_size=2, max_size=9), NAMES)
+def test_a_path_is_read_whatever_its_frames_are_called(frames, name):
+    data = encode(path(frames, name))
+    check(path_plan(data), len(frames))
+    found = request_header(new_message, data)
+    assert (found.frame_id, found.stamp.nanosec) == (name, NOW % 10**9)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2)), min_size=2, max_size=9),
+    st.permutations(["distance", "elevation", "wheel"]),
+    NAMES,
+)
+def test_a_profile_is_read_whatever_else_its_points_hold(points, joints, name):
+    check(speed_profile_plan(encode(profile(points, name, joints))), len(points))
+
+
+@pytest.mark.parametrize("points", [2, 3, 600])
+def test_many_points_alike(points):
+    check(path_plan(encode(path(["map"] * points))), points)
+    check(speed_profile_plan(encode(profile([(0, 0)] * points))), points)
+
+
+def test_the_other_order_of_bytes():
+    for kind, read, message in (
+        (PATH_TYPE, path_plan, path(["a", "map", "map", "map"])),
+        (TRAJECTORY_TYPE, speed_profile_plan, profile([(0, 0)] * 4)),
+    ):
+        data = bytes(typestore().serialize_cdr(message, kind, little_endian=False))
+        assert data != encode(message)
+        check(read(data), 4)
+        assert request_header(new_message, data).stamp.nanosec == NOW % 10**9
+
+
+def test_what_rclpy_sends_is_read_and_what_is_sent_rclpy_reads():
+    serialization = pytest.importorskip("rclpy.serialization")
+    from evpinn_ros.nodes.factory import message_class
+
+    kinds = message_class(PATH_TYPE), message_class(TRAJECTORY_TYPE)
+    data = [encode(path(["map"] * 5)), encode(profile([(0, 1)] * 5))]
+    sent = [
+        bytes(serialization.serialize_message(serialization.deserialize_message(each, kind)))
+        for each, kind in zip(data, kinds, strict=True)
+    ]
+    check(path_plan(sent[0]), 5)
+    check(speed_profile_plan(sent[1]), 5)
+    one = np.ones(3)
+    answer = forecast_bytes(header(new_message, NOW, "ab"), np.arange(3.0), one, 2 * one, 3 * one)
+    heard = serialization.deserialize_message(answer, kinds[1])
+    assert [p.time_from_start.sec for p in heard.points] == [0, 1, 2]
+    assert [list(p.velocities) for p in heard.points] == [[2.0]] * 3
+
+
+@pytest.mark.parametrize(
+    ("data", "read"),
+    [
+        (encode(path(["a", "map", "map", "map"])), path_plan),
+        (encode(path(["map"] * 4)), path_plan),
+        (encode(profile([(0, 0), (1, 2), (0, 1)])), speed_profile_plan),
+        (encode(profile([(0, 0)] * 4)), speed_profile_plan),
+    ],
+)
+def test_a_message_cut_short_is_refused(data, read):
+    """And so is one with a chance byte in it, unless it only says another plan."""
+    needed = len(data) - 1
+    while data[needed - 1 :].count(0) == len(data) - needed + 1:
+        needed -= 1  # zeros of padding or of the last number
+    for end in range(needed - 64):
+        with pytest.raises((CdrError, PlanError)):
+            read(data[:end])
+    for at in range(len(data)):
+        with suppress(CdrError, PlanError):
+            read(data[:at] + b"\xff" + data[at + 1 :])
+
+
+def test_a_million_points_are_refused_without_being_looked_at():
+    few, many = ((n).to_bytes(4, "little") for n in (3, 1_000_000))
+    for data, read in (
+        (encode(path(["map"] * 3)), path_plan),
+        (encode(profile([(0, 0)] * 3)), speed_profile_plan),
+    ):
+        assert data.count(few) == 1
+        with pytest.raises(PlanError, match=f"1000000 points are more than {MAX_POINTS}"):
+            read(data.replace(few, many))
+
+
+@settings(deadline=None)
+@given(NAMES, st.integers(1, 9))
+def test_a_forecast_is_the_message_with_these_numbers(name, points):
+    times = 1.5 * np.arange(points)
+    energy, power, sigma = times * 100, times + 7, times * 3
+    request = header(new_message, NOW, name)
+    answer = decode(TRAJECTORY_TYPE, forecast_bytes(request, times, energy, power, sigma))
+    assert answer.header == request and answer.joint_names == ["energy"]
+    assert [list(p.positions) for p in answer.points] == energy[:, None].tolist()
+    assert [list(p.velocities) for p in answer.points] == power[:, None].tolist()
+    assert [list(p.effort) for p in answer.points] == sigma[:, None].tolist()
+    assert all(len(p.accelerations) == 0 for p in answer.points)
+    found = [p.time_from_start.sec + p.time_from_start.nanosec / 1e9 for p in answer.points]
+    assert found == times.tolist()
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -1.0])
+def test_a_forecast_that_is_none_is_not_written(wrong):
+    request, fine = header(new_message, NOW), np.array([1.0, 2.0])
+    with pytest.raises(ValueError):
+        forecast_bytes(request, fine, fine, fine, np.array([1.0, wrong]))
+    if wrong != -1.0:
+        with pytest.raises(ValueError):
+            forecast_bytes(request, fine, np.array([wrong, 0.0]), fine, fine)

@@ -1,0 +1,38 @@
+"""The bundled bags give what they gave when somebody last looked (`make golden`)."""
+
+from pathlib import Path
+import runpy
+from types import SimpleNamespace
+
+import pytest
+
+golden = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("golden.py"))))
+
+
+@pytest.mark.parametrize("drive", golden.DRIVES, ids=lambda d: d.path.stem)
+def test_outputs_are_those_of_the_record(drive):
+    record = golden.load(drive.path)
+    assert len(record) > 50
+    changed = list(golden.differences(record, golden.outputs(drive), drive.near))
+    assert not changed, "look at `make golden`:\n" + "\n".join(changed)
+
+
+def test_a_number_that_changed_came_or_went_is_told():
+    old = {("a", 0, "30"): 1.0, ("a", 0, "60"): 1000.0, ("b", 0, "30"): float("nan")}
+    assert not list(golden.differences(old, old, 1e-6))
+    new = {**old, ("a", 0, "30"): 1.002, ("c", 0, "30"): 1.0}
+    del new["b", 0, "30"]
+    told = list(golden.differences(old, new, 1e-6))
+    assert [line.partition(":")[0] for line in told] == [
+        "('a', 0, '30')",
+        "('b', 0, '30')",
+        "('c', 0, '30')",
+    ]
+    assert not list(golden.differences(old, {**old, ("a", 0, "30"): 1.0009}, 1e-6))
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path):
+    record = {("estimate/mass", 0, "30"): 1885.12345, ("energy/range", 2, "60"): float("nan")}
+    golden.save(tmp_path / "records" / "x.csv", record)
+    assert not list(golden.differences(record, golden.load(tmp_path / "records" / "x.csv"), 0.0))
+    assert golden.load(tmp_path / "none.csv") == {}
