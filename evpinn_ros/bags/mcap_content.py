@@ -139,11 +139,15 @@ class Records:
 
 def parsed(opcode: int, body: bytes) -> Any:
     """The record of `mcap.records` that fills these bytes exactly, or None."""
+    return parsed_from(opcode, BytesIO(body), len(body))
+
+
+def parsed_from(opcode: int, stream: Any, length: int) -> Any:
+    """The same, of a stream that holds so many bytes; reads no more of it than it takes."""
     kind = _PARSED.get(Opcode(opcode)) if opcode in OPCODES else None
-    stream = BytesIO(body)
     with suppress(*PARSE_ERRORS):
         record = kind.read(ReadDataStream(stream)) if kind is not None else None
-        return record if stream.tell() == len(body) else None
+        return record if stream.tell() == length else None
     return None
 
 

@@ -31,7 +31,7 @@ from evpinn_ros.bags.mcap_content import (
     Definitions,
     MessageIndex,
     index_size,
-    parsed,
+    parsed_from,
 )
 from evpinn_ros.errors import InputError
 
@@ -80,6 +80,22 @@ class FileBytes:
                 f"{self.path}: {error.strerror} at byte {begin}; copy the disk with ddrescue first"
             ) from error
         return b"".join(parts)
+
+
+class _Body:
+    """The content of a record as a stream: most that look like one are none from the start."""
+
+    def __init__(self, file: FileBytes, begin: int, end: int) -> None:
+        self._file, self._begin, self._end = file, begin, end
+        self._position = begin
+
+    def read(self, length: int) -> bytes:
+        data = self._file.read(self._position, min(length, self._end - self._position))
+        self._position += len(data)
+        return data
+
+    def tell(self) -> int:
+        return self._position - self._begin
 
 
 class McapScan:
@@ -143,7 +159,9 @@ class McapScan:
         if opcode >= PRIVATE:  # of some program's own: to be skipped
             following = self.head(end)
             return following is not None and following[0] in OPCODES
-        return parsed(opcode, self.body(position, end)) is not None
+        return (
+            parsed_from(opcode, _Body(self._file, position + HEAD.size, end), length) is not None
+        )
 
     def _is_attachment(self, position: int, end: int) -> bool:
         """Whether the lengths in the attachment that begins here add up."""

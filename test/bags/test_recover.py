@@ -278,3 +278,24 @@ def test_records_of_other_programs_are_skipped(wholes, tmp_path):
     at = chunks[1].chunk_start_offset
     report, found = saved(tmp_path, data[:at] + own + data[at:])
     assert report.losses == [] and found == messages_of(wholes["zstd"])
+
+
+@pytest.mark.parametrize("storage", [CompressionType.NONE, None])
+def test_numbers_that_look_like_records_do_not_hold_up_the_search(tmp_path, storage):
+    """Two megabytes of small integers behind a damaged head: every fourth byte may begin one."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE, use_chunking=storage is not None)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Int32MultiArray", "ros2msg", b"int32[] a")
+        channel = writer.register_channel("/a", "cdr", schema)
+        numbers = struct.pack("<500000i", *(i % 13 + 1 + 65536 * (i % 7) for i in range(500_000)))
+        for i in range(3):
+            writer.add_message(channel, START + i, numbers, START + i)
+        writer.finish()
+    data, whole = bytearray(path.read_bytes()), messages_of(path)
+    second = data.index(numbers[:40], data.index(numbers[:40]) + 2_000_000)
+    begin, end = (second - 80, second) if storage is not None else (second - 30, second - 26)
+    data[begin:end] = b"\xff" * (end - begin)
+    _, found = saved(tmp_path, bytes(data))
+    assert found == [whole[0], whole[2]]
