@@ -129,6 +129,12 @@ class Records:
         return sum(map(len, self.index.values()))
 
     @property
+    def index_size(self) -> int:
+        """Bytes of the message index records."""
+        each = HEAD.size + INDEX_HEAD
+        return sum(each + INDEX_ENTRY * len(entries) for entries in self.index.values())
+
+    @property
     def span_ns(self) -> tuple[int, int]:
         """First and last log time; zeros without a message."""
         if not self.count:

@@ -89,7 +89,8 @@ class RecoveredFile:
     @property
     def whole(self) -> bool:
         """Nothing was lost but, perhaps, the index."""
-        return not (self.losses or self.unknown_topic)
+        lost = self.more_losses or any(loss.messages != 0 for loss in self.losses)
+        return not (lost or self.unknown_topic)
 
 
 def recover(source: Path, out: Path, progress: Progress | None = None) -> list[RecoveredFile]:

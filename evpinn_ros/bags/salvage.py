@@ -91,7 +91,6 @@ class Salvage:
         definitions: schemas and channels known so far.
         ended: the file has its end; complete once iterated.
         stated: messages that the file says it holds, None when it does not.
-        profile: of the header, empty when that is lost.
         unknown: messages whose topic is not known, left out; complete once iterated.
         doubtful: channels that only a damaged chunk described; likewise.
     """
@@ -101,12 +100,12 @@ class Salvage:
         self.definitions = Definitions()
         self.ended = False
         self.stated: int | None = None
-        self.profile = ""
         self.unknown = 0
         self.doubtful: set[str] = set()
         self._file = file
         self._scan = McapScan(file, self.definitions)
         self._doubts = Definitions()
+        self._indexed_to = 0  # where the message indexes of the last sound chunk end
         self._patience = PATIENCE[0] + PATIENCE[1] * file.size
         self._read_summary()
 
@@ -119,7 +118,7 @@ class Salvage:
             if not self._scan.believed(position):
                 found, position = self._gap(position)
             elif opcode == Opcode.MESSAGE_INDEX:
-                if lost is not None:
+                if lost is not None and position >= self._indexed_to:
                     size = index_size(self._scan.body(position, end))
                     lost.messages = (lost.messages or 0) + size // INDEX_ENTRY
                     lost.chunk = True
@@ -177,6 +176,8 @@ class Salvage:
         """What lies from a damaged record to the next whole one."""
         opcode, stop = self._scan.head(begin) or (0, self._file.size + 1)
         end = self._scan.next_record(begin + 1)
+        if end <= self._indexed_to:
+            return [Loss(begin, end, "index damaged", messages=0)], end
         cut = end == self._file.size < stop
         return [Loss(begin, end, "cut" if cut else "damaged", opcode == Opcode.CHUNK)], end
 
@@ -195,6 +196,8 @@ class Salvage:
             return self._damaged_chunk(position, end, head, packed)
         index, behind = self._scan.message_indexes(end)
         found = indexed_records(content, index, self.definitions) or self._records(content)
+        if index or (self._scan.head(end) or (0, 0))[0] == Opcode.MESSAGE_INDEX:
+            self._indexed_to = end + found.index_size
         if found.end == len(content):
             end = behind
             chunk = None if found.unknown else (head, packed)
@@ -247,11 +250,9 @@ class Salvage:
 
     def _other(self, opcode: int, position: int, end: int) -> tuple[list[Found], int]:
         body = self._scan.body(position, end)
-        if opcode == Opcode.HEADER:
-            self.profile = parsed(opcode, body).profile
-        elif opcode == Opcode.METADATA:
+        if opcode == Opcode.METADATA:
             return [parsed(opcode, body)], end
-        elif opcode == Opcode.ATTACHMENT:
+        if opcode == Opcode.ATTACHMENT:
             (checksum,) = struct.unpack("<I", body[-4:])
             with suppress(*PARSE_ERRORS):
                 if checksum in (0, zlib.crc32(body[:-4])):

@@ -299,3 +299,14 @@ def test_numbers_that_look_like_records_do_not_hold_up_the_search(tmp_path, stor
     data[begin:end] = b"\xff" * (end - begin)
     _, found = saved(tmp_path, bytes(data))
     assert found == [whole[0], whole[2]]
+
+
+def test_a_damaged_message_index_costs_nothing(wholes, tmp_path):
+    path = wholes["zstd"]
+    hit, data = chunks_of(path)[1], path.read_bytes()
+    begin = hit.chunk_start_offset + hit.chunk_length
+    for place in (begin, begin + 1, begin + 9, begin + 30, begin + hit.message_index_length - 3):
+        (tmp_path / str(place)).mkdir()
+        report, found = saved(tmp_path / str(place), data[:place] + b"\xee" + data[place + 1 :])
+        assert found == messages_of(path)
+        assert report.whole and report.lost_messages == 0 and report.lost_chunks == 0
