@@ -68,6 +68,8 @@ setup(
         ],
         # Peers of `evpinn bench`.
         "bench": ["deepxde"],
+        # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
+        "fuzz": ["atheris"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
         "dev": [

@@ -31,6 +31,7 @@ from evpinn_ros.signals.readings import (
     SpeedReading,
     TemperatureReading,
 )
+from evpinn_ros.text_lines import bounded_lines
 
 LOOKED_AT = 20_000  # rows that tell units and signs, half an hour at 10 Hz
 LONGEST_HEADER = 100_000  # characters
@@ -39,9 +40,10 @@ LONGEST_LIST = 200  # characters of column names in a message
 # Where a drive whose time starts near zero is placed, 2020-01-01T00:00:00Z: header stamps must
 # not be zero, and the same file must give the same bag.
 DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
+LAST_TIME_S = 2.0**31  # the end of ROS time, in 2038
 RELATIVE_BELOW_S = 1e8  # a first `t_s` below this (3 years) counts from the start of the drive
 
-READ_ERRORS = (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error)
+READ_ERRORS = (OSError, EOFError, zlib.error, ValueError, csv.Error)  # ValueError: no text
 
 
 class CsvDrive:
@@ -101,6 +103,9 @@ class CsvDrive:
             cells = self._numbers(row)
             if "t_s" not in cells:
                 self.dropped["no_time"] += 1
+                continue
+            if abs(cells["t_s"]) >= LAST_TIME_S:
+                self.dropped["time_out_of_range"] += 1
                 continue
             if offset_ns is None:
                 offset_ns = DRIVE_START_NS if cells["t_s"] < RELATIVE_BELOW_S else 0
@@ -173,9 +178,10 @@ class CsvDrive:
         line = 0
         try:
             with _open(self.path) as file:
-                first = file.readline(LONGEST_HEADER)
+                lines = bounded_lines(file)
+                first = next(lines, "")
                 delimiter = max(",;\t|", key=first.count)
-                reader = csv.reader(chain((first,) if first else (), file), delimiter=delimiter)
+                reader = csv.reader(chain((first,), lines), delimiter=delimiter)
                 for row in reader:
                     line = reader.line_num
                     if row:

@@ -19,7 +19,7 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.errors import InputError, printable
 
 Report = Callable[[float], None]  # takes seconds of the drive done
 
@@ -29,7 +29,7 @@ notes = Console(stderr=True, highlight=False, soft_wrap=True)
 
 def note(text: str) -> None:
     """One line to the person, on stderr."""
-    notes.print(text, markup=False)
+    notes.print(printable(text), markup=False)
 
 
 def write_json(path: Path, found: Any) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import gzip
 from pathlib import Path
 from typing import Protocol
+import zlib
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
 from evpinn_ros.bags.convert import BagReadings
@@ -203,7 +204,7 @@ def is_drive_table(path: Path) -> bool:
     try:
         with opener(path, "rb") as file:
             header = file.readline(10_000)
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: {error}") from error
     return FRAME_COLUMN.encode() not in header
 

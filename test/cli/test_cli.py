@@ -117,6 +117,20 @@ def test_convert_csv_says_what_it_assumed(folder):
     assert done.stdout.strip() == "bag_of_power"
 
 
+def test_convert_on_a_full_disk_is_one_line(folder):
+    """A limit of the size of a file stands for the end of the disk."""
+    command = f"ulimit -f 4; exec {sys.executable} -m evpinn_ros convert drive.log small"
+    done = subprocess.run(
+        ["bash", "-c", f"{command} --vehicle tesla_model_3_lr"],
+        cwd=folder,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=150,
+    )
+    assert_fails_in_one_line(done, "small: File too large; the bag is cut there")
+
+
 def test_convert_can_log_needs_a_vehicle(folder):
     assert_fails_in_one_line(evpinn("convert", "drive.log", "x", cwd=folder), "--vehicle")
     done = evpinn("convert", "drive.log", "from_log", "--vehicle", "tesla_model_3_lr", cwd=folder)
