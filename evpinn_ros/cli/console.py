@@ -85,5 +85,5 @@ def writing(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise InputError(
-            f"{path}: {error.strerror or error}; what is there is incomplete"
+            f"{path}: {error.strerror or error}; the bag is cut there"
         ) from error
