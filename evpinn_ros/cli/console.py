@@ -84,6 +84,4 @@ def writing(path: Path) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise InputError(
-            f"{path}: {error.strerror or error}; the bag is cut there"
-        ) from error
+        raise InputError(f"{path}: {error.strerror or error}; the bag is cut there") from error
