@@ -107,6 +107,15 @@ class BagReader:
                 continue
             yield Record(channel.topic, channel.type_name, log_time_ns, message)
 
+    def log_times(self) -> Iterator[tuple[str, int]]:
+        """Topic and log time, ns, of every message in that order, also of types not known."""
+
+        def times(file: BagFile) -> Iterator[tuple[str, int]]:
+            for log_time_ns, id_, _ in file.messages(file.channels):
+                yield file.channels[id_].topic, log_time_ns
+
+        yield from heapq.merge(*map(times, self._files), key=itemgetter(1))
+
     def _raw(
         self, file: BagFile, topics: Collection[str] | None
     ) -> Iterator[tuple[int, Channel, bytes]]:

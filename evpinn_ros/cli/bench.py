@@ -16,6 +16,7 @@ COMMANDS = (
     "soak",
     "fuzz",
     "report",
+    "recover",
 )  # each a function in `bench_<name>.py`
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
+import itertools
 import json
 from pathlib import Path
 import shlex
@@ -13,7 +16,8 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.console import note, progress_bar, results, writing
+from evpinn_ros.cli.csv_columns import explain_columns
 from evpinn_ros.cli.tables import parameter_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import Mode
@@ -70,6 +74,17 @@ def replay(
     rate: Annotated[
         float | None, typer.Option(min=0.01, help="Of real time; as fast as it can if not given.")
     ] = None,
+    start: Annotated[float, typer.Option(min=0.0, help="Leave out what is before, s.")] = 0.0,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after this much of each input, s.")
+    ] = None,
+    loop: Annotated[
+        int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
+    ] = 1,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+    ] = None,
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
@@ -80,7 +95,7 @@ def replay(
     """Replay recorded drives through the chain, and score every prediction.
 
     The same cores as in the nodes, without ROS: readings, samples, learning, power, energy. What
-    one input teaches is carried over to the next.
+    one input teaches is carried over to the next, and from one turn of --loop to the next.
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
@@ -88,13 +103,24 @@ def replay(
     one_thread()
     car = load_vehicle(vehicle)
     settings = estimator_settings(_parameters(params, mode))
-    sources = [open_source(path, car, can_profile, trust_profile=trust_profile) for path in inputs]
+    open_input = partial(
+        open_source,
+        vehicle=car,
+        can_profile=can_profile,
+        trust_profile=trust_profile,
+        columns=column or (),
+    )
+    first = [open_input(path) for path in inputs]
+    for source in first:
+        explain_columns(source)
+    again = (open_input(path) for _ in range(loop - 1) for path in inputs)
     chain = Chain(car, settings, InlineWorker(time.perf_counter))
     _restore(chain, state)
-    options = ReplayOptions(withhold_battery_after, warm_up, rate)
+    options = ReplayOptions(withhold_battery_after, warm_up, rate, start, duration)
     done: list[Replayed] = []
     try:
-        for source, folder in zip(sources, output_folders(out, sources), strict=True):
+        folders = output_folders(out, inputs * loop)
+        for source, folder in zip(itertools.chain(first, again), folders, strict=True):
             if done:
                 chain.begin_next_drive()
             done.append(
@@ -139,21 +165,21 @@ def _one(
     mode: str,
 ) -> Replayed:
     """Replay one drive, into a bag if there is a folder for it."""
-    writer = BagWriter(folder) if folder is not None else None
-    try:
-        with progress_bar(source.path.name, total=None) as progress:
-            return replay_drive(
-                source,
-                chain,
-                options,
-                vehicle=vehicle,
-                mode=mode,
-                writer=writer,
-                progress=progress,
-            )
-    finally:
-        if writer is not None:
-            writer.close()
+    with ExitStack() as stack:
+        writer = None
+        if folder is not None:
+            stack.enter_context(writing(folder))
+            writer = stack.enter_context(BagWriter(folder))
+        progress = stack.enter_context(progress_bar(source.path.name, total=options.duration))
+        return replay_drive(
+            source,
+            chain,
+            options,
+            vehicle=vehicle,
+            mode=mode,
+            writer=writer,
+            progress=progress,
+        )
 
 
 def _show(result: Replayed, source: Source, warm_up: float) -> None:

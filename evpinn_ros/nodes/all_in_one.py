@@ -9,6 +9,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
+from evpinn_ros.bags.writer import Split
 from evpinn_ros.nodes import running
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
@@ -29,6 +30,7 @@ def run(
     parameters: Mapping[str, Value],
     *,
     record: Path | None = None,
+    split: Split | None = None,
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
 ) -> int:
@@ -37,6 +39,7 @@ def run(
     Args:
         parameters: values by name; each node takes those of its table, over any file's.
         record: folder of a bag to write, raw CAN frames beside the topics.
+        split: when that goes on in another file; None for never.
         namespace: of all topics.
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
 
@@ -50,7 +53,7 @@ def run(
     if record is not None:
         frames: RawFrames = deque()
         options["can_bridge"]["record"] = frames
-        recorder.append(partial(RecorderNode, record, frames, namespace=namespace))
+        recorder.append(partial(RecorderNode, record, frames, split, namespace=namespace))
     makers = [partial(make, **options[name]) for name, make in NODES.items()]
     return running.run(*makers, *recorder, args=args)
 
