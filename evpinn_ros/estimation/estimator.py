@@ -38,6 +38,7 @@ from evpinn_ros.signals.sample import (
     TimeJump,
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import RegenForm
@@ -100,6 +101,7 @@ class EstimatorStatus:
         progress: percent told of each parameter.
         newest_ns: stamp of the newest speed, None before the first.
         unknown: optional inputs that tell nothing (see `Road.unknown`).
+        stuck: name of the signal that repeats one value (see `signals.stuck`), or None.
     """
 
     activity: Activity
@@ -113,6 +115,7 @@ class EstimatorStatus:
     unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
+    stuck: str | None = None
 
 
 class OnlineEstimator:
@@ -152,6 +155,7 @@ class OnlineEstimator:
         self._worker.durations.clear()
 
     def _begin_time(self) -> None:
+        self._stuck = StuckSuspicion()
         self._tick_ns: int | None = None
         self._waiting = False
         self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
@@ -162,7 +166,11 @@ class OnlineEstimator:
         """Take one reading; give the predictions and parameters it leads to, in order."""
         before = self._stream.dropped.total()
         events = list(self._stream.push(reading))
-        if isinstance(reading, BatteryReading) and self._stream.dropped.total() == before:
+        taken = self._stream.dropped.total() == before
+        if taken:
+            self._stuck.push(reading)
+        believed = taken and self._stuck.suspected != BATTERY_STUCK
+        if isinstance(reading, BatteryReading) and believed:
             sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * reading.power)
             yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, reading.power, sigma)
         for event in events:
@@ -200,6 +208,7 @@ class OnlineEstimator:
             unknown=self._stream.unknown,
             report=self._learner.report(),
             progress={name: p.progress for name, p in self.parameters().parameters.items()},
+            stuck=self._stuck.suspected,
         )
 
     def export(self) -> dict[str, Any]:
@@ -243,6 +252,9 @@ class OnlineEstimator:
                 self._learner.advance(event.sample)
                 yield from self._predict(PowerKind.SMOOTHED, event.sample)
             case MeasuredSample():
+                if (stuck := self._stuck.suspected) is not None:
+                    self._learner.gated[stuck] += 1
+                    return
                 if gate(event.sample, event.power) is None:
                     self._learn_bands(event)
                 if self.enabled:
