@@ -13,6 +13,7 @@ COMMANDS = (
     "truth",
     "can",
     "energy",
+    "faults",
 )  # each a function in `bench_<name>.py`
 
 
