@@ -10,9 +10,14 @@ import tempfile
 import rclpy
 
 from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.faults.bus import bus_faults
 from evpinn_ros.nodes.faults.chain import Chain
+from evpinn_ros.nodes.faults.clocks import clock_faults
 from evpinn_ros.nodes.faults.fault import Fault, Finding, Result
+from evpinn_ros.nodes.faults.files import file_faults
 from evpinn_ros.nodes.faults.inputs import input_faults
+from evpinn_ros.nodes.faults.load import load_faults
+from evpinn_ros.nodes.faults.processes import process_faults
 from evpinn_ros.nodes.faults.rig import Rig
 from evpinn_ros.nodes.processes import own_network
 
@@ -45,6 +50,11 @@ def run_campaign(
 
 def _faults(chain: Chain, kills: int) -> Iterator[Fault]:
     yield from input_faults(chain)
+    yield from load_faults(chain)
+    yield from bus_faults(chain)
+    yield from process_faults(chain, kills)
+    yield from file_faults()
+    yield from clock_faults()
 
 
 def _inject(fault: Fault, rig: Rig) -> Finding:

@@ -11,13 +11,12 @@ from typing import Any
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.faults.chain import Chain
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
-from evpinn_ros.nodes.faults.rig import Change, Rig, Sent, stamped
+from evpinn_ros.nodes.faults.rig import SLACK, Change, Rig, Sent, stamped
 from evpinn_ros.signals.readings import NANOSECONDS
 
 LONGEST = 15.0  # s of a fault, in which it must be named
 SHORTEST = 4.0  # s
 MOST_MOVED = 0.05  # of mass over eta, that a fault may teach
-SLACK = 10  # predictions on their way when one looks
 HOUR_NS = 3600 * NANOSECONDS
 
 

@@ -29,6 +29,7 @@ OUTPUTS = (topics.POWER_PREDICTED, topics.POWER_SMOOTHED, topics.POWER_MEASURED)
 HEARD = (*OUTPUTS, topics.ENERGY_STATE, topics.IDENTIFIABLE)
 MOST_HEARD = 50_000
 SPIN = 0.01  # s
+SLACK = 10  # predictions on their way when one looks
 ANSWER_TIMEOUT = 10.0  # s
 
 Sent: TypeAlias = tuple[Topic, Any]
@@ -165,6 +166,12 @@ class Rig:
             self._publishers[topic] = factory.advertise(self.node, topic)
         return self._publishers[topic]
 
+    def replace_publisher(self, topic: Topic, qos: Any) -> None:
+        """Publish a topic with another quality of service from now on."""
+        self.node.destroy_publisher(self.publisher(topic))
+        kind = factory.message_class(topic.type_name)
+        self._publishers[topic] = self.node.create_publisher(kind, topic.name, qos)
+
     def spin_to(self, due: float) -> None:
         """Hear what comes until a time of the clock that never jumps."""
         self._executor.spin_once(timeout_sec=0.0)
@@ -201,9 +208,13 @@ class Rig:
             self.drive(0.1)
         return client.call_async(Trigger.Request()) if client.service_is_ready() else None
 
+    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> Any:
+        """Subscribe to one more topic."""
+        return factory.subscribe(self.node, topic, callback)
+
     def _listen(self, topic: Topic) -> None:
         heard = self.heard[topic]
-        factory.subscribe(self.node, topic, lambda m: heard.append((time.monotonic(), m)))
+        self.hear(topic, lambda message: heard.append((time.monotonic(), message)))
 
     def _take_diagnostics(self, message: Any) -> None:
         now = time.monotonic()

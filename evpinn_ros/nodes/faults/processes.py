@@ -1,0 +1,236 @@
+"""Start and stop: in any order, one alone, by signals, and killed at any instant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+import math
+from pathlib import Path
+import random
+import shutil
+import signal
+import time
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.state_file import read_state
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.faults.bus import bus_arguments
+from evpinn_ros.nodes.faults.chain import LEADING, Chain, Process, running, start_all, start_node
+from evpinn_ros.nodes.faults.drive import learned_state
+from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
+from evpinn_ros.nodes.faults.files import file_of
+from evpinn_ros.nodes.faults.rig import OUTPUTS, Rig
+from evpinn_ros.nodes.topics import Topic
+
+STOP, WARM_START = 2.0, 1.0  # s, goals
+MOST_LOST = 1.0  # s of a recording
+LONGEST_LIFE = 3.0  # s of a process that is killed at random, from its first report on
+SILENCE = 3.0  # s without a report that tells that a node is gone, REP-107
+
+
+def process_faults(chain: Chain, kills: int) -> Iterator[Fault]:
+    """The faults of this module; restarts are done to a chain."""
+    none = "nothing"
+    for order in (LEADING, LEADING[::-1]):
+        name = "start_" + "_".join(order)
+        yield Fault(name, f"{order[0]} first, driving all the while", none, _Order(order))
+    yield Fault("warm_start", "ready, to the first output", none, _warm_start, WARM_START)
+    yield Fault("sigint", "SIGINT to each node", none, _Stop(signal.SIGINT), STOP)
+    yield Fault("sigterm", "SIGTERM to each node", none, _Stop(signal.SIGTERM), STOP)
+    yield Fault("sigterm_saving", "SIGTERM while it saves", none, _stop_saving, STOP)
+    yield Fault("sigint_starting", "SIGINT while it starts", none, _stop_starting, STOP)
+    for name in LEADING:
+        yield Fault(
+            f"{name}_restarted", f"{name} stopped and started", "meanwhile", _Restart(chain, name)
+        )
+        yield Fault(
+            f"{name}_killed",
+            f"{name} killed and started",
+            "what was not saved",
+            _Restart(chain, name, killed=True),
+        )
+    yield Fault(
+        "sigkill",
+        f"all killed at {kills} random instants",
+        "1 s of recording, what was not saved",
+        _Kills(kills),
+    )
+
+
+@dataclass(frozen=True)
+class _Order:
+    """Nodes started one after the other, each up before the next."""
+
+    order: tuple[str, ...]
+
+    def __call__(self, rig: Rig) -> Finding:
+        begin, processes = time.monotonic(), []
+        try:
+            for name in self.order:
+                processes.append(start_node(rig, name))
+                processes[-1].await_ready()
+            ready = time.monotonic()
+            rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
+        finally:
+            codes = [process.stop().code for process in processes]
+        waiting = rig.said("", "waiting for", begin)
+        harm = rig.faulty(begin)
+        kept = not any(codes) and harm is None
+        return Finding(harm or "nothing", kept, rig.recovered(ready), _text(waiting))
+
+
+def _text(said: object) -> str | None:
+    return None if said is None else str(getattr(said, "text", said))
+
+
+def _warm_start(rig: Rig) -> Finding:
+    """From the report that it is up, and from exec, to the first prediction of a learned car."""
+    path = rig.folder / "warm.json"
+    shutil.copy(learned_state(rig.folder), path)
+    begin = time.monotonic()
+    estimator = start_node(rig, "estimator", state_file=str(path))
+    with running(estimator):
+        estimator.await_ready()
+        ready = rig.said("estimator", "", begin)
+        rig.drive(RECOVERY, until=lambda: rig.recovered(begin, OUTPUTS) < math.inf)
+    first = rig.recovered(begin, (topics.POWER_PREDICTED,))
+    up = ready.heard - begin if ready is not None else math.inf
+    lost = f"{first:.1f} s from exec, of which {up:.1f} s to come up"
+    return Finding(lost, True, max(first - up, 0.0), "nothing to name")
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """All three nodes, told to end."""
+
+    how: signal.Signals
+
+    def __call__(self, rig: Rig) -> Finding:
+        files = [rig.folder / f"stop_{self.how.name}_{name}.json" for name in LEADING]
+        processes = [
+            start_node(rig, "estimator", state_file=str(files[0])),
+            start_node(rig, "energy", energy_file=str(files[1])),
+            start_all(rig, *bus_arguments(), "--record", str(rig.folder / self.how.name)),
+        ]
+        with running(*processes):
+            for process, node in zip(processes, (*LEADING, "recorder"), strict=True):
+                process.await_ready(node)
+            rig.drive(2.0)
+            ends = [process.stop(self.how) for process in processes]
+        saved = all(read_state(file) is not None for file in files)
+        whole = _bag_end(rig.folder / self.how.name) is not None
+        kept = saved and whole and not any(end.code for end in ends)
+        lost = "nothing: files saved, exit 0" if kept else f"exit codes {[e.code for e in ends]}"
+        return Finding(lost, kept, max(end.seconds for end in ends), "nothing to name")
+
+
+def _stop_saving(rig: Rig) -> Finding:
+    path = rig.folder / "saving.json"
+    shutil.copy(learned_state(rig.folder), path)
+    estimator = start_node(rig, "estimator", state_file=str(path))
+    with running(estimator):
+        estimator.await_ready()
+        rig.begin_call("estimator/save")
+        end = estimator.stop(signal.SIGTERM)
+    kept = end.code == 0 and read_state(path) is not None
+    return Finding("nothing" if kept else "the state", kept, end.seconds, "nothing to name")
+
+
+def _stop_starting(rig: Rig) -> Finding:
+    """Whatever it is importing: it must end, and soon."""
+    worst, codes = 0.0, list[int]()
+    for delay in (0.3, 1.0, 2.0):
+        process = start_node(rig, "estimator")
+        rig.rest(delay)
+        end = process.stop(signal.SIGINT)
+        worst, codes = max(worst, end.seconds), [*codes, end.code]
+    return Finding(f"exit codes {codes}", True, worst, "nothing to name")
+
+
+@dataclass(frozen=True)
+class _Restart:
+    """One node of the chain gone, and come back, while the other goes on."""
+
+    chain: Chain
+    name: str
+    killed: bool = False
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        process = self.chain.processes[self.name]
+        begin, before = time.monotonic(), rig.learned()
+        if self.killed:
+            process.kill()
+        else:
+            process.stop()
+        gone = time.monotonic()
+        rig.drive(SILENCE + 1.5)
+        silent = rig.said(self.name, "", gone + 0.5) is None
+        fresh = self.chain.start(self.name)
+        fresh.await_ready()
+        ready = time.monotonic()
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
+        took = rig.recovered(ready)
+        rig.drive(2.0)
+        moved = abs(rig.learned() / before - 1.0)
+        said = rig.said("energy", "no power/smoothed", begin) if self.name == "estimator" else None
+        named = f"silence of {self.name}" if said is None and silent else _text(said)
+        lost = f"{fresh.name} for {ready - begin:.1f} s; mass/eta moved {moved:.1%}"
+        kept = moved < 0.05 and rig.faulty(begin) is None
+        return Finding(lost, kept, took, named)
+
+
+@dataclass(frozen=True)
+class _Kills:
+    """`evpinn run`, recording and saving, killed again and again; each finds what is left."""
+
+    count: int
+
+    def __call__(self, rig: Rig) -> Finding:
+        chance, state = random.Random(0), rig.folder / "killed.json"
+        shutil.copy(learned_state(rig.folder), state)
+        lost, slowest, bad = 0.0, 0.0, 0
+        for number in range(self.count):
+            folder = rig.folder / f"kill_{number}"
+            run = start_all(rig, *bus_arguments(), "--state", str(state), "--record", str(folder))
+            with running(run):
+                ready = run.started + run.await_ready("recorder")
+                self._live(rig, run, chance)
+                died = run.kill()
+            slowest = max(slowest, rig.recovered(ready, OUTPUTS))
+            end = _bag_end(folder)
+            lost = max(lost, died - end if end is not None else math.inf)
+            bad += not _readable(state) or not _readable(state.with_suffix(".energy.json"))
+            shutil.rmtree(folder, ignore_errors=True)
+        text = f"{lost:.2f} s of recording at most, {bad} bad files in {self.count}"
+        return Finding(text, lost <= MOST_LOST and not bad, slowest, "nothing to name")
+
+    def _live(self, rig: Rig, run: Process, chance: random.Random) -> None:
+        """Drive for a random time; half of the kills strike near a save."""
+        begin = time.monotonic()
+        rig.drive(RECOVERY, until=lambda: rig.recovered(begin, OUTPUTS) < math.inf)
+        rig.drive(chance.uniform(0.0, LONGEST_LIFE))
+        if chance.random() < 0.5:
+            rig.begin_call("estimator/save")
+            rig.begin_call("energy/save")
+            rig.drive(chance.uniform(0.0, 0.05), rate=200.0)
+
+
+def _readable(path: Path) -> bool:
+    """Whether a state file is whole, or was never written."""
+    try:
+        read_state(path)
+    except InputError:
+        return False
+    return True
+
+
+def _bag_end(folder: Path, topic: Topic = topics.SPEED) -> float | None:
+    """Time of the last message of a topic in a bag, s, None when it cannot be read."""
+    try:
+        with BagReader(file_of(folder)) as bag:
+            times = [record.log_time_ns for record in bag.records([topic.under()])]
+    except (InputError, StopIteration):
+        return None
+    return max(times) / 1e9 if times else None
