@@ -8,7 +8,7 @@ import math
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 SPEED_STUCK, BATTERY_STUCK = "speed_stuck", "battery_stuck"
-LONG = 5.0  # s of one value
+LONG = 2.0  # s of one value
 OFTEN = 10  # readings of it
 WINDOW_NS = 15 * NANOSECONDS  # beyond, a hilly road under cruise control would look the same
 POWER_SWING = 30e3  # W that a car at one speed does not go through in that time
