@@ -52,7 +52,7 @@ def faults(
     for result in run_campaign(only or [], kills, lambda name: note(f"{name}...")):
         found.append(result)
         if result.problem is not None:
-            note(f"{result.fault.name} failed: {result.problem}")
+            note(f"{result.fault.name} failed: {result.problem} ({result.finding.lost})")
     _show(found)
     failed = sum(result.problem is not None for result in found)
     results.print(f"{len(found)} faults, {failed} failed")

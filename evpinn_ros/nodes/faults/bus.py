@@ -19,7 +19,7 @@ from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.faults.chain import Chain, Process, running, start_node
 from evpinn_ros.nodes.faults.drive import RATE, readings
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
-from evpinn_ros.nodes.faults.rig import SLACK, Rig, Said, Sent
+from evpinn_ros.nodes.faults.rig import SLACK, Rig, Said, Sent, nothing
 from evpinn_ros.nodes.parameter_table import Value
 
 PROFILE, OTHER_PROFILE = "tesla_model_3", "tesla_model_3_2019"
@@ -128,7 +128,7 @@ def _unplug(rig: Rig) -> Finding:
     adapter.plug()
     bridge = _bridge(rig, adapter)
     with running(bridge):
-        bridge.await_ready()
+        bridge.await_ready(change=nothing)
         _await_receiving(rig, adapter, heard)
         begin = time.monotonic()
         adapter.unplug()
@@ -148,7 +148,7 @@ def _no_adapter(rig: Rig) -> Finding:
     begin = time.monotonic()
     bridge = _bridge(rig, adapter)
     with running(bridge):
-        bridge.await_ready()
+        bridge.await_ready(change=nothing)
         rig.rest(1.0)
         said = rig.said("can_bridge", "plugged in", begin)
         adapter.plug()
@@ -187,7 +187,7 @@ def _while(rig: Rig, send: Callable[[_Adapter], None], *words: str) -> Finding:
     adapter.plug()
     bridge = _bridge(rig, adapter)
     with running(bridge):
-        bridge.await_ready()
+        bridge.await_ready(change=nothing)
         _await_receiving(rig, adapter, heard)
         begin, said = time.monotonic(), None
         while said is None and time.monotonic() - begin < LONGEST:
@@ -208,14 +208,14 @@ def _wrong_profile(rig: Rig) -> Finding:
     begin = time.monotonic()
     wrong = _bridge(rig, adapter, can_profile=OTHER_PROFILE)
     with running(wrong):
-        wrong.await_ready()
+        wrong.await_ready(change=nothing)
         adapter.drive(rig, LONGEST, until="contradicts")
         adapter.drive(rig, 1.0)
         said = rig.said("can_bridge", "contradicts", begin)
     let_out = len(heard.times)
     right = _bridge(rig, adapter)
     with running(right):
-        right.await_ready()
+        right.await_ready(change=nothing)
         ready = time.monotonic()
         _await_receiving(rig, adapter, heard)
         adapter.unplug()

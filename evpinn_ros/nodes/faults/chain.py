@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.faults.drive import VEHICLE, learned_state
-from evpinn_ros.nodes.faults.rig import Rig
+from evpinn_ros.nodes.faults.rig import SPIN, Change, Rig, unchanged
 from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.processes import START_TIMEOUT, STOP_TIMEOUT, node_command
 
+LAST_WORDS = 0.5  # s until what a node said before its end is heard
 LEADING = ("estimator", "energy")
 FILES = {"estimator": ("state_file", "car.json"), "energy": ("energy_file", "energy.json")}
 
@@ -33,8 +34,9 @@ class Process:
     """One process; what it says is in a file beside."""
 
     def __init__(self, rig: Rig, name: str, command: list[str]) -> None:
-        """Start it."""
+        """Start it, after hearing the last words of those before it."""
         self.name, self._rig = name, rig
+        rig.rest(LAST_WORDS)
         self.started = time.monotonic()
         with (rig.folder / f"{name}.log").open("ab") as log:
             self._process = subprocess.Popen(
@@ -51,15 +53,16 @@ class Process:
         """Whether it has not ended."""
         return self._process.poll() is None
 
-    def await_ready(self, node: str | None = None) -> float:
+    def await_ready(self, node: str | None = None, change: Change = unchanged) -> float:
         """Drive until it reports on /diagnostics; gives the seconds since it was started."""
         name = node or self.name
         took = self._rig.drive(
             START_TIMEOUT,
+            change,
             until=lambda: self._rig.said(name, "", self.started) is not None or not self.runs,
         )
         if not self.runs or took >= START_TIMEOUT:
-            raise InputError(f"the node '{name}' did not come up: see {self.name}.log")
+            raise InputError(f"the node '{name}' did not come up")
         return time.monotonic() - self.started
 
     def stop(self, how: signal.Signals = signal.SIGINT) -> Stopped:
@@ -67,11 +70,11 @@ class Process:
         begin = time.monotonic()
         if self.runs:
             self._process.send_signal(how)
-        try:
-            self._process.wait(STOP_TIMEOUT)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-        return Stopped(self._process.wait(), time.monotonic() - begin)
+        while self.runs and time.monotonic() - begin < STOP_TIMEOUT:
+            self._rig.rest(SPIN)
+        seconds = time.monotonic() - begin
+        self._process.kill()
+        return Stopped(self._process.wait(), seconds)
 
     def kill(self) -> float:
         """SIGKILL; gives the time of the system's clock at which it was dead."""

@@ -11,7 +11,7 @@ from typing import Any
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.faults.chain import Chain
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
-from evpinn_ros.nodes.faults.rig import SLACK, Change, Rig, Sent, stamped
+from evpinn_ros.nodes.faults.rig import SLACK, Change, Rig, Sent, nothing, stamped
 from evpinn_ros.signals.readings import NANOSECONDS
 
 LONGEST = 15.0  # s of a fault, in which it must be named
@@ -179,7 +179,7 @@ def input_faults(chain: Chain) -> Iterator[Fault]:
     yield fault(
         "speed_silent", "no vehicle/speed", moments, without(speed), "no vehicle/speed", 1.0
     )
-    yield fault("both_silent", "neither", moments, lambda _: (), "no vehicle/speed", 1.0)
+    yield fault("both_silent", "neither", moments, nothing, "no vehicle/speed", 1.0)
     yield fault("speed_nan", "speed is NaN", moments, with_speed(nan), "not_finite", 1.0)
     yield fault("speed_infinite", "speed is inf", moments, with_speed(math.inf), "not_finite", 1.0)
     yield fault(

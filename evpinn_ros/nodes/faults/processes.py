@@ -26,6 +26,7 @@ from evpinn_ros.nodes.topics import Topic
 STOP, WARM_START = 2.0, 1.0  # s, goals
 MOST_LOST = 1.0  # s of a recording
 LONGEST_LIFE = 3.0  # s of a process that is killed at random, from its first report on
+UNNAMED = "nothing to name"
 SILENCE = 3.0  # s without a report that tells that a node is gone, REP-107
 
 
@@ -36,10 +37,10 @@ def process_faults(chain: Chain, kills: int) -> Iterator[Fault]:
         name = "start_" + "_".join(order)
         yield Fault(name, f"{order[0]} first, driving all the while", none, _Order(order))
     yield Fault("warm_start", "ready, to the first output", none, _warm_start, WARM_START)
-    yield Fault("sigint", "SIGINT to each node", none, _Stop(signal.SIGINT), STOP)
-    yield Fault("sigterm", "SIGTERM to each node", none, _Stop(signal.SIGTERM), STOP)
+    yield Fault("sigint", "SIGINT to `evpinn run`", none, _Stop(signal.SIGINT), STOP)
+    yield Fault("sigterm", "SIGTERM to `evpinn run`", none, _Stop(signal.SIGTERM), STOP)
     yield Fault("sigterm_saving", "SIGTERM while it saves", none, _stop_saving, STOP)
-    yield Fault("sigint_starting", "SIGINT while it starts", none, _stop_starting, STOP)
+    yield Fault("sigint_starting", "SIGINT while it starts", "the exit code", _stop_starting, STOP)
     for name in LEADING:
         yield Fault(
             f"{name}_restarted", f"{name} stopped and started", "meanwhile", _Restart(chain, name)
@@ -97,32 +98,33 @@ def _warm_start(rig: Rig) -> Finding:
     first = rig.recovered(begin, (topics.POWER_PREDICTED,))
     up = ready.heard - begin if ready is not None else math.inf
     lost = f"{first:.1f} s from exec, of which {up:.1f} s to come up"
-    return Finding(lost, True, max(first - up, 0.0), "nothing to name")
+    return Finding(lost, True, max(first - up, 0.0), UNNAMED)
 
 
 @dataclass(frozen=True)
 class _Stop:
-    """All three nodes, told to end."""
+    """All that `evpinn run` starts, told to end while it records."""
 
     how: signal.Signals
 
     def __call__(self, rig: Rig) -> Finding:
-        files = [rig.folder / f"stop_{self.how.name}_{name}.json" for name in LEADING]
-        processes = [
-            start_node(rig, "estimator", state_file=str(files[0])),
-            start_node(rig, "energy", energy_file=str(files[1])),
-            start_all(rig, *bus_arguments(), "--record", str(rig.folder / self.how.name)),
-        ]
-        with running(*processes):
-            for process, node in zip(processes, (*LEADING, "recorder"), strict=True):
-                process.await_ready(node)
+        folder, state = rig.folder / self.how.name, rig.folder / f"{self.how.name}.json"
+        files = ("--state", str(state), "--record", str(folder))
+        run = start_all(rig, *bus_arguments(), *files)
+        with running(run):
+            run.await_ready("recorder")
             rig.drive(2.0)
-            ends = [process.stop(self.how) for process in processes]
-        saved = all(read_state(file) is not None for file in files)
-        whole = _bag_end(rig.folder / self.how.name) is not None
-        kept = saved and whole and not any(end.code for end in ends)
-        lost = "nothing: files saved, exit 0" if kept else f"exit codes {[e.code for e in ends]}"
-        return Finding(lost, kept, max(end.seconds for end in ends), "nothing to name")
+            end = run.stop(self.how)
+        saved = all(_saved(path) for path in (state, state.with_suffix(".energy.json")))
+        with BagReader(folder) as bag:
+            whole = bag.problem is None
+        lost = f"exit {end.code}; files {'saved' if saved else 'not saved'}"
+        kept = saved and whole and not end.code
+        return Finding(f"nothing: {lost}" if kept else lost, kept, end.seconds, UNNAMED)
+
+
+def _saved(path: Path) -> bool:
+    return read_state(path) is not None
 
 
 def _stop_saving(rig: Rig) -> Finding:
@@ -134,7 +136,7 @@ def _stop_saving(rig: Rig) -> Finding:
         rig.begin_call("estimator/save")
         end = estimator.stop(signal.SIGTERM)
     kept = end.code == 0 and read_state(path) is not None
-    return Finding("nothing" if kept else "the state", kept, end.seconds, "nothing to name")
+    return Finding("nothing" if kept else "the state", kept, end.seconds, UNNAMED)
 
 
 def _stop_starting(rig: Rig) -> Finding:
@@ -145,7 +147,7 @@ def _stop_starting(rig: Rig) -> Finding:
         rig.rest(delay)
         end = process.stop(signal.SIGINT)
         worst, codes = max(worst, end.seconds), [*codes, end.code]
-    return Finding(f"exit codes {codes}", True, worst, "nothing to name")
+    return Finding(f"exit codes {codes}", True, worst, UNNAMED)
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,7 @@ class _Kills:
             bad += not _readable(state) or not _readable(state.with_suffix(".energy.json"))
             shutil.rmtree(folder, ignore_errors=True)
         text = f"{lost:.2f} s of recording at most, {bad} bad files in {self.count}"
-        return Finding(text, lost <= MOST_LOST and not bad, slowest, "nothing to name")
+        return Finding(text, lost <= MOST_LOST and not bad, slowest, UNNAMED)
 
     def _live(self, rig: Rig, run: Process, chance: random.Random) -> None:
         """Drive for a random time; half of the kills strike near a save."""

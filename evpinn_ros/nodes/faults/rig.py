@@ -37,6 +37,16 @@ Change: TypeAlias = Callable[[Iterable[Sent]], Iterable[Sent]]
 """What a fault makes of the messages of one moment."""
 
 
+def unchanged(messages: Iterable[Sent]) -> Iterable[Sent]:
+    """No fault."""
+    return messages
+
+
+def nothing(_: Iterable[Sent]) -> Iterable[Sent]:
+    """The car tells nothing."""
+    return ()
+
+
 @dataclass(frozen=True, slots=True)
 class Said:
     """One status of a node, and when it was heard, s of a clock that never jumps."""
@@ -134,7 +144,7 @@ class Rig:
     def drive(
         self,
         seconds: float,
-        change: Change = lambda messages: messages,
+        change: Change = unchanged,
         until: Callable[[], bool] = lambda: False,
         rate: float = RATE,
     ) -> float:
