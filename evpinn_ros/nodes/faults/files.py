@@ -180,8 +180,8 @@ def _bag_corrupt(rig: Rig) -> Finding:
             for frame in (encoder.speed(speed), encoder.battery(battery)):
                 bag.write_raw(f"/ev/{FRAMES_TOPIC}", FRAME_TYPE, encode_frame(frame), stamp_ns)
     data = bytearray(file_of(folder).read_bytes())
-    middle = len(data) // 2
-    data[middle : middle + 40] = bytes(byte ^ 0xFF for byte in data[middle : middle + 40])
+    middle, some = len(data) // 2, len(data) // (2 * seconds)
+    data[middle : middle + some] = bytes(byte ^ 0xFF for byte in data[middle : middle + some])
     file_of(folder).write_bytes(data)
     heard: list[object] = []
     rig.hear(topics.SPEED, heard.append)
