@@ -43,6 +43,8 @@ def run_campaign(
             for fault in faults:
                 if not only or fault.name in only:
                     progress(fault.name)
+                    if not fault.is_shared:
+                        chain.stop()
                     yield Result(fault, _inject(fault, rig))
         finally:
             chain.stop()

@@ -51,6 +51,11 @@ class Fault:
     inject: Inject
     limit: float = RECOVERY
 
+    @property
+    def is_shared(self) -> bool:
+        """Whether it is done to the chain that faults share; else to nodes of its own."""
+        return hasattr(self.inject, "chain")
+
 
 @dataclass(frozen=True, slots=True)
 class Result:
