@@ -55,7 +55,7 @@ class GuardedNode(Node):
         self._losses = Losses()
         self._lately = Lately()
         self._mismatched: dict[Topic, str] = {}
-        self._notices: dict[str, float] = {}
+        self._notices: dict[str, tuple[str, float]] = {}
         # Timers of the node's clock stand still when that clock does, and so would the report.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.advertise(topics.DIAGNOSTICS)
@@ -132,9 +132,9 @@ class GuardedNode(Node):
         """The node's clock, for ages and /diagnostics alone."""
         return int(self.get_clock().now().nanoseconds)
 
-    def notice(self, text: str) -> None:
-        """Tell this in the diagnostics for `LATELY` seconds."""
-        self._notices[text] = self.steady_s()
+    def notice(self, kind: str, text: str) -> None:
+        """Tell this in the diagnostics for `LATELY` seconds; the newest of each kind counts."""
+        self._notices[kind] = text, self.steady_s()
 
     def steady_s(self) -> float:
         """A clock that never jumps, s."""
@@ -157,8 +157,7 @@ class GuardedNode(Node):
 
     def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
-        self._notices = {text: at for text, at in self._notices.items() if at > since}
-        yield from self._notices
+        yield from (text for text, at in self._notices.values() if at > since)
         for topic, policy in self._mismatched.items():
             yield f"incompatible QoS of {topic.name}: {policy}"
         for topic, name in self._inputs.items():
@@ -170,7 +169,7 @@ class GuardedNode(Node):
             yield unused
 
     def _refused_by(self, topic: Topic, policy: str) -> None:
-        self.notice(f"a subscriber of {topic.name} wants another QoS: {policy}")
+        self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
 
     def age(self, topic: Topic) -> float:
         """Seconds since the last usable message of an input, NaN before the first."""

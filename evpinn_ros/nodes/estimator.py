@@ -115,7 +115,7 @@ class EstimatorNode(GuardedNode):
         if topic is topics.SPEED:
             wrong = self._stamps.push(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
-                self.notice(f"{topic.name}: {wrong}")
+                self.notice("stamps", f"{topic.name}: {wrong}")
         if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
             self._push(reading)
             return
@@ -133,7 +133,7 @@ class EstimatorNode(GuardedNode):
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]
         self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
-        self.notice(text)
+        self.notice("jump", text)
         if policy == JumpPolicy.RESET.value:
             self._keeper.start_over()
         else:
