@@ -183,7 +183,7 @@ class _BadPlans:
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
         plan = new_message(topics.PATH_TYPE)
-        begin, sent = time.monotonic(), rig.sent
+        begin = time.monotonic()
 
         def with_plans(messages: Any) -> Any:
             yield from messages
@@ -193,8 +193,9 @@ class _BadPlans:
         rig.drive(5.0, with_plans)
         end = time.monotonic()
         rig.drive(1.0)
-        missing = rig.sent - sent - rig.count(topics.ENERGY_STATE, begin)
-        lost = f"{max(missing, 0)} of {rig.sent - sent} energies"
+        asked = rig.count(topics.POWER_SMOOTHED, begin)
+        missing = asked - rig.count(topics.ENERGY_STATE, begin)
+        lost = f"{max(missing, 0)} of {asked} energies"
         return _finding(rig, begin, end, lost, missing <= SLACK, "plan refused")
 
 
