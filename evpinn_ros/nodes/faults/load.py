@@ -24,7 +24,7 @@ from evpinn_ros.nodes.faults.drive import RATE, learned_state, vehicle
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.rig import OUTPUTS, SLACK, Rig
 from evpinn_ros.nodes.messages import stamp_ns
-from evpinn_ros.nodes.processes import node_command
+from evpinn_ros.nodes.processes import node_command, processor_seconds
 from evpinn_ros.signals.readings import NANOSECONDS
 
 LONGEST = 15.0  # s in which a fault must be named
@@ -285,17 +285,18 @@ def _latency(rig: Rig) -> Finding:
         os.sched_setaffinity(estimator.pid, {min(os.sched_getaffinity(0))})
         estimator.await_ready()
         rig.drive(WARM_UP, rate=LATENCY_RATE)
-        begin, sent = time.time_ns(), rig.sent
+        begin, sent, cpu = time.time_ns(), rig.sent, processor_seconds(estimator.pid)
         arrived: list[tuple[int, int]] = []
         listener = rig.hear(
             topics.POWER_PREDICTED, lambda m: arrived.append((stamp_ns(m), time.time_ns()))
         )
         rig.drive(LATENCY_SECONDS, rate=LATENCY_RATE)
+        share = (processor_seconds(estimator.pid) - cpu) / LATENCY_SECONDS
         rig.rest(0.5)
         rig.node.destroy_subscription(listener)
         sent = rig.sent - sent
     delays = [(at - stamp) / NANOSECONDS for stamp, at in arrived if stamp >= begin]
     p50, p99, largest = np.quantile(delays, (0.5, 0.99, 1.0)).tolist()
-    lost = f"{sent - len(delays)} of {sent}; p50 {1e3 * p50:.1f}, p99 {1e3 * p99:.1f}, "
-    kept = sent - len(delays) <= SLACK
-    return Finding(f"{lost}largest {1e3 * largest:.0f} ms", kept, p99, "nothing to name")
+    times = f"p50 {1e3 * p50:.1f}, p99 {1e3 * p99:.1f}, largest {1e3 * largest:.0f} ms"
+    lost = f"{sent - len(delays)} of {sent}; {times}; {share:.0%} of the core"
+    return Finding(lost, sent - len(delays) <= SLACK, p99, "nothing to name")
