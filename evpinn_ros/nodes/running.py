@@ -14,8 +14,8 @@ from evpinn_ros.nodes.base import GuardedNode
 
 SWITCH_INTERVAL = 5e-4
 """s that a thread may keep the interpreter from one that wants it: the bridge's after each system
-call, the callbacks' while an update is computed. At Python's own 5 ms, beside the learner, one frame
-in a hundred came 12 ms late, now 4."""
+call, the callbacks' while an update is computed. At Python's own 5 ms, beside the learner, one
+frame in a hundred came 12 ms late, now 4."""
 
 MakeNode = Callable[[], GuardedNode]
 
