@@ -63,7 +63,7 @@ def load_faults(chain: Chain) -> Iterator[Fault]:
     yield Fault("backlog", "20 s delivered at once", oldest, _Backlog(chain))
     yield Fault("slow_consumer", "a subscriber that never reads", none, _Quiet(chain, _slow))
     yield Fault("noise_here", "20 other topics in this domain", none, _Quiet(chain, _noise(0)))
-    yield Fault("noise_elsewhere", "the same in the next domain", none, _Quiet(chain, _noise(1)))
+    yield Fault("noise_elsewhere", "the same in another domain", none, _Quiet(chain, _noise(-1)))
     yield Fault("bad_plans", "plans that cannot be driven, 100 Hz", none, _BadPlans(chain))
     yield Fault("qos_of_input", "an input that asks for reliable", "that input", _qos_input)
     yield Fault("qos_of_output", "a subscriber that asks for latched", "his", _QosOutput(chain))
