@@ -200,7 +200,9 @@ def input_faults(chain: Chain) -> Iterator[Fault]:
     yield fault(
         "speed_jumps", "each third speed is 40 m/s off", moments, Leaping(), "impossible", 1.0
     )
-    yield fault("speed_stuck", "speed repeats", none, with_speed(17.0), "speed is stuck")
+    yield fault(
+        "speed_stuck", "speed repeats", "the leap", with_speed(17.0), "speed is stuck", 0.2
+    )
     yield fault(
         "battery_stuck",
         "V and A repeat",
