@@ -27,7 +27,7 @@ def run(
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
 ) -> int:
-    """Run everything until SIGINT or SIGTERM.
+    """Run everything until SIGINT or SIGTERM, which end the process with 0.
 
     Args:
         parameters: values by name; each node takes those of its table, over any file's.
@@ -36,7 +36,7 @@ def run(
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
 
     Returns:
-        The exit code: 0 when told to stop, 1 with one line on stderr when input is wrong.
+        The exit code 1, with one line on stderr, when input is wrong; else the process ends here.
     """
     args = ["--ros-args", *ros_args] if ros_args else []
     options = {name: _options(name, namespace, parameters) for name in NODES}

@@ -67,7 +67,7 @@ def load_faults(chain: Chain) -> Iterator[Fault]:
     yield Fault("bad_plans", "plans that cannot be driven, 100 Hz", none, _BadPlans(chain))
     yield Fault("qos_of_input", "an input that asks for reliable", "that input", _qos_input)
     yield Fault("qos_of_output", "a subscriber that asks for latched", "his", _QosOutput(chain))
-    yield Fault("stall", "the estimator stopped for 5 s", "those 5 s", _Stall(chain))
+    yield Fault("stall", "the estimator stopped for 8 s", "those 8 s", _Stall(chain))
     yield Fault("overrun", "updates that take 1.6 s", "updates, counted", _overrun)
     yield Fault(
         "latency",
