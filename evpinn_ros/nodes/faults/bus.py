@@ -166,7 +166,10 @@ def _silent(rig: Rig) -> Finding:
 def _garbage(rig: Rig) -> Finding:
     chance = random.Random(0)
     return _while(
-        rig, lambda adapter: adapter.write(chance.randbytes(200) + b"\r"), "no speed", "silent"
+        rig,
+        lambda adapter: adapter.write(chance.randbytes(200) + b"\r"),
+        "Could not read",
+        "no speed",
     )
 
 
