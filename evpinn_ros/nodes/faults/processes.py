@@ -78,7 +78,8 @@ class _Order:
         waiting = rig.said("", "waiting for", begin)
         harm = rig.faulty(begin)
         kept = not any(codes) and harm is None
-        return Finding(harm or "nothing", kept, rig.recovered(ready), _text(waiting))
+        said = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
+        return Finding(harm or "nothing", kept, rig.recovered(ready), said)
 
 
 def _text(said: object) -> str | None:
