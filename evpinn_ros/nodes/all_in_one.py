@@ -18,7 +18,8 @@ from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
 from evpinn_ros.nodes.topics import NAMESPACE
 
-NODES = {"can_bridge": CanBridgeNode, "estimator": EstimatorNode, "energy": EnergyNode}
+NODES = {"estimator": EstimatorNode, "energy": EnergyNode, "can_bridge": CanBridgeNode}
+"""The bridge last, for it speaks at once, and those who listen take seconds to load."""
 
 
 def run(
@@ -49,7 +50,7 @@ def run(
         options["can_bridge"]["record"] = frames
         recorder.append(partial(RecorderNode, record, frames, split, namespace=namespace))
     makers = [partial(make, **options[name]) for name, make in NODES.items()]
-    return running.run(*makers, *recorder, args=args)
+    return running.run(*recorder, *makers, args=args)
 
 
 def _options(name: str, namespace: str, parameters: Mapping[str, Value]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ def run(*makers: MakeNode, args: list[str] | None = None) -> int:
     """Make nodes and spin them until SIGINT, SIGTERM or a shutdown; this ends the process with 0.
 
     Args:
-        makers: of the nodes, called once ROS is up.
+        makers: of the nodes, called once ROS is up; those who listen before those who speak.
         args: of the command line, None for those of the process.
 
     Returns:
@@ -55,7 +55,7 @@ def run(*makers: MakeNode, args: list[str] | None = None) -> int:
             raise
         # The shutdown came in the middle of a call into rclpy.
     finally:
-        for node in nodes:
+        for node in reversed(nodes):  # those who listen hear the last words of the others
             node.close()
         for node in nodes:
             node.destroy_node()  # tells the others that it is gone
