@@ -57,6 +57,7 @@ golden: $(INSTALLED)
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
 	@$(BIN)/python docs/eco_speed.py
+	@$(BIN)/python docs/live_view.py
 	@$(BIN)/python docs/generate.py
 
 clean:

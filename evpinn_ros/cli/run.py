@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
+import sys
 from typing import Annotated
 
 import typer
@@ -53,15 +55,19 @@ def run(
     state: Annotated[
         Path | None, typer.Option(help="Where what was learned is kept between drives.")
     ] = None,
+    view: Annotated[
+        bool, typer.Option("--view/--no-view", help="On a terminal, show what `watch` shows.")
+    ] = True,
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
-    Listens only: nothing is sent to the car without --poll.
+    Listens only: nothing is sent to the car without --poll. On a terminal shows what is learned.
 
     Example: evpinn run --vehicle nissan_leaf --can-channel can0 --record out/today
     """
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.all_in_one import run as run_nodes
+    from evpinn_ros.nodes.live_view import live_view
 
     given: dict[str, Value | None] = {
         "vehicle": vehicle,
@@ -78,4 +84,6 @@ def run(
     }
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
-    raise typer.Exit(run_nodes(parameters, record=record, ros_args=ros_args))
+    with live_view() if view and sys.stdout.isatty() else nullcontext():
+        code = run_nodes(parameters, record=record, ros_args=ros_args)
+    raise typer.Exit(code)

@@ -11,18 +11,8 @@ from rich.table import Table
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.run import WARM_UP
 from evpinn_ros.replay.scoring import Span, null_scores
+from evpinn_ros.report.parameter_text import MEANINGS, parameter_number
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
-
-DECIMALS = {"eta": 3, "mu": 3, "mass": 0, "c_rr": 5, "c_d": 4, "p_aux": 0}
-UNITS = {"mass": " kg", "p_aux": " W"}
-MEANINGS = {
-    "eta": "motor efficiency",
-    "mu": "regeneration",
-    "mass": "all aboard",
-    "c_rr": "rolling",
-    "c_d": "drag",
-    "p_aux": "auxiliary",
-}
 
 
 def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -> Table:
@@ -36,9 +26,9 @@ def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -
         estimate = found["parameters"].get(name)
         if estimate is None:
             continue
-        row = [_number(name, estimate["value"]), _number(name, estimate["std"])]
+        row = [parameter_number(name, estimate["value"]), parameter_number(name, estimate["std"])]
         if truth is not None:
-            row.append(_number(name, getattr(truth, name)))
+            row.append(parameter_number(name, getattr(truth, name)))
         share = f"{100 * estimate['prior_share']:.0f} %"
         table.add_row(f"{name}  {MEANINGS[name]}", *row, share, estimate["state"])
     return table
@@ -55,9 +45,9 @@ def live_table(drive: Drive, truth: Parameters | None) -> Table:
         true = float(getattr(truth, name)) if truth is not None else None
         table.add_row(
             f"{name}  {MEANINGS[name]}",
-            _number(name, estimate.value),
-            _number(name, estimate.std),
-            "-" if true is None else _number(name, true),
+            parameter_number(name, estimate.value),
+            parameter_number(name, estimate.std),
+            "-" if true is None else parameter_number(name, true),
             "-" if true is None else f"{(estimate.value - true) / estimate.std:+.1f} sigma",
             f"{100 * estimate.prior_share:.0f} %",
         )
@@ -128,10 +118,6 @@ def _scores(score: Mapping[str, float | None]) -> list[str]:
         "-" if r2 is None else f"{r2:.4f}",
         "-" if coverage is None else f"{100 * coverage:.1f} %",
     ]
-
-
-def _number(name: str, value: float) -> str:
-    return f"{value:.{DECIMALS[name]}f}{UNITS.get(name, '')}"
 
 
 def _watts(value: float | None) -> str:
