@@ -37,7 +37,7 @@ VEHICLE, DRIVE = "tesla_model_3_lr", "urban"
 SECONDS = 330.0  # of the drive
 WIDTH, HEIGHT = 80, 24
 # The frame of a terminal, without fonts from the network.
-FRAME = """<svg viewBox="0 0 {terminal_width} {terminal_height}" xmlns="http://www.w3.org/2000/svg">
+FRAME = """<svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg">
 <style>
 .{unique_id}-matrix {{ font-family: monospace; font-size: {char_height}px;
     line-height: {line_height}px; white-space: pre }}

@@ -38,6 +38,16 @@ class Record:
     message: Any
 
 
+@dataclass(frozen=True, slots=True)
+class RawRecord:
+    """A message of a bag as its CDR bytes."""
+
+    topic: str
+    type_name: str
+    log_time_ns: int
+    data: bytes
+
+
 class BagFile(Protocol):
     """An open file with messages: `McapFile`, `RosbagsFile`."""
 
@@ -113,15 +123,20 @@ class BagReader:
         Args:
             topics: full names of the topics to read; None for all.
         """
-        self.dropped.clear()
-        streams = [self._raw(file, topics) for file in self._files]
-        for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
+        for raw in self.raw_records(topics):
             try:
-                message = decode(channel.type_name, data)
+                message = decode(raw.type_name, raw.data)
             except ValueError:
                 self.dropped["undecodable"] += 1
                 continue
-            yield Record(channel.topic, channel.type_name, log_time_ns, message)
+            yield Record(raw.topic, raw.type_name, raw.log_time_ns, message)
+
+    def raw_records(self, topics: Collection[str] | None = None) -> Iterator[RawRecord]:
+        """The same, not decoded: what can not be is among them."""
+        self.dropped.clear()
+        streams = [self._raw(file, topics) for file in self._files]
+        for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
+            yield RawRecord(channel.topic, channel.type_name, log_time_ns, data)
 
     def _raw(
         self, file: BagFile, topics: Collection[str] | None

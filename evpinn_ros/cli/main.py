@@ -18,7 +18,8 @@ class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
     names = (
-        *("replay", "run", "watch", "convert", "simulate", "reproduce", "bench", "demo"),
+        *("replay", "run", "watch", "view", "convert", "simulate", "reproduce", "bench"),
+        "demo",
         "can",
         "check_params",
     )

@@ -11,6 +11,7 @@ import typer
 
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_table import Value
+from evpinn_ros.report.foxglove import LOOPBACK, PORT
 
 
 def run(
@@ -58,6 +59,15 @@ def run(
     view: Annotated[
         bool, typer.Option("--view/--no-view", help="On a terminal, show what `watch` shows.")
     ] = True,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Serve every topic to Foxglove (extra `foxglove`).")
+    ] = False,
+    foxglove_host: Annotated[
+        str, typer.Option(help="For Foxglove to connect to; this machine alone if not given.")
+    ] = LOOPBACK,
+    foxglove_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Likewise; 0 for any.")
+    ] = PORT,
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
@@ -84,6 +94,7 @@ def run(
     }
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
+    address = (foxglove_host, foxglove_port) if foxglove else None
     with live_view() if view and sys.stdout.isatty() else nullcontext():
-        code = run_nodes(parameters, record=record, ros_args=ros_args)
+        code = run_nodes(parameters, record=record, foxglove=address, ros_args=ros_args)
     raise typer.Exit(code)

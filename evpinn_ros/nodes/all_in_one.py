@@ -1,4 +1,4 @@
-"""The three nodes, and a recorder if wanted, in one process: what `evpinn run` starts."""
+"""The three nodes in one process, with what else is wanted: what `evpinn run` starts."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from evpinn_ros.nodes import running
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.foxglove import FoxgloveNode
 from evpinn_ros.nodes.parameter_table import TABLES, Value
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
@@ -29,6 +30,7 @@ def run(
     parameters: Mapping[str, Value],
     *,
     record: Path | None = None,
+    foxglove: tuple[str, int] | None = None,
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
 ) -> int:
@@ -37,6 +39,7 @@ def run(
     Args:
         parameters: values by name; each node takes those of its table, over any file's.
         record: folder of a bag to write, raw CAN frames beside the topics.
+        foxglove: host and port to serve all topics at.
         namespace: of all topics.
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
 
@@ -46,13 +49,17 @@ def run(
     sys.setswitchinterval(SWITCH_INTERVAL)
     args = ["--ros-args", *ros_args] if ros_args else []
     options = {name: _options(name, namespace, parameters) for name in NODES}
+    servers: list[running.MakeNode] = []
+    if foxglove is not None:
+        servers.append(partial(FoxgloveNode, *foxglove, namespace=namespace))
     recorder: list[running.MakeNode] = []
     if record is not None:
         frames: RawFrames = deque()
         options["can_bridge"]["record"] = frames
         recorder.append(partial(RecorderNode, record, frames, namespace=namespace))
     makers = [partial(make, **options[name]) for name, make in NODES.items()]
-    return running.run(*makers, *recorder, args=args)
+    # What can fail for want of a port comes first, before a bus is opened.
+    return running.run(*servers, *makers, *recorder, args=args)
 
 
 def _options(name: str, namespace: str, parameters: Mapping[str, Value]) -> dict[str, Any]:

@@ -196,7 +196,11 @@ def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:
     cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")
     rates = [f"{gap}{name} {state.rate(topic, now):.1f}/s" for name, topic in RATES.items()]
     heading = "".join(_cell(title, cell, right=True) for title in SPEED_HEADINGS)
-    yield Text("samples km/h", HEADING).append(heading, "not bold").append(rates[0], FAINT)
+    yield (
+        Text("samples km/h", HEADING)
+        .append(heading, "not bold")
+        .append(rates[0], f"not bold {FAINT}")
+    )
     for manner, row, rate in zip(MANNERS, seen, rates[1:], strict=True):
         line = Text(_cell(manner, 12))
         for count in row:
@@ -214,9 +218,8 @@ def _count(count: float, most: float) -> str:
         return UNKNOWN
     if count <= 0:
         return "."
-    share = math.log1p(count) / math.log1p(most)
     short = f"{count:.0f}" if count < 1000 else f"{count / 1000:.3g}k"
-    return BARS[min(int(share * len(BARS)), len(BARS) - 1)] + short
+    return BARS[min(int(count / most * len(BARS)), len(BARS) - 1)] + short
 
 
 def _parameter(row: ParameterRow, value: float, unit: str | None = None) -> str:

@@ -37,7 +37,7 @@ def test_80_by_24_shows_everything(well):
         "power kW  measured 14.6  predicted 13.9 +- 1.2  89 % in band  74 s",
         "energy Wh  consumed 1100  predicted 1000  163 Wh/km  range 245 km (210-290)  re…",
         "samples km/h     <30     <60     <90    <120    >120    speed 10.0/s",
-        "braking          ▃12       -       -       -       -    battery 10.0/s",
+        "braking          ▁12       -       -       -       -    battery 10.0/s",
         "steady             -       -       -       -   █3.4k    predicted 10.0/s",
         "accelerating       -       -       -       -       -    parameters 10.0/s",
     ]
@@ -61,7 +61,7 @@ def test_60_by_20_leaves_out_what_can_be_missed(well):
         "power kW  measured 14.6  predicted 13.9 +- 1.2  89 % in ban…",
         "energy Wh  consumed 1100  predicted 1000  163 Wh/km  range …",
         "samples km/h   <30   <60   <90  <120  >120 speed 10.0/s",
-        "braking        ▃12     -     -     -     - battery 10.0/s",
+        "braking        ▁12     -     -     -     - battery 10.0/s",
         "steady           -     -     -     - █3.4k predicted 10.0/s",
         "accelerating     -     -     -     -     - parameters 10.0/s",
         "! energy: meter: predicting: no power/measured",
