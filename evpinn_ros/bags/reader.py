@@ -132,7 +132,7 @@ class BagReader:
             yield Record(raw.topic, raw.type_name, raw.log_time_ns, message)
 
     def raw_records(self, topics: Collection[str] | None = None) -> Iterator[RawRecord]:
-        """The same, not decoded: what can not be is among them."""
+        """The same before they are decoded, those that cannot be too."""
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):

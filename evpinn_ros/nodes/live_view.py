@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from io import TextIOWrapper
 import multiprocessing
 import os
 import signal
@@ -81,9 +82,13 @@ def watch(namespace: str = NAMESPACE, *, plain: bool = False) -> None:
     except (NameValidationException, RuntimeError) as error:
         rclpy.try_shutdown()
         raise InputError(" ".join(str(error).split())) from error
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # not every terminal knows Braille
     console = Console(highlight=False)
+    # rich alone would take a pipe for a terminal where FORCE_COLOR is set.
+    drawn = console.is_terminal and sys.stdout.isatty() and not console.is_dumb_terminal
     try:
-        if plain or not console.is_terminal:
+        if plain or not drawn:
             _follow(listener, PLAIN_PERIOD, _plain(sys.stdout))
         else:
             with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -158,6 +163,7 @@ def live_view(namespace: str = NAMESPACE) -> Iterator[None]:
         finally:
             view.terminate()
             view.join(END_TIMEOUT)
+            view.kill()  # it may hang in a terminal that stands still; no harm to what has ended
             os.dup2(terminal, 2)
             os.close(terminal)
             kept.seek(0)

@@ -111,8 +111,8 @@ def drive(urban, tmp_path) -> tuple[str, ...]:
 
 
 def learned(written: bytes) -> bool:
-    """Whether the newest picture has a value of eta and a rate of speed messages."""
-    picture = written.rpartition(b"evpinn ")[2].decode(errors="ignore")
+    """Whether the newest whole picture has a value of eta and a rate of speed messages."""
+    picture = written.rpartition(b"evpinn ")[0].rpartition(b"evpinn ")[2].decode()
     row = next((line for line in picture.splitlines() if line.startswith("eta ")), "- - -")
     return "parameters" in picture and row.split()[2] != "-" and "speed 0.0/s" not in picture
 
@@ -155,7 +155,12 @@ def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
 
 def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
     running = subprocess.Popen(
-        [*EVPINN, "watch"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*EVPINN, "watch"],
+        cwd=ROOT,
+        env={**os.environ, "FORCE_COLOR": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         assert "nothing heard yet" in running.stdout.readline()
@@ -195,3 +200,17 @@ def test_a_namespace_that_is_none_is_one_line(tmp_path):
     )
     assert done.returncode == 1 and done.stdout == ""
     assert "a b" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_a_terminal_that_knows_neither_cursor_nor_braille_gets_lines():
+    environment = {"TERM": "dumb", "PYTHONIOENCODING": "ascii"}
+    with terminal(*EVPINN, "watch", **environment) as screen:
+        screen.read_until(lambda written: written.count(b"km/h") > 1)
+        screen.type(CTRL_C)
+        assert screen.end() == 0
+    assert b"\x1b" not in screen.written
+    with terminal(*EVPINN, "watch", PYTHONIOENCODING="ascii") as screen:
+        screen.read_until(lambda written: written.count(b"samples km/h") > 1)
+        screen.type(CTRL_C)
+        assert screen.end() == 0
+    assert b"Traceback" not in screen.written
