@@ -14,6 +14,10 @@ COMMANDS = (
     "can",
     "energy",
     "soak",
+    "fuzz",
+    "report",
+    "recover",
+    "faults",
 )  # each a function in `bench_<name>.py`
 
 

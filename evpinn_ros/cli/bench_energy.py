@@ -1,9 +1,10 @@
-"""`evpinn bench energy`: integration, forecasts of real drives, and how quick forecasts are."""
+"""`evpinn bench energy`: counting energy, forecasts of real drives, and how quick they are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from enum import Enum
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -23,6 +24,7 @@ from evpinn_ros.bench.energy_library import (
 )
 from evpinn_ros.bench.fastsim_peer import fastsim_version
 from evpinn_ros.bench.logs import Log, find_logs
+from evpinn_ros.cli.bench_integration import EPOCHS, counting, integrators
 from evpinn_ros.cli.console import note, progress_bar, results, write_json
 from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.errors import InputError
@@ -34,6 +36,16 @@ CAR = "tesla_model_3_lr"  # of the figures of speed
 JOULES_PER_WH = 3600.0
 
 
+class Part(str, Enum):
+    """What can be measured by itself."""
+
+    INTEGRATORS = "integrators"
+    COUNTING = "counting"
+    FORECASTS = "forecasts"
+    LIBRARY = "library"
+    PLANS = "plans"
+
+
 def energy(
     paths: Annotated[
         list[str],
@@ -43,30 +55,45 @@ def energy(
     cycles: Annotated[
         Path | None, typer.Option(help="Folder with udds.csv, hwfet.csv and us06.csv.")
     ] = None,
+    parts: Annotated[
+        list[Part], typer.Option("--part", help="Measure this alone; more than one may be given.")
+    ] = [*Part],  # noqa: B006
+    epochs: Annotated[
+        int, typer.Option(min=1, help="Of the networks trained to be compared as integrators.")
+    ] = EPOCHS,
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures as JSON.")
     ] = None,
 ) -> None:
-    """Forecast each drive before it is driven, and time forecasts.
+    """Count the energy of drives, forecast each before it is driven, and time forecasts.
 
-    The drives of a PATH are one car's, in order of names: each is foretold from its own speed and
-    elevation by what was learned on those before, the first from the vehicle file.
+    The drives of a PATH are one car's, in order of names. Integrators: the networks of the paper
+    beside the trapezoid and Simpson's rule, on all samples and on fewer. Counting: the battery at
+    1 Hz with gaps, silent for ten minutes, silent all along; it takes as long as a fifth of all
+    drives. Forecasts: each drive is foretold from its own speed and elevation by what was learned
+    on those before, the first from the vehicle file.
 
     Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
     """
     one_thread()
     cars = [find_logs(path, vehicle) for path in paths]
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
-    found["forecasts"] = [_forecasts(logs) for logs in cars]
-    throughput = measure_throughput(load_vehicle(CAR))
-    found["library"] = throughput._asdict()
-    _show_throughput(throughput)
-    if cycles is not None:
-        found["cycles"] = _cycles(cycles)
-    if find_spec("rclpy") is None:
+    if Part.INTEGRATORS in parts:
+        found["integrators"] = integrators(cars, epochs)
+    if Part.COUNTING in parts:
+        found["counting"] = counting(cars)
+    if Part.FORECASTS in parts:
+        found["forecasts"] = [_forecasts(logs) for logs in cars]
+    if Part.LIBRARY in parts:
+        throughput = measure_throughput(load_vehicle(CAR))
+        found["library"] = throughput._asdict()
+        _show_throughput(throughput)
+        if cycles is not None:
+            found["cycles"] = _cycles(cycles)
+    if Part.PLANS in parts and find_spec("rclpy") is None:
         note("rclpy is not installed: plans over DDS are left out")
-    else:
+    elif Part.PLANS in parts:
         found["plans"] = _plans(plans)
     if json_file is not None:
         write_json(json_file, found)

@@ -1,17 +1,20 @@
 """What was consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
 The measured integral stays where it is while the battery is silent; the predicted ones go on
-from speed alone, and bridge the silence. When speed is silent as well, nothing is known of what
-was taken: that time is counted, and no line is drawn across it.
+from speed alone, and bridge the silence. Between two samples of a slow battery the prediction
+tells the course of power (`energy.course`). When speed is silent as well, nothing is known of
+what was taken: that time is counted, and no line is drawn across it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.energy.course import Correction, Course, MeasuredStep, Prediction
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.saved import number, numbers, or_none, section
@@ -19,6 +22,13 @@ from evpinn_ros.energy.silence import Bridge, Silence, Silences
 from evpinn_ros.energy.uncertainty import CORRELATION_TIME, CorrelatedError, LastingShare
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
+
+
+class Integrator(str, Enum):
+    """What integrates the predicted power that stands in for a silent battery."""
+
+    TRAPEZOID = "trapezoid"
+    RKNN = "rknn"
 
 
 class Flow(NamedTuple):
@@ -42,7 +52,8 @@ class EnergyState:
         regenerated: as positive J and W; of measured power, and of predicted power for the time
             the battery was silent. Its sigma is that of the net energy it is a part of.
         consumed: net energy by the same rule, J: measured where possible, predicted elsewhere.
-            Where they join, one sample may count twice or not at all.
+            Where they join, one sample may count twice or not at all. A step of a slow battery
+            counts as a straight line until the prediction, which lags behind, has passed it.
         consumed_sigma: its 1-sigma, J.
         gaps: steps too long to integrate, of measured and predicted power together.
         dropped: samples dropped (out of order or not finite), of both together.
@@ -80,6 +91,7 @@ class EnergyMeter:
         self,
         rknn: Rknn,
         *,
+        integrator: Integrator = Integrator.TRAPEZOID,
         max_gap: float = MAX_GAP,
         battery_timeout: float = MAX_GAP,
         correlation_time: float = CORRELATION_TIME,
@@ -88,6 +100,7 @@ class EnergyMeter:
 
         Args:
             rknn: the Runge-Kutta network.
+            integrator: whose integral bridges a silence; both are in the state.
             max_gap: longest step of predicted power that is integrated, s.
             battery_timeout: the battery counts as silent when stamps are this much newer than
                 its last sample, s. Longer steps of measured power are not integrated.
@@ -100,7 +113,7 @@ class EnergyMeter:
             raise InputError(
                 f"max_gap = {max_gap:g} s: must be above 0 and at most {STEP_LIMIT:g}"
             )
-        self._network = rknn
+        self._network, self._integrator = rknn, integrator
         self._max_gap, self._timeout, self._tau = max_gap, battery_timeout, correlation_time
         self.reset()
 
@@ -118,16 +131,20 @@ class EnergyMeter:
         self._newest_ns = 0
         self._silent_since_ns: int | None = None
         self.last_silence: Silence | None = None
-        self._silences = silences  # those that ended
+        self._silences = silences  # those that ended, and what the course of power added
+        self._course = Course(self._max_gap)
         self._silence_error = CorrelatedError(self._tau)
         self._anchor = self._predicted_parts()
 
     def push_predicted(self, stamp_ns: int, power: float, sigma: float) -> None:
         """Take one prediction of power and its 1-sigma, W."""
+        dropped = self._predicted.dropped
         step = self._predicted.push(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if self._silent_since_ns is None:
             self._silent_since_ns = stamp_ns
+        if self._predicted.dropped == dropped:
+            self._correct(self._course.push_predicted(Prediction(stamp_ns, power, sigma)))
         if step is None:
             return
         energy = float(self._network.step(step.power, step.power_next, step.dt))
@@ -138,18 +155,23 @@ class EnergyMeter:
 
     def push_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
-        dropped = self._measured.dropped
+        dropped, last_ns = self._measured.dropped, self._measured.last_stamp_ns
         step = self._measured.push(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if self._measured.dropped > dropped:
             return
-        if step is None:
+        if step is None or last_ns is None:
             self._end_silence(stamp_ns)
         else:
             self._measured_error.push(sigma, step.dt)
+            self._correct(self._course.push_measured(MeasuredStep(last_ns, stamp_ns, step)))
         self._silent_since_ns = stamp_ns
         self._silence_error = CorrelatedError(self._tau)
         self._anchor = self._predicted_parts()
+
+    def _correct(self, corrections: Iterable[Correction]) -> None:
+        for correction in corrections:
+            self._silences = self._silences.corrected(correction.bridge, correction.variance)
 
     def _end_silence(self, stamp_ns: int) -> None:
         ended = self._silence_until(stamp_ns)
@@ -248,7 +270,9 @@ class EnergyMeter:
 
     def _predicted_parts(self) -> Bridge:
         whole = self._predicted
-        return Bridge(whole.energy, whole.regenerated, whole.gross, whole.covered_s)
+        by_network = self._integrator is Integrator.RKNN
+        energy = self._rknn.value if by_network else whole.energy
+        return Bridge(energy, whole.regenerated, whole.gross, whole.covered_s)
 
     def _silence(self, stamp_ns: int) -> float:
         """Time from the last word of the battery (or the first stamp) to this stamp, s."""

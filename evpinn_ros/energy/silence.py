@@ -53,7 +53,7 @@ class Silence(NamedTuple):
 
 
 class Silences(NamedTuple):
-    """All silences together.
+    """All silences together, and what the prediction adds between two samples of the battery.
 
     Attributes:
         bridged: what the prediction says of them.
@@ -75,3 +75,7 @@ class Silences(NamedTuple):
             self.lasting_variance + silence.sigma**2 - silence.short_sigma**2,
             self.seconds + silence.duration,
         )
+
+    def corrected(self, bridge: Bridge, variance: float) -> Silences:
+        """With what a prediction adds, J, and its variance, J^2, while the battery speaks."""
+        return self._replace(bridged=self.bridged.plus(bridge), variance=self.variance + variance)

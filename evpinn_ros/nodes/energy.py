@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import UNKNOWN
-from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.nodes import topics
@@ -66,7 +66,11 @@ class EnergyNode(GuardedNode):
         """
         super().__init__("energy", **kwargs)
         vehicle = load_vehicle(self.values["vehicle"])
-        self.meter = EnergyMeter(load_rknn(), max_gap=self.values["max_gap"])
+        self.meter = EnergyMeter(
+            load_rknn(),
+            integrator=Integrator(self.values["integrator"]),
+            max_gap=self.values["max_gap"],
+        )
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
         self.forecaster = Forecaster(vehicle)
@@ -161,7 +165,8 @@ class EnergyNode(GuardedNode):
 
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]
-        self.get_logger().warning(f"time went back by {jump.seconds:.1f} s: {policy}")
+        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
+        self.notice("jump", text)
         if policy == JumpPolicy.RESET.value:
             self._keeper.start_over()
         else:

@@ -160,6 +160,13 @@ ESTIMATOR = (
 ENERGY = (
     VEHICLE,
     Parameter(
+        "integrator",
+        "trapezoid",
+        "What integrates the predicted power that bridges a silent battery: the trapezoid rule, "
+        "the more exact, or the paper's Runge-Kutta network. energy/state holds both.",
+        choices=("trapezoid", "rknn"),
+    ),
+    Parameter(
         "max_gap",
         2.0,
         "Longest step of power that is integrated.",

@@ -12,8 +12,8 @@ from rich.text import Text
 from evpinn_ros.estimation.operating_range import MANNERS
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import Level
+from evpinn_ros.replay.parameter_text import MEANINGS, UNITS, number
 from evpinn_ros.report.live_state import POWERS, LiveState, ParameterRow
-from evpinn_ros.report.parameter_text import MEANINGS, UNITS, parameter_number
 from evpinn_ros.report.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
 
 TITLE, HEADING, FAINT = "bold reverse", "bold", "dim"
@@ -111,7 +111,7 @@ def plain_line(state: LiveState, now: float) -> str:
 
 def problem_lines(state: LiveState, now: float) -> list[str]:
     """What is missing and why, one line each."""
-    return [f"{level.name.lower()}: {_clean(text)}" for level, text in state.problems(now)]
+    return [f"{level.name.lower()}: {text}" for level, text in state.problems(now)]
 
 
 def _title(state: LiveState, now: float, width: int) -> Text:
@@ -120,7 +120,7 @@ def _title(state: LiveState, now: float, width: int) -> Text:
     if battery is not None:
         right = f"{_number(battery.voltage, 0)} V  {_number(battery.current, 1)} A  {right}"
     room = max(width - len(right) - 1, 0)
-    left = set_cell_size(f" evpinn  {_clean(state.activity(now)) or 'estimator silent'}", room)
+    left = set_cell_size(f" evpinn  {state.activity(now) or 'estimator silent'}", room)
     return Text(f"{left} {right}", style=TITLE)
 
 
@@ -138,7 +138,7 @@ def _parameters(state: LiveState, width: int) -> Iterable[Text]:
             "prior": _percent(100 * row.prior_share),
             "told": _percent(row.progress),
         }
-        said = _clean(row.state) or UNKNOWN
+        said = row.state or UNKNOWN
         yield Text(f"{_row(columns, texts)} ").append(said, STATE_STYLES.get(row.state, FAINT))
 
 
@@ -210,7 +210,7 @@ def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:
 
 def _problems(found: Iterable[tuple[Level, str]]) -> Iterable[Text]:
     for level, text in found:
-        yield Text(f"! {_clean(text)}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
+        yield Text(f"! {text}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
 
 
 def _count(count: float, most: float) -> str:
@@ -225,7 +225,7 @@ def _count(count: float, most: float) -> str:
 def _parameter(row: ParameterRow, value: float, unit: str | None = None) -> str:
     if not abs(value) < GREATEST:
         return UNKNOWN if not math.isfinite(value) else f"{value:.1e}"
-    text = parameter_number(row.name, value)
+    text = number(row.name, value)
     return text if unit is None else text.removesuffix(UNITS.get(row.name, "")) + unit
 
 
@@ -255,8 +255,3 @@ def _cell(text: str, width: int, *, right: bool = False) -> str:
     """Text of exactly this many characters."""
     short = text if len(text) <= width else text[: width - 1] + "…"
     return short.rjust(width) if right else short.ljust(width)
-
-
-def _clean(text: str) -> str:
-    """What somebody else wrote, without what would move the cursor."""
-    return "".join(char if char.isprintable() else " " for char in text)

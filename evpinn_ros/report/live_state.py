@@ -123,9 +123,10 @@ class LiveState:
             return  # of somebody else: everybody shares this topic
         # rclpy holds a byte as bytes, rosbags as int.
         level = status.level if isinstance(status.level, int) else status.level[0]
-        values = {pair.key: pair.value for pair in status.values}
+        values = {pair.key: _printable(pair.value) for pair in status.values}
         known = Level(min(level, Level.STALE))
-        self.statuses[status.name] = PartStatus(known, status.message, values, now)
+        text = _printable(status.message)
+        self.statuses[_printable(status.name)] = PartStatus(known, text, values, now)
 
     def age(self, topic: Topic, now: float) -> float:
         """Seconds since the last message of a topic, infinite before the first."""
@@ -240,3 +241,8 @@ def _number(text: str | None) -> float:
         return math.nan if text is None else float(text)
     except ValueError:
         return math.nan
+
+
+def _printable(text: str) -> str:
+    """What somebody else wrote, without what would move the cursor."""
+    return "".join(char if char.isprintable() else " " for char in text)

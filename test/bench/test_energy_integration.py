@@ -14,7 +14,16 @@ def test_figures_that_need_no_data():
     drift, quadrature, *gaps = integration_rows([], time.thread_time)
     assert drift.name.startswith("drift") and drift.figure <= 1e-6
     assert quadrature.name.startswith("quadrature") and 0.0 < quadrature.figure <= 1e-4
-    assert gaps[-1].name.endswith("worst") and 0.0 < gaps[-1].figure <= 1.5  # goal: 0.5
+    assert gaps[-1].name.endswith("worst") and 0.0 < gaps[-1].figure <= 0.5
+
+
+def test_a_drive_without_a_battery_gives_no_figures_of_a_car(tmp_path, monkeypatch):
+    monkeypatch.setattr(energy_integration, "DAY", 60)
+    monkeypatch.setattr(energy_integration, "simulated_rows", list)
+    drive = tmp_path / "drive.csv"
+    drive.write_text("t_s,speed_mps,power_w\n" + "".join(f"{t},9.0,\n" for t in range(100)))
+    (only,) = integration_rows([find_logs(str(drive), "bmw_i3")], time.thread_time)
+    assert only.name.startswith("drift")
 
 
 def test_a_bundled_drive_gives_every_figure_of_a_car(monkeypatch):

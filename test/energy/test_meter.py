@@ -3,7 +3,8 @@ import math
 
 import pytest
 
-from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.meter import EnergyMeter, Integrator
+from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.uncertainty import PRIOR_SHARE
 from evpinn_ros.errors import InputError
@@ -172,6 +173,65 @@ def test_reset_allows_time_to_start_over():
     state = drive(again, range(10)).state
     assert state.measured.energy == pytest.approx(100e3)
     assert (state.dropped, state.gaps) == (0, 0)
+
+
+def town(tick):
+    """Power, W, that changes its sign every few seconds."""
+    return 4e3 + 20e3 * math.sin(tick / 7) + 9e3 * math.sin(tick / 2.3)
+
+
+def slow_battery(to, ticks, every, lag=3):
+    """A battery at every so many ticks of 0.1 s, predictions 6 % high and late, as on board."""
+    for tick in ticks:
+        if tick % every == 0:
+            to.push_measured(START + tick * 100_000_000, town(tick), 30.0)
+        if tick >= lag:
+            late = tick - lag
+            to.push_predicted(START + late * 100_000_000, 1.06 * town(late), 500.0)
+    return to.state
+
+
+def test_between_two_words_of_a_slow_battery_the_prediction_tells_the_course():
+    truth, coarse = EnergyIntegral(), EnergyIntegral()
+    for tick in range(6001):
+        truth.push(START + tick * 100_000_000, town(tick))
+        if tick % 10 == 0:
+            coarse.push(START + tick * 100_000_000, town(tick))
+    joined = meter()
+    state = slow_battery(joined, range(6004), every=10)
+    missed = abs(coarse.regenerated - truth.regenerated)
+    assert missed > 0.1 * truth.regenerated
+    assert abs(state.regenerated.energy - truth.regenerated) < 0.15 * missed
+    assert state.consumed == pytest.approx(truth.energy, abs=2e3)
+    assert state.measured.energy == pytest.approx(coarse.energy)  # what was measured stays so
+    assert abs(state.consumed - truth.energy) < state.consumed_sigma
+    assert state.measuring and (state.gaps, state.unmeasured_s, state.unknown_s) == (0, 0.0, 0.0)
+    again = meter()
+    again.restore(json.loads(json.dumps(joined.exported())))
+    assert again.state.consumed == pytest.approx(state.consumed)
+    assert again.state.consumed_sigma == pytest.approx(state.consumed_sigma)
+
+
+def test_a_battery_as_frequent_as_the_prediction_is_counted_as_it_is():
+    state = slow_battery(meter(), range(6001), every=1)
+    assert state.consumed == state.measured.energy
+    assert state.consumed_sigma == state.measured.sigma
+
+
+def test_a_straight_line_stands_until_the_prediction_has_passed_it():
+    early = meter()
+    slow_battery(early, range(11), every=10)
+    assert early.state.consumed == early.state.measured.energy
+    early.push_predicted(START + 10 * 100_000_000, 1.06 * town(10), 500.0)
+    assert early.state.consumed != early.state.measured.energy
+
+
+@pytest.mark.parametrize("integrator", Integrator)
+def test_a_silence_is_bridged_by_the_integrator_chosen(integrator):
+    state = drive(meter(integrator=integrator), range(60), silent=range(-1, 60)).state
+    chosen = state.rknn if integrator is Integrator.RKNN else state.predicted
+    assert state.predicted.energy != state.rknn.energy
+    assert state.consumed == chosen.energy
 
 
 @pytest.mark.parametrize("silent", [NEVER, range(10, 30), range(10, 20), range(-1, 30)])

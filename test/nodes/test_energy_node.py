@@ -345,3 +345,18 @@ def test_bad_messages_are_counted(bench):
     assert values["bad.power/smoothed: no_power"] == "1"
     assert values["bad.estimate/identifiable: incomplete"] == "1"
     assert values["bad.power/measured: no_stamp"] == "1"
+
+
+@pytest.mark.parametrize(("integrator", "flow"), [("trapezoid", "predicted"), ("rknn", "rknn")])
+def test_both_integrals_are_published_and_the_chosen_one_bridges_a_silence(
+    bench, integrator, flow
+):
+    node = bench.start(EnergyNode, integrator=integrator)
+    bench.listen(topics.ENERGY_STATE)
+    for tick in range(5):
+        bench.deliver(node, topics.POWER_SMOOTHED, power(tick, 9e3 * (-1) ** tick + 2e3))
+    bench.pump(lambda: len(bench.heard[topics.ENERGY_STATE]) == 5)
+    last = bench.heard[topics.ENERGY_STATE][-1]
+    values = dict(zip(last.name, last.position, strict=True))
+    assert values["predicted"] != values["rknn"]
+    assert values["consumed"] == values[flow]

@@ -8,6 +8,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 import yaml
 
+from evpinn_ros.energy.meter import Integrator
 from evpinn_ros.energy.plan import MAX_SPEED, NOMINAL_SPEED
 from evpinn_ros.energy.quadrature import MAX_GAP
 from evpinn_ros.energy.rknn import STEP_LIMIT
@@ -68,6 +69,8 @@ def test_choices_and_defaults_are_those_of_the_cores():
         assert estimator[name].default == getattr(settings.stream, name)
     energy = table("energy")
     assert (energy["max_gap"].default, energy["max_gap"].upper) == (MAX_GAP, STEP_LIMIT)
+    assert set(energy["integrator"].choices) == {member.value for member in Integrator}
+    assert energy["integrator"].default == Integrator.TRAPEZOID.value
     speed = energy["nominal_speed"]
     assert (speed.default, speed.upper) == (NOMINAL_SPEED, MAX_SPEED)
 
@@ -81,6 +84,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
         ("estimator", "seed", True, "a whole number"),
         ("estimator", "seed", -1, "outside"),
         ("estimator", "mode", "clever", "not one of hybrid, paper"),
+        ("energy", "integrator", "simpson", "not one of trapezoid, rknn"),
         ("estimator", "vehicle", "tesla", "no vehicle named 'tesla'"),
         ("estimator", "time_jump_threshold", 0.3, "above allowed_lateness"),
         ("can_bridge", "can_profile", "vw", "no CAN profile named 'vw'"),

@@ -1,4 +1,4 @@
-"""How parameters read on a terminal: decimals, units and a word for each."""
+"""How parameters read: decimals, units and a word for each. Light, for the live view loads it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,6 @@ MEANINGS = {
 }
 
 
-def parameter_number(name: str, value: float) -> str:
-    """A value or 1-sigma of a parameter, with its unit."""
+def number(name: str, value: float) -> str:
+    """A parameter with its digits and unit."""
     return f"{value:.{DECIMALS[name]}f}{UNITS.get(name, '')}"

@@ -1,0 +1,83 @@
+"""The parts of `evpinn bench energy` that count energy: integrators, and the meter on board."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import time
+from typing import Any
+
+from evpinn_ros.bench.energy_integration import integration_rows
+from evpinn_ros.bench.integrators import (
+    SIMULATED,
+    Agreement,
+    IntegratorRow,
+    PowerSeries,
+    agreement,
+    compare_integrators,
+    measured_power,
+    simulated_power,
+)
+from evpinn_ros.bench.logs import Log
+from evpinn_ros.cli.console import note, results
+from evpinn_ros.cli.tables import figures_table, titled_table
+from evpinn_ros.errors import InputError
+
+EPOCHS = 1000
+
+
+def integrators(cars: Sequence[Sequence[Log]], epochs: int) -> dict[str, Any]:
+    """Compare integrators on each car's logs and on simulated drives; gives the figures."""
+    rows: list[IntegratorRow] = []
+    agreements: list[Agreement] = []
+    for logs in cars:
+        drives = _drives(logs)
+        agreements += [agreement(drive) for drive in drives]
+        if drives:
+            rows += _compared(logs[0].vehicle, drives, epochs)
+    rows += _compared(SIMULATED, simulated_power(), epochs)
+    if agreements:
+        worst = max(agreements, key=lambda each: abs(each.percent))
+        results.print(
+            f"RKNN, shipped, against the trapezoid on every sample, {len(agreements)} whole logs: "
+            f"{worst.percent:+.4f} % at worst, {worst.log} (goal 0.1 %)"
+        )
+    return {
+        "rows": [row._asdict() for row in rows],
+        "agreement": [each._asdict() for each in agreements],
+    }
+
+
+def _drives(logs: Sequence[Log]) -> list[PowerSeries]:
+    drives = []
+    for log in logs:
+        try:
+            drives.append(measured_power(log))
+        except InputError as error:
+            note(f"evpinn: {error}")
+    return drives
+
+
+def _compared(car: str, drives: Sequence[PowerSeries], epochs: int) -> list[IntegratorRow]:
+    """One car's figures, shown with methods down and samplings across."""
+    rows = list(compare_integrators(car, drives, epochs))
+    table = titled_table(f"{car} ({len(drives)}): median / worst error, % of gross energy")
+    table.add_column("method")
+    cells: dict[str, list[str]] = {}
+    for row in rows:
+        cells.setdefault(row.method, []).append(f"{row.median:.3f} / {row.worst:.3f}")
+    for sampling in dict.fromkeys(row.sampling for row in rows):
+        table.add_column(sampling, justify="right")
+    for method, errors in cells.items():
+        table.add_row(method, *errors)
+    results.print(table)
+    return rows
+
+
+def counting(cars: Sequence[Sequence[Log]]) -> list[dict[str, Any]]:
+    """How well the chain counts (`bench.energy_integration`); show and give the figures."""
+    rows = integration_rows(cars, time.thread_time)
+    shown = [
+        (f"{row.name} ({row.cases})", f"{row.figure:.3g} {row.unit}", row.goal) for row in rows
+    ]
+    results.print(figures_table("Energy counted on board (cases)", shown))
+    return [row._asdict() for row in rows]

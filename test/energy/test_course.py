@@ -1,0 +1,121 @@
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.energy.course import WAITING, Course, MeasuredStep, Prediction
+from evpinn_ros.energy.quadrature import EnergyIntegral, Step
+
+START = 1_700_000_000_000_000_000
+powers = st.floats(-1e5, 1e5)
+
+
+def stamp(tick):
+    """Of a tick of 0.1 s."""
+    return START + tick * 100_000_000
+
+
+def step(begin, end, power, power_next):
+    line = Step((end - begin) / 10, power, power_next)
+    return MeasuredStep(stamp(begin), stamp(end), line)
+
+
+def predict(to, ticks, power=lambda tick: 1e3, sigma=1e3):
+    return [
+        found for t in ticks for found in to.push_predicted(Prediction(stamp(t), power(t), sigma))
+    ]
+
+
+def integral(values):
+    whole = EnergyIntegral()
+    for tick, power in values:
+        whole.push(stamp(tick), power)
+    return whole
+
+
+@given(st.lists(powers, min_size=11, max_size=11), powers, st.floats(-1e4, 1e4))
+def test_an_error_of_the_prediction_that_is_linear_costs_nothing(truth, offset, slope):
+    """Energy and regenerated energy of the step are those of the true power at 10 Hz."""
+    course, line = Course(2.0), step(0, 10, truth[0], truth[10])
+    assert list(course.push_measured(line)) == []
+    (found,) = predict(course, range(11), lambda t: truth[t] + offset + slope * t)
+    exact = integral(enumerate(truth))
+    energy = line.line.energy + found.bridge.energy
+    regenerated = line.line.parts[1] + found.bridge.regenerated
+    assert energy == pytest.approx(exact.energy, abs=1e-3)
+    assert regenerated == pytest.approx(exact.regenerated, abs=1e-3)
+    assert found.bridge.gross == pytest.approx(exact.gross - sum(line.line.parts), abs=1e-3)
+
+
+def test_a_launch_and_a_stop_between_two_words_by_hand():
+    """The battery says 1 kW twice; in between 20 kW more were predicted at one moment."""
+    course = Course(2.0)
+    list(course.push_measured(step(0, 10, 1e3, 1e3)))
+    (found,) = predict(course, range(11), lambda t: 21e3 if t == 5 else 1e3, sigma=400.0)
+    assert found.bridge.energy == pytest.approx(20e3 * 0.1)
+    assert found.variance == pytest.approx((400.0 * 1.0) ** 2 / 2)
+
+
+def test_stamps_of_battery_and_prediction_need_not_be_the_same():
+    course, ramp = Course(2.0), lambda tick: 5e3 + 700.0 * tick
+    late = MeasuredStep(stamp(0) + 30_000_000, stamp(10) + 30_000_000, Step(1.0, 0.0, 0.0))
+    list(course.push_measured(late))
+    (found,) = predict(course, range(12), ramp)
+    assert found.bridge.energy == pytest.approx(0.0, abs=1e-6)
+    bent = Course(2.0)
+    list(bent.push_measured(late))
+    (found,) = predict(bent, range(12), lambda t: ramp(t) + 40.0 * t * t)
+    # Of 4000 t^2 W over 1 s, t in s, less its own straight line: -4000 / 6.
+    assert found.bridge.energy == pytest.approx(-4000 / 6, rel=0.02)
+
+
+def test_predictions_may_come_first():
+    course = Course(2.0)
+    assert predict(course, range(11), lambda t: 2e3 if t == 5 else 1e3) == []
+    (found,) = course.push_measured(step(0, 10, 1e3, 1e3))
+    assert found.bridge.energy == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    "ticks",
+    [
+        range(0),
+        range(10),  # never past the step
+        range(1, 12),  # begin within it
+        [0, 5, 10],  # one inside: no denser than a battery at 2 Hz
+        [-15, 8, 9, 10],  # a gap of 2.3 s
+    ],
+)
+def test_where_the_prediction_tells_no_course_the_straight_line_stays(ticks):
+    course = Course(2.0)
+    list(course.push_measured(step(0, 10, 1e3, 1e3)))
+    assert predict(course, ticks, lambda t: 1e3 * t * t) == []
+
+
+def test_every_step_is_told_once_and_in_order():
+    course, random = Course(2.0), np.random.default_rng(2)
+    truth = random.normal(8e3, 2e4, 1001)
+    found = []
+    for tick in range(1001):
+        if tick % 10 == 0 and tick:
+            found += course.push_measured(step(tick - 10, tick, truth[tick - 10], truth[tick]))
+        if tick >= 3:  # the smoothed prediction lags by 0.3 s
+            found += predict(course, [tick - 3], lambda t: 0.9 * truth[t] + 500.0)
+    assert len(found) == 99
+    coarse = integral((t, truth[t]) for t in range(0, 991, 10)).energy
+    fine = integral(enumerate(truth[:991])).energy
+    # A tenth of what the straight lines miss is left: the prediction is a tenth too low.
+    left = coarse + math.fsum(each.bridge.energy for each in found) - fine
+    assert left == pytest.approx((coarse - fine) / 10, rel=1e-6)
+
+
+def test_a_battery_without_predictions_for_hours_keeps_little():
+    course = Course(2.0)
+    for second in range(5 * WAITING):
+        assert not list(course.push_measured(step(10 * second, 10 * second + 10, 1e3, 1e3)))
+    last = 50 * WAITING
+    found = predict(course, range(last - 10, last + 1))
+    assert len(found) == 1  # the steps before hold no predictions: they stay straight lines
+    assert found[0].bridge.energy == pytest.approx(0.0, abs=1e-6)
