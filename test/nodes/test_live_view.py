@@ -22,6 +22,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.live_view import LiveListener
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.report.live_state import WATCHED
 from evpinn_ros.signals.readings import SpeedReading
@@ -192,6 +193,22 @@ def test_watch_publishes_nothing(bench):
     finally:
         running.send_signal(signal.SIGTERM)
         assert running.wait(20) == 0
+
+
+def test_a_listener_takes_all_that_has_come_at_once(bench, urban):
+    """It must not fall behind a topic that is faster than the picture."""
+    listener = LiveListener(topics.NAMESPACE)
+    _, _, message = next(each for each in urban(1.0) if each[0] == topics.SPEED)
+    bench.publisher(topics.SPEED)
+    listener.take_all()
+    for _ in range(50):
+        bench.send(topics.SPEED, message)
+        time.sleep(0.004)
+    time.sleep(0.5)
+    listener.take_all()
+    assert listener.state.rate(topics.SPEED, time.monotonic()) >= 40  # in the first second
+    assert listener.state.speed == message.twist.twist.linear.x
+    listener.destroy_node()
 
 
 def test_a_namespace_that_is_none_is_one_line(tmp_path):
