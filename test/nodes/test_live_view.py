@@ -113,7 +113,7 @@ def drive(urban, tmp_path) -> tuple[str, ...]:
 
 def learned(written: bytes) -> bool:
     """Whether the newest whole picture has a value of eta and a rate of speed messages."""
-    picture = written.rpartition(b"evpinn ")[0].rpartition(b"evpinn ")[2].decode()
+    picture = written.rpartition(b"evpinn ")[0].rpartition(b"evpinn ")[2].decode(errors="ignore")
     row = next((line for line in picture.splitlines() if line.startswith("eta ")), "- - -")
     return "parameters" in picture and row.split()[2] != "-" and "speed 0.0/s" not in picture
 
@@ -128,7 +128,8 @@ def test_run_on_a_terminal_shows_parameters_and_leaves_it_as_it_was(drive):
     shown, _, after = shown.rpartition(BACK)
     assert before.strip() == b""
     assert b"\x1b[3" not in shown  # no colour, but a line of power
-    assert re.search("[⠁-⣿]", shown.decode())
+    # The terminal echoes Ctrl-C anywhere, also within a character.
+    assert re.search("[⠁-⣿]", shown.decode(errors="ignore"))
     assert b"Traceback" not in after and b"playing" in after  # what was logged comes last
 
 
