@@ -11,9 +11,9 @@ INSTALLED := $(VENV)/installed
 # A sourced ROS 2 brings its own rclpy; without one it comes as wheels, with the extra `ros`.
 ifdef ROS_DISTRO
 VENV_OPTIONS := --system-site-packages
-EXTRAS := dev,bench
+EXTRAS := dev,bench,foxglove
 else
-EXTRAS := dev,ros,bench
+EXTRAS := dev,ros,bench,foxglove
 endif
 
 # Nodes started here meet no other robot, and workers side by side take one core each.
@@ -57,6 +57,7 @@ golden: $(INSTALLED)
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
 	@$(BIN)/python docs/eco_speed.py
+	@$(BIN)/python docs/live_view.py
 	@$(BIN)/python docs/generate.py
 	@$(BIN)/python docs/report.py
 

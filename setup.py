@@ -76,6 +76,8 @@ setup(
         "fuzz": ["atheris"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
+        # Serves `evpinn run --foxglove` and `evpinn view`.
+        "foxglove": ["foxglove-sdk"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",
@@ -89,6 +91,7 @@ setup(
             "ruff",
             "setuptools>=70.1",
             "types-PyYAML",
+            "websockets",
         ],
     },
     entry_points={

@@ -30,6 +30,7 @@ NAMES = {
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
     "deepxde": ("deepxde", None),
+    "foxglove": ("foxglove-sdk", None),
     "isotp": ("can-isotp", None),
     "lz4": ("lz4", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),

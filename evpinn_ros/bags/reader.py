@@ -41,6 +41,16 @@ class Record:
     message: Any
 
 
+@dataclass(frozen=True, slots=True)
+class RawRecord:
+    """A message of a bag as its CDR bytes."""
+
+    topic: str
+    type_name: str
+    log_time_ns: int
+    data: bytes
+
+
 class BagReader:
     """An open bag.
 
@@ -94,18 +104,23 @@ class BagReader:
         Args:
             topics: full names of the topics to read; None for all.
         """
+        for raw in self.raw_records(topics):
+            try:
+                message = decode(raw.type_name, raw.data)
+            except ValueError:
+                self.dropped["undecodable"] += 1
+                continue
+            yield Record(raw.topic, raw.type_name, raw.log_time_ns, message)
+
+    def raw_records(self, topics: Collection[str] | None = None) -> Iterator[RawRecord]:
+        """The same before they are decoded, those that cannot be too."""
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
             if len(data) > LARGEST_MESSAGE:
                 self.dropped["too_large"] += 1
                 continue
-            try:
-                message = decode(channel.type_name, data)
-            except ValueError:
-                self.dropped["undecodable"] += 1
-                continue
-            yield Record(channel.topic, channel.type_name, log_time_ns, message)
+            yield RawRecord(channel.topic, channel.type_name, log_time_ns, data)
 
     def log_times(self) -> Iterator[tuple[str, int]]:
         """Topic and log time, ns, of every message in that order, also of types not known."""

@@ -18,7 +18,7 @@ class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
     names = (
-        *("replay", "run", "convert", "simulate", "reproduce", "bench", "demo"),
+        *("replay", "run", "watch", "view", "convert", "simulate", "reproduce", "bench", "demo"),
         *("info", "recover"),
         "can",
         "check_params",
