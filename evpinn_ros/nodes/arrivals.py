@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+import math
 from typing import Any
 
+from evpinn_ros.nodes.diagnosis import LATELY
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_PUBLISHERS = 16  # of one topic, followed at a time
@@ -37,6 +39,36 @@ class Losses:
         before = numbers.get(publisher, number - 1)
         numbers[publisher] = number
         return max(number - before - 1, 0)
+
+
+class Turns:
+    """Whether two publishers of a topic speak by turns: the numbers of messages fall back often.
+
+    They fall back once when a publisher is started anew. The one before is still counted then if
+    it was killed, until its lease ends after 20 s.
+    """
+
+    def __init__(self) -> None:
+        """No message yet."""
+        self._newest: dict[Hashable, int] = {}
+        self._fell: dict[Hashable, float] = {}
+
+    def push(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> bool:
+        """Take what rclpy tells of a message; whether numbers fell back again within `LATELY`.
+
+        Args:
+            topic: of the message.
+            info: of rclpy; where it tells no number it cannot be excluded.
+            steady: s of a clock that never jumps.
+        """
+        number = info.get("publication_sequence_number")
+        if not number:
+            return True
+        before, self._newest[topic] = self._newest.get(topic, 0), number
+        if number > before:
+            return False
+        fell, self._fell[topic] = self._fell.get(topic, -math.inf), steady
+        return steady - fell < LATELY
 
 
 class StampWatch:

@@ -13,7 +13,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from evpinn_ros.nodes import factory, topics
-from evpinn_ros.nodes.arrivals import Losses
+from evpinn_ros.nodes.arrivals import Losses, Turns
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import BadMessage, diagnostics
@@ -52,7 +52,8 @@ class GuardedNode(Node):
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, int] = {}
         self._inputs: dict[Topic, str] = {}
-        self._losses = Losses()
+        self._losses, self._turns = Losses(), Turns()
+        self._by_turns: dict[Topic, float] = {}
         self._lately = Lately()
         self._mismatched: dict[Topic, str] = {}
         self._notices: dict[str, tuple[str, float]] = {}
@@ -76,13 +77,15 @@ class GuardedNode(Node):
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe, with `raw` to bytes; what the callback raises is counted.
 
-        An input that is not raw is a stream of one publisher: a second one is told.
+        An input that is not raw is a stream of one publisher: a second one that speaks is told.
         """
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             self.received[topic] += 1
             if lost := self._losses.push(topic, info):
                 self.bad[f"{topic.name}: lost"] += lost
+            if self._turns.push(topic, info, self.steady_s()):
+                self._by_turns[topic] = self.steady_s()
             self._mismatched.pop(topic, None)
             callback(message)
             self._arrivals[topic] = self.now_ns()
@@ -161,7 +164,8 @@ class GuardedNode(Node):
         for topic, policy in self._mismatched.items():
             yield f"incompatible QoS of {topic.name}: {policy}"
         for topic, name in self._inputs.items():
-            if (publishers := self.count_publishers(name)) > 1:
+            by_turns = self._by_turns.get(topic, -math.inf) > since
+            if by_turns and (publishers := self.count_publishers(name)) > 1:
                 yield f"{publishers} publishers of {topic.name}"
         if self.get_clock().ros_time_is_active and self.now_ns() == 0:
             yield NO_CLOCK

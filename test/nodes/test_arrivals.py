@@ -1,6 +1,6 @@
 """Messages that were lost, stamps that leap: told from what arrives."""
 
-from evpinn_ros.nodes.arrivals import MOST_PUBLISHERS, Losses, StampWatch
+from evpinn_ros.nodes.arrivals import MOST_PUBLISHERS, Losses, StampWatch, Turns
 from evpinn_ros.nodes.diagnosis import LATELY, Lately, unused_notice
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -26,6 +26,18 @@ def test_publishers_that_come_and_go_for_years_are_not_kept():
     for publisher in range(1000):
         losses.push("speed", info(1, publisher.to_bytes(4, "big")))
     assert len(losses._numbers["speed"]) <= MOST_PUBLISHERS
+
+
+def turns(*numbers):
+    found = Turns()
+    return [found.push("speed", info(n), step / 10) for step, n in enumerate(numbers)]
+
+
+def test_two_publishers_are_told_from_one_that_was_started_anew():
+    assert not any(turns(301, 302, 303, 1, 2, 3, 4))
+    assert turns(301, 1, 302, 2, 303)[-2:] == [True, False]
+    assert turns(7, 7, 8, 8)[-1]  # both began at once
+    assert turns(None, None) == [True, True]  # what is not told cannot be excluded
 
 
 def watch(*moments):

@@ -45,12 +45,31 @@ def test_what_a_full_queue_dropped_is_counted_and_named(bench):
 
 def test_a_second_publisher_is_named_until_it_goes(bench):
     node = bench.start(EnergyNode)
-    bench.publisher(topics.SPEED)
     second = factory.advertise(bench.node, topics.SPEED)
     wanted = "2 publishers of vehicle/speed"
-    bench.pump(lambda: wanted in bench.diagnosis(node)["meter"][1])
+
+    def named():
+        second.publish(speed(0.0))
+        bench.deliver(node, topics.SPEED, speed(0.0))
+        return wanted in bench.diagnosis(node)["meter"][1]
+
+    bench.pump(named)
     bench.node.destroy_publisher(second)
     bench.pump(lambda: wanted not in bench.diagnosis(node)["meter"][1])
+
+
+def test_a_publisher_in_the_place_of_one_that_is_still_counted_is_no_second(bench):
+    """As after a kill: until its lease ends the dead one is a publisher that says nothing."""
+    node = bench.start(EnergyNode)
+    dead = factory.advertise(bench.node, topics.SPEED)
+    bench.pump(lambda: dead.get_subscription_count() > 0)
+    for step in range(3):
+        dead.publish(speed(step / 10))
+        bench.pump(lambda step=step: node.received[topics.SPEED] > step)
+    for step in range(3, 6):
+        bench.deliver(node, topics.SPEED, speed(step / 10))
+    assert node.count_publishers(topics.SPEED.under()) == 2
+    assert "publishers of" not in bench.diagnosis(node)["meter"][1]
 
 
 def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(bench):
