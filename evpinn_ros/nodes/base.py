@@ -13,7 +13,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from evpinn_ros.nodes import factory, topics
-from evpinn_ros.nodes.arrivals import Losses, Turns
+from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import BadMessage, diagnostics
@@ -52,7 +52,7 @@ class GuardedNode(Node):
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, int] = {}
         self._inputs: dict[Topic, str] = {}
-        self._losses, self._turns = Losses(), Turns()
+        self._numbers = MessageNumbers()
         self._by_turns: dict[Topic, float] = {}
         self._lately = Lately()
         self._mismatched: dict[Topic, str] = {}
@@ -82,9 +82,10 @@ class GuardedNode(Node):
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             self.received[topic] += 1
-            if lost := self._losses.push(topic, info):
+            lost, by_turns = self._numbers.push(topic, info, self.steady_s())
+            if lost:
                 self.bad[f"{topic.name}: lost"] += lost
-            if self._turns.push(topic, info, self.steady_s()):
+            if by_turns:
                 self._by_turns[topic] = self.steady_s()
             self._mismatched.pop(topic, None)
             callback(message)
