@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 import math
 from typing import Any
@@ -48,6 +48,7 @@ class GuardedNode(Node):
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
+        self._usual: set[str] = set()  # of them, those that nobody need be told of
         self._faults: Counter[str] = Counter()
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, int] = {}
@@ -148,16 +149,19 @@ class GuardedNode(Node):
         self,
         dropped: Mapping[str, int] | None = None,
         told_elsewhere: Mapping[str, int] | None = None,
+        usual: Collection[str] = (),
     ) -> Health:
         """What went wrong so far.
 
         Args:
             dropped: messages that were not used, by reason.
             told_elsewhere: likewise, where the status has them among its values already.
+            usual: reasons of which nobody need be told now; they are counted all the same.
         """
         bad = {**self.bad, **(dropped or {})}
         lately = self._lately.push(self.steady_s(), {**bad, **(told_elsewhere or {})})
-        return Health(bad, dict(self._faults), tuple(self._noticed(lately)))
+        told = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
+        return Health(bad, dict(self._faults), tuple(self._noticed(told)))
 
     def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
@@ -199,7 +203,9 @@ class GuardedNode(Node):
             try:
                 callback(*arguments)
             except BadMessage as error:
-                self.bad[f"{name}: {error.reason}"] += 1
+                self.bad[why := f"{name}: {error.reason}"] += 1
+                if error.usual:
+                    self._usual.add(why)
             except Exception as error:
                 # A car drives on: whatever this is, the next message deserves its chance.
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
