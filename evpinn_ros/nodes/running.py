@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 import os
 import signal
 import sys
@@ -86,8 +86,10 @@ def _spin(nodes: list[GuardedNode]) -> None:
 
 def _end_process() -> NoReturn:
     """End without taking torch to pieces, which would be 0.6 s of the processor for nothing."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # whoever started us may have closed it
+            with suppress(OSError):
+                stream.flush()
     os._exit(0)
 
 
