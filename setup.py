@@ -66,6 +66,8 @@ setup(
             "ros-std-srvs",
             "ros-trajectory-msgs",
         ],
+        # `evpinn fleet`: Parquet, and Dask for a cluster.
+        "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
         "bench": ["deepxde"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.

@@ -30,7 +30,7 @@ LAYERS = [
     {"bags"},
     {"simulation"},
     {"replay"},
-    {"reproduction"},
+    {"reproduction", "fleet"},
     {"report", "bench"},
     {"nodes"},
     {"cli"},

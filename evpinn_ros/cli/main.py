@@ -18,7 +18,7 @@ class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
     names = (
-        *("replay", "run", "convert", "simulate", "reproduce", "bench", "demo"),
+        *("replay", "run", "convert", "simulate", "reproduce", "fleet", "bench", "demo"),
         "can",
         "check_params",
     )
