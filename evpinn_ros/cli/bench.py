@@ -14,6 +14,7 @@ COMMANDS = (
     "can",
     "energy",
     "soak",
+    "fleet",
 )  # each a function in `bench_<name>.py`
 
 

@@ -25,7 +25,7 @@ from evpinn_ros.errors import InputError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-PATIENCE = 30  # s for a cluster to answer and to have a worker
+PATIENCE = 10  # s for a cluster to answer and to have a worker
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class DaskExecutor:
         left = iter(tasks)
         window = 2 * sum(self._client.nthreads().values())
         self._running = {self._begin(work, task): task for task in islice(left, window)}
-        done = as_completed(list(self._running))
+        done = as_completed(list(self._running), loop=self._client.loop)
         for future in done:
             task = self._running.pop(future)
             for following in islice(left, 1):

@@ -46,7 +46,8 @@ class Told:
         mean: of the cars.
         mean_std: 1-sigma of the mean.
         spread: standard deviation from car to car.
-        spread_std: 1-sigma of the spread.
+        spread_std: 1-sigma of the spread; two of them hold the truth in about 90 %, for what a
+            car tells of several parameters together is counted as if told of each alone.
         cars: how many fully known cars the evidence is worth.
     """
 
