@@ -75,18 +75,19 @@ def _show_scaling(runs: list[Scaling]) -> None:
 
 def _show_population(known: list[Recovered]) -> None:
     table = titled_table("Cars of a known population")
-    for name in ("", "mean", "found", "sigmas off", "spread", "found", "sigmas off"):
-        table.add_column(name, justify="right" if name else "left")
+    table.add_column("", no_wrap=True)
+    for name in ("mean", "found", "off by", "spread", "found", "off by"):
+        table.add_column(name, justify="right")
     for one in known:
         told = one.told
         table.add_row(
             one.name,
             f"{one.mean:.4g}",
             f"{told.mean:.4g} +- {told.mean_std:.2g}",
-            f"{(told.mean - one.mean) / told.mean_std:+.1f}",
+            f"{(told.mean - one.mean) / told.mean_std:+.1f} sigma",
             f"{one.spread:.3g}",
             f"{told.spread:.3g} +- {told.spread_std:.2g}",
-            f"{(told.spread - one.spread) / told.spread_std:+.1f}",
+            f"{(told.spread - one.spread) / told.spread_std:+.1f} sigma",
         )
     results.print(table)
     results.print("Logarithms, p_aux in W")

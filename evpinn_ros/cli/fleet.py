@@ -69,7 +69,6 @@ def fleet(
     cars = _cars(bags or [], vehicle, manifest)
     _refuse_one_file_for_many(write_vehicle_to, cars)
     executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(workers)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     with claimed(out):
         failed: dict[str, str] = {}
         stopped = not _learn(cars, out, executor, failed)
@@ -100,6 +99,7 @@ def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
 
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     """Learn all; False when a person stopped it."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     columns = (TextColumn("cars"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
@@ -110,6 +110,8 @@ def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[st
                     failed[outcome.task.drives.car] = outcome.problem
     except KeyboardInterrupt:
         return False
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return True
 
 

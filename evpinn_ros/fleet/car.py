@@ -129,10 +129,8 @@ class _Found:
     def __init__(self, folder: Path, vehicle: Vehicle) -> None:
         """Read what an earlier run of the same program and vehicle file left."""
         self.vehicle, self._folder = vehicle, folder
-        self._basis = _digest([repr(vehicle), __version__, str(STATE_VERSION), str(LAYOUT)])
-        before = _read(folder / RESULT_FILE)
-        if before.get("basis") != self._basis:
-            before = {}
+        self._basis = _basis(vehicle)
+        before = read_result(folder, vehicle)
         self.rows: list[dict[str, Any]] = before.get("drives", [])
         self.state: dict[str, Any] | None = None
         self._written = before
@@ -221,6 +219,16 @@ def _evidence(vehicle: Vehicle, state: dict[str, Any] | None) -> Evidence:
     filter_ = PublishedFilter(vehicle)
     filter_.restore(state["learner"]["parameter_filter"])
     return filter_.evidence()
+
+
+def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
+    """What the present program has of a car of this very vehicle file; empty if nothing."""
+    found = _read(folder / RESULT_FILE)
+    return found if found.get("basis") == _basis(vehicle) else {}
+
+
+def _basis(vehicle: Vehicle) -> str:
+    return _digest([repr(vehicle), __version__, str(STATE_VERSION), str(LAYOUT)])
 
 
 def _stop_if(file: Path) -> None:

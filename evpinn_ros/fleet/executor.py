@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 import multiprocessing
@@ -46,7 +46,7 @@ class Executor(Protocol):
         """What came of each task, in order of their ends."""
 
     def close(self) -> None:
-        """Begin nothing more, and wait for what this machine has begun."""
+        """Begin nothing more, and wait for what has begun."""
 
 
 class LocalExecutor:
@@ -143,8 +143,14 @@ class DaskExecutor:
             yield _outcome(task, future, error)
 
     def close(self) -> None:
-        """Begin nothing more; what a worker has begun sees the stop file."""
-        self._client.cancel(list(self._running))
+        """Begin nothing more, and wait for what has begun: the next run must not meet it."""
+        from distributed import wait as wait_for
+
+        begun = list(self._running)
+        if begun:
+            with suppress(Exception, asyncio.CancelledError), self._client.as_current():
+                wait_for(begun, timeout=PATIENCE)
+        self._client.cancel(begun)
         self._client.close()
 
     def _begin(self, work: Callable[[Task], Any], task: Task) -> Any:

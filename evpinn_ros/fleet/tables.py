@@ -14,8 +14,7 @@ import numpy as np
 
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.evidence import Evidence
-from evpinn_ros.estimation.state_file import read_state
-from evpinn_ros.fleet.car import RESULT_FILE
+from evpinn_ros.fleet.car import read_result
 from evpinn_ros.fleet.manifest import CarDrives
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, Told
 from evpinn_ros.fleet.row import NUMBERS, PARAMETER_NUMBERS, PARAMETER_STATES, impossible
@@ -98,7 +97,7 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
     vehicles: dict[str, Vehicle] = {}
     with _table(out / DRIVES, DRIVE_COLUMNS) as drives, _table(out / CARS, CAR_COLUMNS) as cars:
         for car in fleet:
-            result = read_state(car_folder(out, car) / RESULT_FILE) or {}
+            result = read_result(car_folder(out, car), car.vehicle)
             rows = [*result.get("drives", []), *result.get("unreadable", [])]
             if not rows and car.car not in failed:
                 continue

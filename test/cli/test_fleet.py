@@ -139,6 +139,16 @@ def test_wrong_usage_is_one_line(recorded, tmp_path, monkeypatch, arguments, rea
     assert reason in str(done.exception) and "\n" not in str(done.exception)
 
 
+def test_nobody_at_the_address_of_a_scheduler(recorded, tmp_path):
+    pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    done = subprocess.run(
+        [*COMMAND, recorded, "--out", tmp_path, "--scheduler", "tcp://127.0.0.1:1"],
+        cwd=share_directory(), capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1 and "nothing answers" in done.stderr
+
+
 def test_without_parquet_it_says_what_to_install(recorded, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     assert "evpinn_ros[fleet]" in str(learn(recorded, tmp_path).exception)

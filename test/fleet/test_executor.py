@@ -61,15 +61,6 @@ def test_a_worker_that_dies_costs_its_own_task_alone():
     assert sorted(one.result for one in found if one.problem is None) == [2.0, 3.0, 4.0]
 
 
-def test_nobody_at_the_address(monkeypatch):
-    pytest.importorskip("distributed", reason="the extra fleet is not installed")
-    monkeypatch.setattr("evpinn_ros.fleet.executor.PATIENCE", 1)
-    with pytest.raises(InputError, match="nothing answers"):
-        DaskExecutor("tcp://127.0.0.1:1")
-    with pytest.raises(InputError, match="nothing answers"):
-        DaskExecutor("no address")
-
-
 def test_no_worker_at_the_address(monkeypatch):
     distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
     monkeypatch.setattr("evpinn_ros.fleet.executor.PATIENCE", 1)

@@ -5,6 +5,7 @@ import pytest
 from evpinn_ros.errors import InputError
 from evpinn_ros.fleet.manifest import cars_by_folder, cars_by_manifest
 from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.written import write_vehicle
 
 LEAF = load_vehicle("nissan_leaf")
 
@@ -133,13 +134,8 @@ def test_a_wrong_yaml_is_refused(data):
 
 
 def test_vehicle_files_of_one_name_are_not_mixed(data):
-    text = (data / "car.yaml", data / "copy" / "car.yaml")
-    text[1].parent.mkdir()
-    found = load_vehicle("bmw_i3")
-    from evpinn_ros.vehicle.written import write_vehicle
-
-    write_vehicle(text[0], found)
-    write_vehicle(text[1], LEAF)
+    write_vehicle(data / "car.yaml", load_vehicle("bmw_i3"))
+    write_vehicle(data / "copy" / "car.yaml", LEAF)
     manifest = data / "fleet.csv"
     manifest.write_text("drive,car,vehicle\ndata/bob,b,car.yaml\ndata/ann,a,copy/car.yaml\n")
     with pytest.raises(InputError, match="both named car"):
