@@ -25,7 +25,7 @@ def test_every_drive_is_learned_and_counted(tmp_path):
 
 def test_a_known_population_is_found(tmp_path):
     """Four cars: within three of the sigmas that are stated; a shift of half a sigma is seen."""
-    found = recovered(tmp_path, LEAF, 4, 200.0, 1, seed=5)
+    found = recovered(tmp_path, LEAF, 4, 100.0, 1, seed=5)
     assert [one.name for one in found] == list(COMPARED)
     for one in found:
         assert abs(one.told.mean - one.mean) < 3 * one.told.mean_std, one
