@@ -15,11 +15,10 @@ from evpinn_ros.cli.console import note, notes, results
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
-from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest
+from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet
 from evpinn_ros.fleet.tables import Summary, require_parquet, write_tables
 from evpinn_ros.report.fleet_page import POPULATION_HEAD, population_cells, write_fleet_page
-from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.written import write_vehicle
 
 REPORT = "report.html"
@@ -88,7 +87,7 @@ def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrive
         return cars_by_manifest(manifest)
     if not bags:
         raise InputError("give bags, folders of bags, or a --manifest")
-    return cars_by_folder(bags, load_vehicle(vehicle))
+    return cars_by_folder(bags, load_model(vehicle, Path()))
 
 
 def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:

@@ -15,6 +15,7 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.yaml_section import compose
 
 COLUMNS = ("drive", "car", "vehicle")
+YAML = (".yaml", ".yml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,15 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
     return _fleet((car, vehicles[models[car]], found) for car, found in drives.items())
 
 
+def load_model(name: str, base: Path) -> Vehicle:
+    """A vehicle by its name, or the path of its file, which other machines know as absolute.
+
+    Raises:
+        InputError: there is none, or it is wrong.
+    """
+    return load_vehicle((base / name).resolve() if Path(name).suffix in YAML else name)
+
+
 def _fleet(cars: Iterable[tuple[str, Vehicle, set[Path]]]) -> list[CarDrives]:
     """The cars in order of their names."""
     fleet = [CarDrives(car, vehicle, tuple(sorted(found))) for car, vehicle, found in cars]
@@ -145,9 +155,8 @@ def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
 
 
 def _vehicle(line: _Line, base: Path) -> Vehicle:
-    given = Path(line.vehicle)
     try:
-        return load_vehicle(base / given if given.suffix in (".yaml", ".yml") else line.vehicle)
+        return load_model(line.vehicle, base)
     except InputError as error:
         raise InputError(f"{line.where}: {error}") from error
 
