@@ -53,11 +53,12 @@ bags: $(INSTALLED)
 golden: $(INSTALLED)
 	@$(BIN)/python test/replay/golden.py --renew
 
-# The pictures of the README and the reference pages, from code.
+# The pictures of the README and the reference pages, from code; that of the report needs Chromium.
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
 	@$(BIN)/python docs/eco_speed.py
 	@$(BIN)/python docs/generate.py
+	@$(BIN)/python docs/report.py
 
 clean:
 	rm -rf $(VENV) $(JAZZY) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -23,7 +23,11 @@ setup(
     maintainer_email="maintainers@evpinn-ros.example",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.energy": ["rknn_weights.npz"]},
+    package_data={
+        NAME: ["py.typed"],
+        f"{NAME}.energy": ["rknn_weights.npz"],
+        f"{NAME}.report": ["browser/*.*", "browser/uplot/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -70,6 +74,8 @@ setup(
         "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
         "bench": ["deepxde"],
+        # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
+        "fuzz": ["atheris"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
         "dev": [

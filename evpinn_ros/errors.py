@@ -1,5 +1,7 @@
 """The one error a person can mend: wrong input, said in one line."""
 
+LONGEST_TEXT = 1000  # characters: what is shown may be quoted from a file, which may hold anything
+
 
 class InputError(Exception):
     """A file, message or setting given by a person is wrong.
@@ -7,3 +9,13 @@ class InputError(Exception):
     The text names the file (and line, where there is one) and the reason in one line; commands
     print it as it is and exit with code 1.
     """
+
+    def __str__(self) -> str:
+        """The text, which `printable` made safe to show."""
+        return printable(super().__str__())
+
+
+def printable(text: str) -> str:
+    """One line of a text, without what would speak to the terminal, and of bearable length."""
+    shown = "".join(character if character.isprintable() else " " for character in text)
+    return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from evpinn_ros.errors import InputError
 
-MAX_FILE_BYTES = 100_000
+MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
+MAX_DEPTH = 20  # of lists and mappings in each other; our files need 4, bags' metadata 7
 
 
 def compose(path: Path, title: str) -> Section:
@@ -18,34 +20,86 @@ def compose(path: Path, title: str) -> Section:
     Raises:
         InputError: no such file, not YAML, or not a mapping.
     """
+    return Section(path, _root(path, title, MAX_FILE_BYTES), title)
+
+
+def load_plain(path: Path, title: str, most_bytes: int) -> Any:
+    """What a YAML file of up to `most_bytes` holds, as plain Python values.
+
+    Raises:
+        InputError: no such file, or not YAML of plain values.
+    """
+    node = _root(path, title, most_bytes)
+    try:
+        return plain(node)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def plain(node: yaml.Node) -> Any:
+    """The plain Python value of a node.
+
+    Raises:
+        ValueError: it is none, such as `!!python/name:os.system` or a date that never was.
+    """
+    try:
+        return yaml.SafeLoader("").construct_object(node, deep=True)
+    except Exception as error:
+        # PyYAML takes `!!int ""`, `!!timestamp x` and the like at their word, and stumbles in as
+        # many ways.
+        reason = getattr(error, "problem", None) or error
+        raise ValueError(f"no plain value: {reason}") from error
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Refuses what makes much of little: aliases, and nesting without end."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            raise _refusal("aliases (*name) are not read; write it out", event)
+        if self.depth == MAX_DEPTH:
+            raise _refusal("nested too deeply", event)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+def _refusal(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
+    mark: Any = event.start_mark
+    return yaml.composer.ComposerError(None, None, problem, mark)
+
+
+def _root(path: Path, title: str, most_bytes: int) -> yaml.Node:
     try:
         with path.open("rb") as file:
-            text = file.read(MAX_FILE_BYTES + 1)
+            text = file.read(most_bytes + 1)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except ValueError as error:  # no file can have such a name
         raise InputError(f"{path}: {error}") from error
-    if len(text) > MAX_FILE_BYTES:
-        raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a {title}")
+    if len(text) > most_bytes:
+        raise InputError(f"{path}: larger than {most_bytes} bytes, not a {title}")
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = yaml.compose(text, Loader=_PlainLoader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"{path}:{line}: not YAML: {error.problem}") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: not YAML: {error}".replace("\n", " ")) from error
-    except RecursionError:
-        raise InputError(f"{path}: nested too deeply, not a {title}") from None
     if node is None:
         raise InputError(f"{path}: the file is empty")
-    return Section(path, node, title)
+    return node
 
 
 class Section:
     """One mapping of a file with its line numbers, so that every error can name its line."""
 
     def __init__(self, path: Path, node: yaml.Node, title: str) -> None:
-        self._path, self._node, self._title = path, node, title
+        self._path, self.node, self._title = path, node, title
         if not isinstance(node, yaml.MappingNode):
             raise self.error(f"{title}: expected 'key: value' lines")
         self._items: dict[str, tuple[yaml.Node, yaml.Node]] = {}
@@ -58,7 +112,7 @@ class Section:
 
     def error(self, reason: str, node: yaml.Node | None = None) -> InputError:
         """The error to raise for this section, or for one `node` in it."""
-        line = (node or self._node).start_mark.line + 1
+        line = (node or self.node).start_mark.line + 1
         return InputError(f"{self._path}:{line}: {' '.join(reason.split())}")
 
     def error_at(self, key: str, reason: str) -> InputError:
@@ -83,6 +137,13 @@ class Section:
         if not isinstance(node, yaml.ScalarNode) or not node.value:
             raise self.error(f"'{key}' must be text", node)
         return str(node.value)
+
+    def path_beside(self, key: str) -> Path:
+        """The path under `key`, of a file in the folder of this one or below it."""
+        name = Path(self.text(key))
+        if name.is_absolute() or ".." in name.parts:
+            raise self.error_at(key, f"'{key}' must be a file beside this one, without '..'")
+        return self._path.parent / name
 
     def choice(self, key: str, known: Collection[str]) -> str:
         """The text under `key`, one of `known`."""

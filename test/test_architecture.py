@@ -15,10 +15,12 @@ PACKAGE = ROOT / "evpinn_ros"
 # From the ground up. A part may import what lies below it, and nothing beside or above it.
 LAYERS = [
     {"", "errors"},
-    {"share", "yaml_section", "one_thread"},
+    {"share", "yaml_section", "one_thread", "text_lines", "npz"},
     {"vehicle"},
     {"signals"},
     {"can", "energy", "estimation"},
+    {"nodes.parameter_table"},
+    {"nodes.parameter_file"},
     {"nodes.topics"},  # with the messages the contract of the topics: no ROS, so bags share it
     {"nodes.messages", "nodes.cdr"},
     {

@@ -26,6 +26,7 @@ EXAMPLES = {path.name for path in (ROOT / "examples").glob("*.py")}
 
 # What is imported: its name at the package index and its rosdep key, where it has one.
 NAMES = {
+    "atheris": ("atheris", None),
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
     "deepxde": ("deepxde", None),

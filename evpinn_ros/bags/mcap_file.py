@@ -20,6 +20,11 @@ from evpinn_ros.bags.mcap_index import Channel, index_of
 from evpinn_ros.bags.mcap_records import MAGIC, MESSAGE, Block, DamagedError, records, unpacked
 from evpinn_ros.errors import InputError
 
+# Messages held back because a chunk that comes later may have earlier ones. Chunks of a recorder
+# overlap by seconds; when more is to be held, order is given up rather than the memory.
+MOST_HELD = 512 << 20  # bytes
+OVERHEAD = 250  # bytes of a message in Python beside its data
+
 RawMessage: TypeAlias = tuple[int, int, bytes]  # log time, ns; channel id; data
 _Placed: TypeAlias = tuple[int, tuple[int, int], int, bytes]  # the same with its place in the file
 
@@ -72,6 +77,9 @@ class McapFile:
             waiting += self._messages_of(block, wanted)
             waiting.sort()
             ready = bisect_left(waiting, horizon, key=itemgetter(0))
+            if sum(OVERHEAD + len(data) for *_, data in waiting) > MOST_HELD:
+                ready = len(waiting)
+                self._index.notes.append("chunks overlap too far: not all is in order of time")
             for log_time_ns, _, channel, data in waiting[:ready]:
                 yield log_time_ns, channel, data
             del waiting[:ready]

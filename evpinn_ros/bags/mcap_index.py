@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from io import BytesIO
+from itertools import pairwise
 from typing import Any
 
 from mcap.data_stream import ReadDataStream
@@ -29,6 +30,7 @@ from evpinn_ros.bags.mcap_records import (
 )
 
 INDEX_HEAD, INDEX_ENTRY = 15, 16  # bytes of a message index record
+LONGEST_STRETCH = 16 << 20  # bytes of a file without chunks that are read at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,15 @@ def _from_summary(data: Bytes) -> McapIndex | None:
             block = Block(chunk.message_start_time, chunk.chunk_start_offset, 0)
             index.damaged.add(block)
         index.blocks[block] = (chunk.message_index_length - heads) // INDEX_ENTRY
-    return index if sum(index.blocks.values()) == statistics.message_count else None
+    if sum(index.blocks.values()) != statistics.message_count or _overlap(index.blocks):
+        return None
+    return index
+
+
+def _overlap(blocks: Iterable[Block]) -> bool:
+    """Whether some bytes of the file would be read more than once."""
+    ordered = sorted(blocks, key=lambda block: block.begin)
+    return any(one.end > other.begin for one, other in pairwise(ordered))
 
 
 def _from_search(data: Bytes) -> McapIndex:
@@ -132,6 +142,9 @@ def _blocks(data: Bytes, notes: list[str]) -> Iterator[Block]:
                 notes.append(f"{error} at byte {position}")
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) and loose is None:
             loose = position
+        if loose is not None and end - loose > LONGEST_STRETCH:
+            yield Block(0, loose, end)
+            loose = None
         position = end
     else:
         notes.append(f"cut or damaged at byte {position} of {len(data)}")

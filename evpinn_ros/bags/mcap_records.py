@@ -20,6 +20,10 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 import zstandard
 
+# What is unpacked at once. rosbag2 writes chunks of 1 MB by default; a longer message has a chunk
+# of its own, and no message of ours is that long.
+LARGEST_CHUNK = 64 << 20
+LARGEST_SUMMARY = 64 << 20  # that of 500 000 chunks; with a larger one the file is searched
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode, bytes that follow
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then data
@@ -27,7 +31,7 @@ CHUNK = struct.Struct("<QQQII")  # first and last log time, size, checksum, byte
 LENGTH = struct.Struct("<Q")
 FOOTER = struct.Struct("<QQI")  # start of summary, start of its offsets, checksum of summary
 FILE_END = HEAD.size + FOOTER.size + len(MAGIC)
-PARSE_ERRORS = (McapError, struct.error, ValueError, LookupError)
+PARSE_ERRORS = (McapError, struct.error, ValueError, LookupError, MemoryError, OverflowError)
 
 Bytes: TypeAlias = bytes | mmap.mmap
 
@@ -96,20 +100,25 @@ def unpacked(data: Bytes, block: Block) -> bytes:
     """The records of a block, of a cut one as far as they go.
 
     Raises:
-        DamagedError: they do not unpack, or the size or checksum is wrong.
+        DamagedError: they do not unpack, the size or checksum is wrong, or there are more than
+            `LARGEST_CHUNK` bytes of them.
     """
+    if max(block.size or 0, block.end - block.begin) > LARGEST_CHUNK:
+        raise DamagedError(f"larger than {LARGEST_CHUNK} bytes")
     packed = data[block.begin : block.end]
     try:
         if block.compression == "":
             content = packed
         elif block.compression == "zstd":
-            content = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+            content = zstandard.ZstdDecompressor().stream_reader(packed).read(LARGEST_CHUNK + 1)
         elif block.compression == "lz4":
-            content = LZ4FrameDecompressor().decompress(packed)
+            content = LZ4FrameDecompressor().decompress(packed, LARGEST_CHUNK + 1)
         else:
             raise DamagedError(f"unknown compression {block.compression!r}")
-    except (zstandard.ZstdError, RuntimeError, EOFError) as error:
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise DamagedError(str(error)) from error
+    if len(content) > LARGEST_CHUNK:
+        raise DamagedError(f"larger than {LARGEST_CHUNK} bytes")
     if block.size is not None:
         if len(content) != block.size:
             raise DamagedError(f"{len(content)} bytes instead of {block.size}")
@@ -131,11 +140,12 @@ def summary_records(data: Bytes) -> list[Any]:
         return []
     body = len(data) - FILE_END + HEAD.size
     start, _, checksum = FOOTER.unpack_from(data, body)
-    if not len(MAGIC) <= start < body:
+    if not len(MAGIC) <= start < body or body - start > LARGEST_SUMMARY:
         return []
     if checksum and zlib.crc32(data[start : body + 2 * LENGTH.size]) != checksum:
         return []
     try:
-        return list(StreamReader(BytesIO(data[start:]), skip_magic=True).records)
+        # A chunk has no business in a summary: it stays packed.
+        return list(StreamReader(BytesIO(data[start:]), skip_magic=True, emit_chunks=True).records)
     except PARSE_ERRORS:
         return []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,29 @@ FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 @dataclass(slots=True)
 class WrittenTopic:
-    """A topic of a bag that is being written."""
+    """A topic of a bag that is being written, and what its publisher offers, in YAML."""
 
     name: str
     type_name: str
     type_hash: str
-    channel_id: int
+    qos: list[dict[str, Any]]
     count: int = 0
+
+
+@dataclass(slots=True)
+class WrittenFile:
+    """A file of a bag that is being written: its messages, and first and last log time, ns."""
+
+    name: str
+    count: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+
+    def add(self, log_time_ns: int) -> None:
+        """Count a message."""
+        self.start_ns = min(self.start_ns, log_time_ns) if self.count else log_time_ns
+        self.end_ns = max(self.end_ns, log_time_ns) if self.count else log_time_ns
+        self.count += 1
 
 
 def qos_profiles(topic_name: str) -> list[dict[str, Any]]:
@@ -50,26 +66,23 @@ def qos_profiles(topic_name: str) -> list[dict[str, Any]]:
 
 
 def bag_information(
-    file_name: str, topics: Iterable[WrittenTopic], start_ns: int, end_ns: int
+    files: Sequence[WrittenFile], topics: Iterable[WrittenTopic]
 ) -> dict[str, Any]:
-    """What metadata.yaml says of a bag of one MCAP file, from its first to its last log time."""
-    topics = list(topics)
-    span: dict[str, Any] = {
-        "duration": {"nanoseconds": end_ns - start_ns},
-        "starting_time": {"nanoseconds_since_epoch": start_ns},
-        "message_count": sum(topic.count for topic in topics),
-    }
+    """What metadata.yaml says of a bag of MCAP files."""
+    filled = [file for file in files if file.count] or files[:1]
+    start_ns = min(file.start_ns for file in filled)
+    end_ns = max(file.end_ns for file in filled)
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        **span,
+        **_span(start_ns, end_ns, sum(file.count for file in files)),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.type_name,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": qos_profiles(topic.name),
+                    "offered_qos_profiles": topic.qos,
                     "type_description_hash": topic.type_hash,
                 },
                 "message_count": topic.count,
@@ -78,10 +91,20 @@ def bag_information(
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
-        "files": [{"path": file_name, **span}],
+        "relative_file_paths": [file.name for file in files],
+        "files": [
+            {"path": file.name, **_span(file.start_ns, file.end_ns, file.count)} for file in files
+        ],
         "custom_data": None,
         "ros_distro": "jazzy",
+    }
+
+
+def _span(start_ns: int, end_ns: int, count: int) -> dict[str, Any]:
+    return {
+        "duration": {"nanoseconds": end_ns - start_ns},
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "message_count": count,
     }
 
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Container, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 import heapq
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import yaml
-
-from evpinn_ros.bags.mcap_file import McapFile, RawMessage
+from evpinn_ros.bags.compressed import BagFile, CompressedMessages, UnpackedFile
+from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.mcap_index import Channel
 from evpinn_ros.bags.metadata import INFORMATION, METADATA
 from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.errors import InputError
+from evpinn_ros.yaml_section import load_plain
+
+MOST_METADATA = 1_000_000  # bytes of metadata.yaml; 500 topics take half of it
+LARGEST_MESSAGE = 16 << 20  # bytes; ours have at most 8 MB, a plan of 50 000 points
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,35 +41,13 @@ class Record:
     message: Any
 
 
-class BagFile(Protocol):
-    """An open file with messages: `McapFile`, `RosbagsFile`."""
-
-    @property
-    def channels(self) -> Mapping[int, Channel]:
-        """Channels by id."""
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Messages by channel id."""
-
-    @property
-    def problem(self) -> str | None:
-        """What is wrong and lost, in one line."""
-
-    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
-        """The messages of the wanted channel ids in log time order."""
-
-    def close(self) -> None:
-        """Close the file."""
-
-
 class BagReader:
     """An open bag.
 
     Attributes:
         path: of the folder or file.
         dropped: messages that `records` left out, by reason: `unknown_type`, `not_cdr`,
-            `undecodable`.
+            `too_large`, `undecodable`.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -116,12 +97,24 @@ class BagReader:
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
+            if len(data) > LARGEST_MESSAGE:
+                self.dropped["too_large"] += 1
+                continue
             try:
                 message = decode(channel.type_name, data)
             except ValueError:
                 self.dropped["undecodable"] += 1
                 continue
             yield Record(channel.topic, channel.type_name, log_time_ns, message)
+
+    def log_times(self) -> Iterator[tuple[str, int]]:
+        """Topic and log time, ns, of every message in that order, also of types not known."""
+
+        def times(file: BagFile) -> Iterator[tuple[str, int]]:
+            for log_time_ns, id_, _ in file.messages(file.channels):
+                yield file.channels[id_].topic, log_time_ns
+
+        yield from heapq.merge(*map(times, self._files), key=itemgetter(1))
 
     def _raw(
         self, file: BagFile, topics: Collection[str] | None
@@ -148,9 +141,10 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
     if not path.is_dir():
         return [_open_file(path)]
     metadata = _metadata(path / METADATA, problems)
-    if str(metadata.get("compression_mode") or "none").lower() != "none":
-        return [RosbagsFile(path)]
-    paths = sorted(path.glob("*.mcap")) or sorted(path.glob("*.db3"))
+    mode = str(metadata.get("compression_mode")).lower()
+    ending = ".zstd" if mode == "file" else ""
+    paths = sorted(path.glob(f"*.mcap{ending}")) or sorted(path.glob(f"*.db3{ending}"))
+    # Only their names are compared: what is opened lies in the folder, whatever the list says.
     listed = {Path(str(name)).name for name in metadata.get("relative_file_paths") or ()}
     if missing := sorted(listed - {each.name for each in paths}):
         problems.append(f"{path}: {METADATA} lists {', '.join(missing)}, not there")
@@ -158,13 +152,19 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
     errors: list[InputError] = []
     for each in paths:
         try:
-            files.append(_open_file(each))
+            files.append(_open_compressed(each, mode))
         except InputError as error:
             errors.append(error)
     if not files:
         raise errors[0] if errors else InputError(f"{path}: no .mcap or .db3 file in this folder")
     problems.extend(str(error) for error in errors)
     return files
+
+
+def _open_compressed(path: Path, mode: str) -> BagFile:
+    if mode == "file":
+        return UnpackedFile(path, _open_file)
+    return CompressedMessages(_open_file(path), path) if mode == "message" else _open_file(path)
 
 
 def _open_file(path: Path) -> BagFile:
@@ -181,7 +181,12 @@ def _metadata(path: Path, problems: list[str]) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        return dict(yaml.safe_load(path.read_bytes())[INFORMATION])
-    except (OSError, yaml.YAMLError, TypeError, KeyError, ValueError) as error:
-        problems.append(f"{path}: not readable ({type(error).__name__})")
+        found = load_plain(path, "bag metadata", MOST_METADATA)
+    except InputError as error:
+        problems.append(f"{error}; not readable")
         return {}
+    information = found.get(INFORMATION) if isinstance(found, dict) else None
+    if isinstance(information, dict) and isinstance(information.get("relative_file_paths"), list):
+        return information
+    problems.append(f"{path}: not readable (lists no files)")
+    return {}

@@ -1,9 +1,13 @@
-"""What the rosbags library reads: sqlite3 bags, and folders that rosbag2 compressed."""
+"""What the rosbags library reads: sqlite3 bags."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
+from contextlib import closing
 from pathlib import Path
+import re
+import sqlite3
+from urllib.parse import quote
 
 from rosbags.rosbag2 import Reader
 
@@ -13,10 +17,11 @@ from evpinn_ros.errors import InputError
 
 # What a damaged file makes rosbags raise is listed nowhere: errors of its own, of apsw, of zstd.
 READ_ERRORS = (Exception,)
+COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS)\b", re.I)  # in the definition of a table
 
 
 class RosbagsFile:
-    """An open `.db3` file or bag folder; the counterpart of `McapFile`.
+    """An open `.db3` file; the counterpart of `McapFile`.
 
     Attributes:
         channels: by channel id.
@@ -28,8 +33,9 @@ class RosbagsFile:
         """Open it.
 
         Raises:
-            InputError: it is not there, or rosbags can not read it.
+            InputError: it is not there, rosbags can not read it, or it is more than tables.
         """
+        _refuse_programs(path)
         self.path = path
         self.problem: str | None = None
         self._reader = Reader(path)
@@ -64,3 +70,16 @@ class RosbagsFile:
     def _reason(self, error: Exception) -> str:
         """In one line, without the path that rosbags puts in some."""
         return " ".join(str(error).replace(str(self.path), "").split())
+
+
+def _refuse_programs(path: Path) -> None:
+    """Refuse a database that computes: a view in place of a table can run for ever."""
+    address = f"file:{quote(str(path))}?immutable=1"
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as database:
+            entries = database.execute("SELECT type, sql FROM sqlite_master").fetchall()
+    except (sqlite3.Error, OverflowError) as error:
+        raise InputError(f"{path}: Cannot open database: {error}") from error
+    for kind, sql in entries:
+        if kind not in ("table", "index") or COMPUTING.search(str(sql)):
+            raise InputError(f"{path}: no bag: its database has a {kind} that computes")

@@ -6,17 +6,17 @@ time is over, so the same writes give the same bytes.
 
 from __future__ import annotations
 
-import os
+from dataclasses import dataclass
+import math
 from pathlib import Path
 import time
 from typing import Any
 
-from mcap.writer import CompressionType, Writer
-
+from evpinn_ros.bags.mcap_part import CHUNK_SECONDS, McapPart
 from evpinn_ros.bags.metadata import (
     METADATA,
+    WrittenFile,
     WrittenTopic,
-    as_yaml,
     bag_information,
     qos_profiles,
     write_metadata,
@@ -25,42 +25,47 @@ from evpinn_ros.bags.types import encode, typestore
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
-LIBRARY = "evpinn_ros"  # without a version, which would change the bytes
-CHUNK_SECONDS = 1.0  # lost when the process is killed
-JUMP_SECONDS = 60.0  # log time that falls back farther was set anew; less is a late message
-SYNC_SECONDS = 5.0  # lost when the power is cut
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """When a bag goes on in another file.
+
+    Attributes:
+        size: bytes from which on a file is full; the chunk that fills it is still written to it.
+        seconds: of log time that a file spans at most.
+    """
+
+    size: float = math.inf
+    seconds: float = math.inf
 
 
 class BagWriter:
     """A bag being written: a context manager, which completes the bag whatever happens in it."""
 
-    def __init__(self, folder: Path | str, *, live: bool = False) -> None:
+    def __init__(
+        self, folder: Path | str, *, live: bool = False, split: Split | None = None
+    ) -> None:
         """Make the folder, the MCAP file in it and a first metadata.yaml.
 
         Args:
             folder: the bag; its parents are made too.
             live: end a chunk after a second of wall time as well, for a recording whose log time
                 runs slowly or stands; the bytes then depend on the speed of the machine.
+            split: when to begin another file; None for never.
 
         Raises:
             InputError: the folder is in use, or can not be made.
         """
         self.folder = Path(folder)
         _refuse_used(self.folder)
+        self._live, self._split = live, split or Split()
+        self._topics: dict[str, WrittenTopic] = {}
+        self._files: list[WrittenFile] = []
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._path = self.folder / f"{self.folder.resolve().name}_0.mcap"
-            self._file = self._path.open("xb")
+            self._part = self._begin_part()
         except OSError as error:
             raise InputError(f"{self.folder}: {error.strerror}") from error
-        self._live = live
-        self._topics: dict[str, WrittenTopic] = {}
-        self._schemas: dict[str, int] = {}
-        self._start_ns = self._end_ns = self._chunk_ns = 0
-        self._flushed_s = self._synced_s = time.monotonic()
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library=LIBRARY)
-        self._file.flush()
         self._describe()
 
     def __enter__(self) -> BagWriter:
@@ -84,74 +89,62 @@ class BagWriter:
             KeyError: no such type in ROS 2 Jazzy.
             ValueError: the topic was written with another type before.
         """
-        written = self._topics.get(topic) or self._add_topic(topic, type_name, log_time_ns)
+        written = self._topics.get(topic) or self._add_topic(topic, type_name)
         if written.type_name != type_name:
             raise ValueError(f"{topic} is {written.type_name}, not {type_name}")
         if self._chunk_is_over(log_time_ns):
-            self.flush()
-            self._chunk_ns = log_time_ns
-        self._writer.add_message(
-            written.channel_id, log_time_ns, data, publish_time=log_time_ns, sequence=written.count
-        )
+            self._part.end_chunk(log_time_ns)
+            self._described_all()
+        if self._is_full(log_time_ns):
+            self._part.close(self._information())
+            self._part = self._begin_part()
+            self._describe()
+        self._part.write(written, data, log_time_ns)
         written.count += 1
-        self._start_ns = min(self._start_ns, log_time_ns)
-        self._end_ns = max(self._end_ns, log_time_ns)
 
     def flush(self) -> None:
         """Hand all that was written to the operating system; every few seconds to the disk."""
-        self._writer.flush()
-        self._flushed_s = time.monotonic()
-        if self._flushed_s - self._synced_s >= SYNC_SECONDS:
-            os.fsync(self._file.fileno())
-            self._synced_s = self._flushed_s
-        if self._described < len(self._topics):
-            self._describe()
+        self._part.flush()
+        self._described_all()
 
     def close(self) -> None:
         """Complete the file and its metadata.yaml; a second call does nothing."""
-        if self._file.closed:
-            return
-        self._writer.flush()
-        # rosbag2 looks for this when it is given the bare file.
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": as_yaml(self._information())})
-        self._writer.finish()
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
+        self._part.close(self._information())
         self._describe()
 
     def _chunk_is_over(self, log_time_ns: int) -> bool:
-        elapsed = (log_time_ns - self._chunk_ns) / NANOSECONDS
-        if elapsed >= CHUNK_SECONDS or elapsed <= -JUMP_SECONDS:
+        if self._part.chunk_is_over(log_time_ns):
             return True
-        return self._live and time.monotonic() - self._flushed_s >= CHUNK_SECONDS
+        return self._live and time.monotonic() - self._part.flushed_s >= CHUNK_SECONDS
 
-    def _add_topic(self, name: str, type_name: str, log_time_ns: int) -> WrittenTopic:
+    def _is_full(self, log_time_ns: int) -> bool:
+        file = self._part.written
+        if not file.count:
+            return False
+        elapsed = (log_time_ns - file.start_ns) / NANOSECONDS
+        return elapsed >= self._split.seconds or self._part.size >= self._split.size
+
+    def _begin_part(self) -> McapPart:
+        name = f"{self.folder.resolve().name}_{len(self._files)}.mcap"
+        part = McapPart(self.folder / name)
+        self._files.append(part.written)
+        return part
+
+    def _add_topic(self, name: str, type_name: str) -> WrittenTopic:
         type_hash = typestore().hash_rihs01(type_name)
-        if type_name not in self._schemas:
-            definition, _ = typestore().generate_msgdef(type_name, ros_version=2)
-            self._schemas[type_name] = self._writer.register_schema(
-                type_name, "ros2msg", definition.encode()
-            )
-        channel_id = self._writer.register_channel(
-            name,
-            "cdr",
-            self._schemas[type_name],
-            {"offered_qos_profiles": as_yaml(qos_profiles(name)), "topic_type_hash": type_hash},
-        )
-        if not self._topics:
-            self._start_ns = self._end_ns = self._chunk_ns = log_time_ns
-        self._topics[name] = WrittenTopic(name, type_name, type_hash, channel_id)
+        self._topics[name] = WrittenTopic(name, type_name, type_hash, qos_profiles(name))
         return self._topics[name]
+
+    def _described_all(self) -> None:
+        if self._described < len(self._topics):
+            self._describe()
 
     def _describe(self) -> None:
         write_metadata(self.folder, self._information())
         self._described = len(self._topics)
 
     def _information(self) -> dict[str, Any]:
-        return bag_information(
-            self._path.name, self._topics.values(), self._start_ns, self._end_ns
-        )
+        return bag_information(self._files, self._topics.values())
 
 
 def _refuse_used(folder: Path) -> None:

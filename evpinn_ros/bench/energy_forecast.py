@@ -11,16 +11,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
-from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.power_model import PowerModel, combined_model
 from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import Clock, InlineWorker
+from evpinn_ros.replay.foretold import drive_plan
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -32,9 +32,6 @@ from evpinn_ros.signals.readings import (
 from evpinn_ros.signals.road import density_of_air
 from evpinn_ros.vehicle.files import Vehicle
 
-PLAN_STEP = 1.0  # s between points of a plan
-ELEVATION_STEP = 5.0  # m
-ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
 MIN_DURATION = 10.0  # s
 
 
@@ -120,22 +117,7 @@ def driven_plan(readings: Iterable[Reading]) -> Plan:
     if not speeds or speeds[-1][0] - speeds[0][0] < MIN_DURATION * NANOSECONDS:
         raise InputError(f"a drive of less than {MIN_DURATION:g} s is no plan")
     start = speeds[0][0]
-    time, speed = _series(speeds, start)
-    grid = np.arange(0.0, time[-1], PLAN_STEP)
-    travelled = np.concatenate(([0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)))
-    at = np.maximum(np.interp(grid, time, speed), 0.0)
-    # Distance as the plan's speeds make it, so that both agree.
-    distance = np.concatenate(([0.0], np.cumsum(np.diff(grid) * (at[1:] + at[:-1]) / 2)))
-    if not altitudes:
-        return plan_from_speed_profile(grid, distance, at)
-    where, height = _series(altitudes, start)
-    road = np.arange(0.0, travelled[-1] + ELEVATION_STEP, ELEVATION_STEP)
-    seen = np.interp(where, time, travelled)
-    first = np.concatenate(([True], np.diff(seen) > 0))
-    smooth = gaussian_filter1d(
-        np.interp(road, seen[first], height[first]), ELEVATION_SMOOTHING / ELEVATION_STEP
-    )
-    return plan_from_speed_profile(grid, distance, at, np.interp(distance, road, smooth))
+    return drive_plan(_series(speeds, start), _series(altitudes, start))
 
 
 def forecast_totals(drives: Sequence[Foretold]) -> tuple[float, float, int, int] | None:
@@ -148,10 +130,10 @@ def forecast_totals(drives: Sequence[Foretold]) -> tuple[float, float, int, int]
     return float(np.median(errors)), float(np.mean(errors)), covered, len(counted)
 
 
-def _series(rows: list[tuple[int, float]], start: int) -> tuple[np.ndarray, np.ndarray]:
-    stamps, values = np.array([row[0] - start for row in rows]), np.array([row[1] for row in rows])
-    order = np.argsort(stamps, kind="stable")
-    return stamps[order] / NANOSECONDS, values[order]
+def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
+    """Time, s, and value by time, shape (n, 2)."""
+    found = [((stamp_ns - start) / NANOSECONDS, value) for stamp_ns, value in rows]
+    return np.array(sorted(found, key=lambda row: row[0])).reshape(-1, 2)
 
 
 def _measured(readings: Iterable[Reading]) -> float:

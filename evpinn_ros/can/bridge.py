@@ -54,7 +54,7 @@ class BridgeStatus:
         text: the state in a few words.
         frames: frames of the profile's ids.
         unknown_frames: frames of other ids.
-        unknown_ids: how many other ids.
+        unknown_ids: how many other ids, up to `MOST_IDS`.
         dropped: values not used, by reason (see `Decoder`).
         signals: `speed` and `battery`, as far as the profile has them.
         refusal: why nothing is let out, None while the traffic does not contradict the profile.
@@ -153,7 +153,7 @@ class CanBridge:
             ok=not text and not stale,
             text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
             frames=self._decoder.known + self._answers,
-            unknown_frames=self._decoder.unknown.total(),
+            unknown_frames=self._decoder.unknown.total() + self._decoder.uncounted,
             unknown_ids=len(self._decoder.unknown),
             dropped=dict(self._dropped),
             signals=signals,

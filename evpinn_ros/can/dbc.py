@@ -11,10 +11,9 @@ from typing import Any
 
 import cantools
 
+from evpinn_ros.can.dbc_size import LARGEST_FILE, excess
 from evpinn_ros.yaml_section import Section
 
-LARGEST_FILE = 20_000_000  # bytes
-NOT_DBC = (cantools.database.Error, cantools.database.UnsupportedDatabaseFormatError)
 _SPEED_UNITS: Mapping[str, str] = {
     **dict.fromkeys(("km/h", "kph", "kmh", "kmph"), "km/h"),
     **dict.fromkeys(("mph", "mi/h", "miles/h"), "mph"),
@@ -32,16 +31,21 @@ class DbcFile:
             InputError: no such file, or not one that cantools can read.
         """
         try:
-            if path.stat().st_size > LARGEST_FILE:
-                raise root.error_at("dbc", f"{path}: larger than {LARGEST_FILE} bytes")
-            self._text = path.read_text(encoding="cp1252", errors="replace")
-            database = cantools.database.load_file(path, database_format="dbc", strict=False)
+            with path.open(encoding="cp1252", errors="replace") as file:
+                self._text = file.read(LARGEST_FILE + 1)
         except OSError as error:
             raise root.error_at("dbc", f"{path}: {error.strerror}") from error
-        except NOT_DBC as error:
+        if len(self._text) > LARGEST_FILE:
+            raise root.error_at("dbc", f"{path}: larger than {LARGEST_FILE} bytes")
+        if reason := excess(self._text):
+            raise root.error_at("dbc", f"{path}: not read: {reason}")
+        try:
+            database = cantools.database.load_string(
+                self._text, database_format="dbc", strict=False
+            )
+        except Exception as error:
+            # Errors of its own, of the parser, and whatever a broken file makes it stumble over.
             raise root.error_at("dbc", f"{path}: not a DBC file: {error}") from error
-        except (ValueError, KeyError) as error:
-            raise root.error_at("dbc", f"{path}: broken DBC file: {error}") from error
         self._messages = {str(message.name): message for message in database.messages}
 
     def message(self, section: Section) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import math
 from typing import Protocol
 
-from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.profile import CanProfile, MessageRule
 from evpinn_ros.can.signal_rule import SignalRule
 from evpinn_ros.can.unpack import unpacker
@@ -41,7 +41,8 @@ class Decoder:
 
     Attributes:
         known: frames with an id of the profile.
-        unknown: frames of every other id.
+        unknown: frames of every other id, of the first `MOST_IDS`.
+        uncounted: frames of the ids beyond.
         dropped: values not used, by reason: `short_frame`, `undecodable`, `bad_checksum`,
             `unknown_multiplexer`, `stuck_counter`, `not_available`, `out_of_range`.
     """
@@ -50,6 +51,7 @@ class Decoder:
         """Decode by a profile; a witness weighs whether the profile is the right one."""
         self.known = 0
         self.unknown: Counter[int] = Counter()
+        self.uncounted = 0
         self.dropped: Counter[str] = Counter()
         self._witness = witness
         self._readers: dict[tuple[int, bool], list[_Reader]] = {}
@@ -70,7 +72,10 @@ class Decoder:
         """The readings in a frame, none when it is of another id or may not be used."""
         readers = self._readers.get((frame.can_id, frame.extended))
         if readers is None:
-            self.unknown[frame.can_id] += 1
+            if frame.can_id in self.unknown or len(self.unknown) < MOST_IDS:
+                self.unknown[frame.can_id] += 1
+            else:
+                self.uncounted += 1
             return ()
         self.known += 1
         readings: list[Reading] = []

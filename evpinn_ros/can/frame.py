@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+MOST_IDS = 4096
+"""Ids of a bus that are followed: twice what 11 bits can tell. Garbage of 29 bits has millions."""
+
 EPOCH_S = 1e9
 """Times above this count from 1970, times below it from the start of a log or an adapter."""
 
@@ -36,8 +39,14 @@ class FirstBus:
         self._buses: dict[tuple[int, bool], Any] = {}
 
     def takes(self, can_id: int, extended: bool, bus: Any) -> bool:
-        """Whether a frame of this bus, by whatever name the recording gives it, is to be read."""
-        return bool(self._buses.setdefault((can_id, extended), bus) == bus)
+        """Whether a frame of this bus, by whatever name the recording gives it, is to be read.
+
+        With more than `MOST_IDS` ids the log is garbage; what comes then is taken.
+        """
+        key = can_id, extended
+        if key not in self._buses and len(self._buses) < MOST_IDS:
+            self._buses[key] = bus
+        return bool(self._buses.get(key, bus) == bus)
 
 
 def nanoseconds(seconds: float) -> int:

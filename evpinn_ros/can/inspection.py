@@ -11,13 +11,12 @@ from evpinn_ros.can.bus_load import frame_bits
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.fit import Evidence, MessageFit, ProfileFit, contradiction, ranked
-from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import QUANTITIES, CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 NO_ANSWER = "no_answer"
-MOST_IDS = 4096  # twice what 11 bits can tell; a damaged log of 29 bits could hold millions
 
 
 @dataclass(frozen=True, slots=True)

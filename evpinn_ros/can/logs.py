@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 import gzip
 from pathlib import Path
+import resource
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
@@ -18,20 +19,26 @@ from typing import IO, Any
 import can
 from can.io import mf4
 
+from evpinn_ros.can.blf import BlfReader
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.errors import InputError
+from evpinn_ros.text_lines import bounded_lines
 
 _READERS: dict[str, Callable[..., Any]] = {
     ".log": can.CanutilsLogReader,
     # By default the reader drops the date of the log and starts at zero.
     ".asc": lambda file: can.ASCReader(file, relative_timestamp=False),
-    ".blf": can.BLFReader,
+    ".blf": BlfReader,
     ".trc": can.TRCReader,
     ".csv": can.CSVReader,
 }
 _MF4 = ".mf4"
 LOG_SUFFIXES = (*_READERS, _MF4)
 LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
+LAST_TIME = 2.0**33  # s since 1970: the year 2242
+
+# For asammdf, which reads a file as a whole: the memory and the file it may fill, and the time.
+MF4_MEMORY, MF4_FILE, MF4_SECONDS = 8 << 30, 16 << 30, 600.0
 
 
 class LogFile:
@@ -107,19 +114,15 @@ class LogFile:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "converted.log"
             command = [sys.executable, "-m", "can.logconvert", str(self.path), str(path)]
-            done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-            )
+            failed = _run_limited(command)
             with suppress(InputError):  # no file, or no frame in it: told below
                 log = LogFile(path)
                 self.skipped = log.skipped
                 for frame in log.frames():
                     self.count += 1
                     yield frame
-        if done.returncode:
-            said = done.stderr.splitlines()
-            reason = said[-1] if said else "asammdf crashed"
-            self.problem = f"{self.path}: broken after {self.count} frames: {reason}"
+        if failed:
+            self.problem = f"{self.path}: broken after {self.count} frames: {failed}"
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN frame in it")
 
@@ -164,11 +167,12 @@ class LogFile:
 def _is_possible(message: Any) -> bool:
     """Whether id and data fit into a frame; the readers take any number that they find."""
     last_id = LAST_EXTENDED_ID if message.is_extended_id else LAST_ID
-    return 0 <= message.arbitration_id <= last_id and len(message.data) <= LONGEST_DATA
+    possible = 0 <= message.arbitration_id <= last_id and len(message.data) <= LONGEST_DATA
+    return possible and abs(message.timestamp) < LAST_TIME
 
 
 class _Lines:
-    """The whole lines of a text file, as a file for the readers.
+    """The whole lines of a text file, none longer than `LONGEST_LINE`, as a file for the readers.
 
     A last line without an end was cut: its digits would still parse, as other bytes than the
     car sent, so it is kept back.
@@ -177,18 +181,41 @@ class _Lines:
     def __init__(self, file: IO[str]) -> None:
         self.number, self.cut_off = 0, False
         self.read, self.close = file.read, file.close
-        self._file = file
+        self._lines = bounded_lines(file)
 
     def __iter__(self) -> Iterator[str]:
         return self
 
     def __next__(self) -> str:
-        line = next(self._file)
+        line = next(self._lines)
         self.number += 1
         self.cut_off = not line.endswith("\n")
         if self.cut_off:
             raise StopIteration
         return line
+
+
+def _run_limited(command: list[str]) -> str | None:
+    """Run another program within limits; gives its last word when it failed."""
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        limits = {resource.RLIMIT_AS: MF4_MEMORY, resource.RLIMIT_FSIZE: MF4_FILE}
+        for which, limit in limits.items():
+            with suppress(ProcessLookupError):  # it has ended already
+                resource.prlimit(process.pid, which, (limit, limit))
+        try:
+            _, said = process.communicate(timeout=MF4_SECONDS)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return f"not read within {MF4_SECONDS:g} s"
+    if not process.returncode:
+        return None
+    return said.splitlines()[-1] if said else "asammdf crashed"
 
 
 def write_log(path: str | Path, frames: Iterable[CanFrame], channel: str = "can0") -> int:

@@ -110,12 +110,12 @@ def load_profile(name_or_path: str | Path) -> CanProfile:
             "it, see docs/can.md"
         )
     if path.suffix not in (".yaml", ".yml"):
-        path = _profile_directory() / f"{name_or_path}.yaml"
-        if not path.is_file():
+        if str(name_or_path) not in profile_names():
             known = ", ".join(profile_names())
             raise InputError(
                 f"no CAN profile named '{name_or_path}'; known are {known}, or give a path"
             )
+        path = _profile_directory() / f"{name_or_path}.yaml"
     return _parse(path)
 
 
@@ -131,7 +131,7 @@ def _parse(path: Path) -> CanProfile:
     broadcast = [name for name in QUANTITIES if root.has(name) and name not in asked]
     messages = {}
     if broadcast or root.has("dbc"):
-        database = DbcFile(root, path.parent / root.text("dbc"))
+        database = DbcFile(root, root.path_beside("dbc"))
         messages = {name: _message_rule(root.section(name), name, database) for name in broadcast}
     if not {"speed", "battery"} & {*messages, *asked}:
         raise root.error("'speed' or 'battery' is missing: the profile would say nothing")

@@ -15,6 +15,10 @@ COMMANDS = (
     "energy",
     "soak",
     "fleet",
+    "fuzz",
+    "report",
+    "recover",
+    "faults",
 )  # each a function in `bench_<name>.py`
 
 

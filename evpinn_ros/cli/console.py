@@ -9,9 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+    TransferSpeedColumn,
+)
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.errors import InputError, printable
 
 Report = Callable[[float], None]  # takes seconds of the drive done
 
@@ -21,7 +29,7 @@ notes = Console(stderr=True, highlight=False, soft_wrap=True)
 
 def note(text: str) -> None:
     """One line to the person, on stderr."""
-    notes.print(text, markup=False)
+    notes.print(printable(text), markup=False)
 
 
 def write_json(path: Path, found: Any) -> None:
@@ -51,3 +59,29 @@ def progress_bar(title: str, total: float | None) -> Iterator[Report]:
     with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.update(task, completed=done)
+
+
+@contextmanager
+def bytes_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
+    """The same for a file: takes bytes done, shows the rate and the time left."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
+        task = bar.add_task(title, total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Tell a disk that is full, or fails, in one line."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}; the bag is cut there") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated
@@ -10,10 +11,14 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.bags.convert import write_readings
+from evpinn_ros.bags.csv_columns import QUANTITIES
+from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, results
+from evpinn_ros.cli.console import Report, note, progress_bar, results, writing
+from evpinn_ros.cli.csv_columns import explain_columns
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import CsvSource, open_source
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 
@@ -34,21 +39,45 @@ def convert(
     trust_profile: Annotated[
         bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
     ] = False,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of a CSV file: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative while "
+            "it discharges. " + f"Quantities: {', '.join(QUANTITIES)}."
+        ),
+    ] = None,
+    storage: Annotated[
+        Storage | None,
+        typer.Option(help="Keep a bag as it is, every topic, and change its storage alone."),
+    ] = None,
 ) -> None:
-    """Convert a recorded drive into a rosbag2 MCAP bag.
+    """Convert a recorded drive into a rosbag2 bag: MCAP of our topics.
 
-    A CSV file has the columns t_s, speed_mps, voltage_v, current_a (positive = discharge) or
-    power_w, and optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct.
+    Columns of a CSV file are found by their names and values; what was taken for what is told.
+    The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
+    optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct are taken as they are.
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
+
+    Example: evpinn convert out/drive out/drive_sqlite3 --storage sqlite3
     """
+    if storage is not None:
+        _change_storage(source_path, out, storage)
+        return
     car = load_vehicle(vehicle)
-    source = open_source(source_path, car, can_profile, trust_profile=trust_profile)
-    readings = source.readings()
-    # What gives no reading at all is refused here, before there is an empty bag of it.
-    begun = list(islice(readings, 1))
-    with BagWriter(out) as writer:
-        dropped: Counter[str] = write_readings(chain(begun, readings), writer)
+    source = open_source(
+        source_path, car, can_profile, trust_profile=trust_profile, columns=column or ()
+    )
+    explain_columns(source)
+    with progress_bar(source_path.name, total=None) as progress:
+        readings = _reported(source.readings(), progress)
+        # What gives no reading at all is refused here, before there is an empty bag of it.
+        begun = list(islice(readings, 1))
+        if not begun:
+            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(source.dropped.items()))
+            raise InputError(f"{source_path}: no reading in it; dropped: {reasons or 'nothing'}")
+        with writing(out), BagWriter(out) as writer:
+            dropped: Counter[str] = write_readings(chain(begun, readings), writer)
     dropped.update(source.dropped)
     if isinstance(source, CsvSource):
         _explain_csv(source, car.nominal_voltage)
@@ -61,10 +90,28 @@ def convert(
 
 def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:
     drive = source.drive
-    if drive.ignored:
+    if drive.ignored and not any(rule.why for rule in drive.rules):  # else it is told already
         note(f"{source.path}: columns not used: {', '.join(drive.ignored)}")
     if drive.at_nominal_voltage:
         note(
             f"{source.path}: {drive.at_nominal_voltage} battery readings hold power alone; "
             f"their voltage is the nominal {nominal_voltage:g} V"
         )
+
+
+def _change_storage(source: Path, out: Path, storage: Storage) -> None:
+    with writing(out), progress_bar(source.name, total=None) as progress:
+        change_storage(source, out, storage, progress)
+    results.print(f"{out}", markup=False, soft_wrap=True)
+
+
+def _reported(readings: Iterator[Reading], progress: Report) -> Iterator[Reading]:
+    first_ns: int | None = None
+    told = 0.0
+    for reading in readings:
+        first_ns = reading.stamp_ns if first_ns is None else first_ns
+        done = (reading.stamp_ns - first_ns) / NANOSECONDS
+        if done - told >= 1.0:
+            progress(done)
+            told = done
+        yield reading

@@ -19,6 +19,7 @@ class Commands(LazyCommands):
 
     names = (
         *("replay", "run", "convert", "simulate", "reproduce", "fleet", "bench", "demo"),
+        *("info", "recover"),
         "can",
         "check_params",
     )

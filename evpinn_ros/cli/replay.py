@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
+import itertools
 import json
 from pathlib import Path
 import shlex
@@ -13,8 +16,9 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, progress_bar, results
-from evpinn_ros.cli.tables import energy_lines, parameter_table, score_table
+from evpinn_ros.cli.console import note, progress_bar, results, writing
+from evpinn_ros.cli.csv_columns import explain_columns
+from evpinn_ros.cli.tables import parameter_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.state_file import read_state, write_state
@@ -33,10 +37,10 @@ from evpinn_ros.replay.run import (
 )
 from evpinn_ros.replay.run import replay as replay_drive
 from evpinn_ros.replay.sources import Source, open_source
-from evpinn_ros.report.figure import drive_figure
-from evpinn_ros.report.html import write_html
+from evpinn_ros.replay.tables import energy_lines
+from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.simulation.truth_file import read_truth
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 
 def replay(
@@ -54,7 +58,9 @@ def replay(
         Path | None,
         typer.Option(help="New bag for inputs and outputs; for several inputs a folder of bags."),
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write an HTML report.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a report: one HTML file, for a browser.")
+    ] = None,
     metrics: Annotated[Path | None, typer.Option(help="Write the scores as JSON.")] = None,
     withhold_battery_after: Annotated[
         float | None,
@@ -68,6 +74,17 @@ def replay(
     rate: Annotated[
         float | None, typer.Option(min=0.01, help="Of real time; as fast as it can if not given.")
     ] = None,
+    start: Annotated[float, typer.Option(min=0.0, help="Leave out what is before, s.")] = 0.0,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after this much of each input, s.")
+    ] = None,
+    loop: Annotated[
+        int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
+    ] = 1,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+    ] = None,
     can_profile: Annotated[
         str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
     ] = None,
@@ -78,7 +95,7 @@ def replay(
     """Replay recorded drives through the chain, and score every prediction.
 
     The same cores as in the nodes, without ROS: readings, samples, learning, power, energy. What
-    one input teaches is carried over to the next.
+    one input teaches is carried over to the next, and from one turn of --loop to the next.
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
@@ -86,13 +103,24 @@ def replay(
     one_thread()
     car = load_vehicle(vehicle)
     settings = estimator_settings(_parameters(params, mode))
-    sources = [open_source(path, car, can_profile, trust_profile=trust_profile) for path in inputs]
+    open_input = partial(
+        open_source,
+        vehicle=car,
+        can_profile=can_profile,
+        trust_profile=trust_profile,
+        columns=column or (),
+    )
+    first = [open_input(path) for path in inputs]
+    for source in first:
+        explain_columns(source)
+    again = (open_input(path) for _ in range(loop - 1) for path in inputs)
     chain = Chain(car, settings, InlineWorker(time.perf_counter))
     _restore(chain, state)
-    options = ReplayOptions(withhold_battery_after, warm_up, rate)
+    options = ReplayOptions(withhold_battery_after, warm_up, rate, start, duration)
     done: list[Replayed] = []
     try:
-        for source, folder in zip(sources, output_folders(out, sources), strict=True):
+        folders = output_folders(out, inputs * loop)
+        for source, folder in zip(itertools.chain(first, again), folders, strict=True):
             if done:
                 chain.begin_next_drive()
             done.append(
@@ -101,7 +129,7 @@ def replay(
             _show(done[-1], source, warm_up)
     finally:
         # Whatever ends a later drive, the results of those before it are kept.
-        written = _write(done, chain, metrics, report, state, withhold_battery_after)
+        written = _write(done, chain, car, options, (metrics, report, state))
     if not written or any(result.problem for result in done):
         raise typer.Exit(1)
 
@@ -137,21 +165,21 @@ def _one(
     mode: str,
 ) -> Replayed:
     """Replay one drive, into a bag if there is a folder for it."""
-    writer = BagWriter(folder) if folder is not None else None
-    try:
-        with progress_bar(source.path.name, total=None) as progress:
-            return replay_drive(
-                source,
-                chain,
-                options,
-                vehicle=vehicle,
-                mode=mode,
-                writer=writer,
-                progress=progress,
-            )
-    finally:
-        if writer is not None:
-            writer.close()
+    with ExitStack() as stack:
+        writer = None
+        if folder is not None:
+            stack.enter_context(writing(folder))
+            writer = stack.enter_context(BagWriter(folder))
+        progress = stack.enter_context(progress_bar(source.path.name, total=options.duration))
+        return replay_drive(
+            source,
+            chain,
+            options,
+            vehicle=vehicle,
+            mode=mode,
+            writer=writer,
+            progress=progress,
+        )
 
 
 def _show(result: Replayed, source: Source, warm_up: float) -> None:
@@ -179,17 +207,17 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
 def _write(
     done: list[Replayed],
     chain: Chain,
-    metrics: Path | None,
-    report: Path | None,
-    state: Path | None,
-    withheld_from: float | None,
+    car: Vehicle,
+    options: ReplayOptions,
+    files: tuple[Path | None, Path | None, Path | None],
 ) -> bool:
     """Write all that was asked for; one file that cannot be written does not cost the others."""
     if not done:
         return True
+    metrics, report, state = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
         (metrics, lambda path: _write_metrics(path, done)),
-        (report, lambda path: _write_report(path, done, withheld_from)),
+        (report, lambda path: _write_report(path, done, car, options)),
         (state, lambda path: write_state(path, chain.estimator.export())),
     ]
     problems = 0
@@ -197,7 +225,7 @@ def _write(
         try:
             if path is not None:
                 write(path)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, InputError) as error:
             problems += 1
             note(f"evpinn: {path}: {getattr(error, 'strerror', None) or error}")
     return problems == 0
@@ -210,10 +238,17 @@ def _write_metrics(path: Path, done: list[Replayed]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def _write_report(path: Path, done: list[Replayed], withheld_from: float | None) -> None:
+def _write_report(path: Path, done: list[Replayed], car: Vehicle, options: ReplayOptions) -> None:
+    after, warm_up = options.withhold_battery_after, options.warm_up
     drives = [
-        (drive_figure(r.drive, Path(r.metrics["input"]["path"]).name, None, withheld_from), r)
-        for r in done
+        ReportedDrive(
+            drive=each.drive,
+            found=each.metrics,
+            vehicle=car,
+            warm_up=warm_up,
+            withheld_from=after,
+            truth=read_truth(Path(each.metrics["input"]["path"])),
+        )
+        for each in done
     ]
-    command = shlex.join(["evpinn", *sys.argv[1:]])
-    write_html(path, [(figure, r.metrics) for figure, r in drives], command)
+    write_drives(path, drives, shlex.join(["evpinn", *sys.argv[1:]]))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from evpinn_ros.bags.writer import Split
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_table import Value
+
+MEGABYTE = 1e6
 
 
 def run(
@@ -47,6 +51,13 @@ def run(
     record: Annotated[
         Path | None, typer.Option(help="Record every topic and raw CAN frame to this bag.")
     ] = None,
+    split_size: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Go on in another file from this size on, MB."),
+    ] = None,
+    split_time: Annotated[
+        float | None, typer.Option(min=1.0, help="Go on in another file after this time, s.")
+    ] = None,
     params: Annotated[
         Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
     ] = None,
@@ -76,6 +87,9 @@ def run(
         "state_file": str(state) if state is not None else None,
         "energy_file": str(state.with_suffix(".energy.json")) if state is not None else None,
     }
+    if record is None and (split_size or split_time):
+        raise typer.BadParameter("--split-size and --split-time need --record")
+    split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
-    raise typer.Exit(run_nodes(parameters, record=record, ros_args=ros_args))
+    raise typer.Exit(run_nodes(parameters, record=record, split=split, ros_args=ros_args))

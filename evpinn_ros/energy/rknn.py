@@ -26,17 +26,18 @@ import itertools
 import math
 from pathlib import Path
 from typing import Any, TypeAlias
-from zipfile import BadZipFile
 
 import numpy as np
 
 from evpinn_ros.errors import InputError
+from evpinn_ros.npz import read_arrays
 
 SCALE = 1e3  # W and J: where the normalisation turns from linear to logarithmic
 POWER_LIMIT = 5e5  # W: trained range; power beyond it is taken as the limit
 STEP_LIMIT = 2.0  # s: longest step of the trained range
 HIDDEN = (32, 32, 32)
 ARGUMENTS = (1, 2, 2, 2)  # of N1 to N4: power, then energy
+MOST_BYTES = 1 << 20  # of weights: ten times what these networks have
 SHIPPED_WEIGHTS = Path(__file__).with_name("rknn_weights.npz")
 
 _SPAN = math.asinh(POWER_LIMIT / SCALE)
@@ -145,12 +146,11 @@ def load_rknn(path: Path = SHIPPED_WEIGHTS) -> Rknn:
         InputError: not such a file; the text has the path and the reason.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            weights = {name: file[name] for name in file.files}
+        weights = read_arrays(path, MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, TypeError, EOFError, BadZipFile) as error:
-        raise InputError(f"{path}: not an .npz file of plain arrays") from error
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
     try:
         n1, n2, n3, n4 = (_subnetwork(weights, i + 1, n) for i, n in enumerate(ARGUMENTS))
     except ValueError as error:

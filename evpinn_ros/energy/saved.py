@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import math
+import reprlib
+import sys
 from typing import Any
 
 from evpinn_ros.errors import InputError
@@ -22,8 +24,8 @@ def number(saved: Mapping[str, Any], name: str, may_be_unknown: bool = False) ->
     value = saved.get(name)
     if value is None and may_be_unknown and name in saved:
         return math.nan
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"saved energy: '{name}' is {value!r}, expected a number")
+    if not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
+        raise InputError(f"saved energy: '{name}' is {_shown(value)}, expected a number")
     return float(value)
 
 
@@ -33,8 +35,12 @@ def numbers(
     """So many finite numbers, NaN for unknown ones; InputError when they are not."""
     values = saved.get(name)
     if not isinstance(values, list) or len(values) != count:
-        raise InputError(f"saved energy: '{name}' is {values!r}, expected {count} numbers")
+        raise InputError(f"saved energy: '{name}' is {_shown(values)}, expected {count} numbers")
     return [number({name: value}, name, may_be_unknown) for value in values]
+
+
+def _shown(value: object) -> str:
+    return reprlib.repr(value)  # of a list of a million numbers, a few
 
 
 def or_none(value: float) -> float | None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import json
+import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from evpinn_ros.errors import InputError
 
-MAX_FILE_BYTES = 20_000_000
+MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
 
 
 def write_state(path: Path, state: Mapping[str, Any]) -> None:
@@ -37,21 +38,28 @@ def read_state(path: Path) -> dict[str, Any] | None:
         InputError: the file cannot be read or is not a state; the text has file and reason.
     """
     try:
-        size = path.stat().st_size
+        with path.open("rb") as file:
+            text = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    if size > MAX_FILE_BYTES:
+    if len(text) > MAX_FILE_BYTES:
         raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a saved state")
     try:
-        state = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
-    except (OSError, ValueError, RecursionError) as error:
+        state = json.loads(text.decode("utf-8"), parse_constant=_refuse, parse_float=_finite)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a saved state: {error}") from error
     if not isinstance(state, dict):
         raise InputError(f"{path}: not a saved state")
     return state
 
 
-def _refuse(constant: str) -> None:
+def _finite(digits: str) -> float:
+    """The number; 1e999 would be infinite."""
+    number = float(digits)
+    return number if math.isfinite(number) else _refuse(digits)
+
+
+def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number to be saved")

@@ -12,6 +12,7 @@ from evpinn_ros.nodes.messages import BadMessage, NewMessage, finite
 from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower
 
 MODEL_VERSION = 1  # of what `estimate/model` holds
+MOST_NUMBERS = 100_000  # of a model: thirty times what an estimator tells
 _ARRAYS = ("mean", "directions", "unit_speeds", "unit_accelerations")
 _NUMBERS = [f.name for f in fields(LinearPower) if f.name not in _ARRAYS]
 _POSITIVE = ("mass", "rotating_mass_factor", "drift_time", "slope_length")
@@ -42,6 +43,8 @@ def read_model(message: Any, vehicle: str) -> LinearPower:
     Raises:
         BadMessage: it is of another vehicle or version, or its numbers do not fit.
     """
+    if max(len(message.data), len(message.layout.dim)) > MOST_NUMBERS:
+        raise BadMessage("too_large")
     labels = {dimension.label: dimension.size for dimension in message.layout.dim}
     if next(iter(labels), None) != f"{vehicle}/{MODEL_VERSION}":
         raise BadMessage("other_vehicle_or_version")

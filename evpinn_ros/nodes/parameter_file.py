@@ -10,7 +10,7 @@ import yaml
 
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.parameter_table import TABLES, Value, refuse_wrong
-from evpinn_ros.yaml_section import Section, compose
+from evpinn_ros.yaml_section import Section, compose, plain
 
 Item: TypeAlias = tuple[yaml.Node, yaml.Node]
 
@@ -40,8 +40,7 @@ def read_parameter_file(path: Path, node: str) -> dict[str, Value]:
 
 def _read(path: Path) -> dict[str, dict[str, Value]]:
     root = compose(path, "parameter file")
-    whole = yaml.compose(path.read_bytes(), Loader=yaml.SafeLoader)
-    sections = list(_sections(root, whole, "")) if whole else []
+    sections = list(_sections(root, root.node, ""))
     if not sections:
         raise root.error(f"no '{PARAMETERS_KEY}' in this file: not a parameter file")
     found: dict[str, dict[str, Value]] = {node: {} for node in TABLES}
@@ -78,7 +77,10 @@ def _checked(root: Section, nodes: list[str], section: yaml.Node) -> dict[str, A
             continue
         if name not in known:
             raise root.error(f"unknown parameter '{name}'; known are {', '.join(known)}", key)
-        values[name] = _value(node)
+        try:
+            values[name] = _value(node)
+        except ValueError as error:
+            raise root.error(f"{name}: {error}", node) from error
         table = TABLES[known[name]]
         if problem := next(p for p in table if p.name == name).problem(values[name]):
             raise root.error(problem, node)
@@ -100,8 +102,7 @@ def _items(root: Section, node: yaml.Node) -> list[Item]:
 
 def _value(node: yaml.Node) -> object:
     """The value as ROS reads it: unlike YAML 1.1, `1e5` is a number."""
-    loader = yaml.SafeLoader("")
-    value = loader.construct_object(node, deep=True)
+    value = plain(node)
     if isinstance(value, str) and isinstance(node, yaml.ScalarNode) and node.style is None:
         try:
             return float(value)

@@ -144,7 +144,8 @@ def grade_reading(message: Any) -> GradeReading:
     if message.orientation_covariance[0] == NOT_PROVIDED:
         raise BadMessage("no_orientation")
     q = message.orientation
-    square = q.w**2 + q.x**2 + q.y**2 + q.z**2
+    # Products, for a power of a huge number raises where its product is infinite.
+    square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
     if not abs(square - 1) <= UNIT_TOLERANCE:
         raise BadMessage("quaternion_not_unit")
     sine = 2 * (q.w * q.y - q.z * q.x) / square

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
 from evpinn_ros.bags.types import FRAME_TYPE
-from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status, recorder_status
@@ -32,12 +32,19 @@ class RecorderNode(GuardedNode):
     was written stays readable, and the other nodes do not notice.
     """
 
-    def __init__(self, folder: Path, frames: RawFrames | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        frames: RawFrames | None = None,
+        split: Split | None = None,
+        **kwargs: Any,
+    ) -> None:
         """Begin the bag.
 
         Args:
             folder: of the bag.
             frames: filled by a bridge, emptied here.
+            split: when the bag goes on in another file; None for never.
             kwargs: go to rclpy's Node.
 
         Raises:
@@ -48,7 +55,7 @@ class RecorderNode(GuardedNode):
         self._problem: str | None = None
         self._frames = deque() if frames is None else frames
         self._frames_topic = self.resolve_topic_name(FRAMES_TOPIC)
-        self._writer = BagWriter(folder, live=True)
+        self._writer = BagWriter(folder, live=True, split=split)
         for topic in TOPICS:
             self.listen(topic, partial(self._write, topic), raw=True)
         self.every(FLUSH_PERIOD, self._flush)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
 from typing import NamedTuple
 
@@ -13,9 +13,20 @@ import numpy as np
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
+from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.replay.chain import ChainOutput
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then
 
 
 class Columns:
@@ -43,6 +54,20 @@ class PowerSeries(NamedTuple):
     lag: np.ndarray
 
 
+class Noticed(NamedTuple):
+    """What the learner noticed, from this time on, s since the first reading."""
+
+    time: float
+    report: LearnerReport
+
+
+class KnownModel(NamedTuple):
+    """What was known of the car at this time, s since the first reading."""
+
+    time: float
+    model: LinearPower
+
+
 @dataclass(frozen=True, slots=True)
 class Drive:
     """The series of one replayed drive; times in s since its first reading.
@@ -53,9 +78,15 @@ class Drive:
         measured: time and W, all that the battery said, withheld or not, shape (n, 2).
         smoothed: predictions of `power/smoothed`.
         newest: predictions of `power/predicted`.
-        energy: time, predicted and RKNN energy, J, shape (n, 3).
+        energy: time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4);
+            a peer's has no 1-sigma.
         parameters: for each name time, value, 1-sigma and prior share, shape (n, 4).
         final: the last parameters, None if there never were any.
+        start_ns: stamp of the first reading.
+        altitude: time and m, shape (n, 2).
+        combinations: for each identifiable combination time, value, 1-sigma, shape (n, 3).
+        noticed: what the learner noticed, whenever that changed.
+        models: the car as known at the start and about every `MODEL_STEP`; empty without replay.
     """
 
     duration: float
@@ -66,6 +97,11 @@ class Drive:
     energy: np.ndarray
     parameters: Mapping[str, np.ndarray]
     final: ParameterSet | None
+    start_ns: int = 0
+    altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
+    noticed: tuple[Noticed, ...] = ()
+    models: tuple[KnownModel, ...] = ()
 
 
 class History:
@@ -74,7 +110,11 @@ class History:
     def __init__(self) -> None:
         self._start_ns: int | None = None
         self._last_ns = 0
-        self._speed, self._measured, self._energy = Columns(2), Columns(2), Columns(3)
+        self._speed, self._measured, self._energy = Columns(2), Columns(2), Columns(4)
+        self._altitude = Columns(2)
+        self._combinations = {name: Columns(3) for name in IDENTIFIABLE_NAMES}
+        self._noticed: list[Noticed] = []
+        self._models: list[KnownModel] = []
         self._power = {PowerKind.SMOOTHED: Columns(4), PowerKind.PREDICTED: Columns(4)}
         self._parameters = {name: Columns(4) for name in PARAMETER_NAMES}
         self._final: ParameterSet | None = None
@@ -89,10 +129,13 @@ class History:
         if self._start_ns is None:
             self._start_ns = self._last_ns = reading.stamp_ns
         self._last_ns = max(self._last_ns, reading.stamp_ns)
-        if isinstance(reading, SpeedReading):
-            self._speed.add(self.seconds(reading.stamp_ns), reading.speed)
-        elif isinstance(reading, BatteryReading) and np.isfinite(reading.power):
-            self._measured.add(self.seconds(reading.stamp_ns), reading.power)
+        time = self.seconds(reading.stamp_ns)
+        if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
+            self._speed.add(time, reading.speed)
+        elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
+            self._measured.add(time, reading.power)
+        elif isinstance(reading, AltitudeReading) and math.isfinite(reading.altitude):
+            self._altitude.add(time, reading.altitude)
 
     def add_output(self, output: ChainOutput) -> None:
         """Take what the chain said of the last reading."""
@@ -102,7 +145,7 @@ class History:
         if isinstance(output, EnergyState):
             predicted, rknn = output.predicted.energy, output.rknn.energy
             if math.isfinite(predicted) and math.isfinite(rknn):  # not before the first step
-                self._energy.add(time, predicted, rknn)
+                self._energy.add(time, predicted, rknn, output.predicted.sigma)
         elif isinstance(output, PowerEstimate):
             if output.kind in self._power:
                 lag = (self._last_ns - output.stamp_ns) / NANOSECONDS
@@ -112,6 +155,31 @@ class History:
             for name, estimate in output.parameters.items():
                 row = (time, estimate.value, estimate.std, estimate.prior_share)
                 self._parameters[name].add(*row)
+            for name, rows in self._combinations.items():
+                value, std = (
+                    getattr(each, name) for each in (output.identifiable, output.identifiable_std)
+                )
+                rows.add(time, value, std)
+
+    def add_noticed(self, report: LearnerReport) -> None:
+        """Take what the learner says of the car by now, if it says something new."""
+        report = report._replace(lag=math.nan, lag_std=math.nan)  # they change all the time
+        if not self._noticed or self._noticed[-1].report[:4] != report[:4]:
+            self._noticed.append(Noticed(self._now, report))
+
+    @property
+    def wants_model(self) -> bool:
+        """Whether `MODEL_STEP` has passed since the last model."""
+        return not self._models or self._now - self._models[-1].time >= MODEL_STEP
+
+    def add_model(self, model: LinearPower | None) -> None:
+        """Take the car as it is known now; a learner without such a model gives None."""
+        if model is not None:
+            self._models.append(KnownModel(self._now, model))
+
+    @property
+    def _now(self) -> float:
+        return self.seconds(self._last_ns)
 
     def drive(self) -> Drive:
         """The series so far."""
@@ -124,6 +192,11 @@ class History:
             energy=self._energy.values(),
             parameters={name: rows.values() for name, rows in self._parameters.items()},
             final=self._final,
+            start_ns=self._start_ns or 0,
+            altitude=self._altitude.values(),
+            combinations={name: rows.values() for name, rows in self._combinations.items()},
+            noticed=tuple(self._noticed),
+            models=tuple(self._models),
         )
 
 

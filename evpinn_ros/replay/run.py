@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+import math
 from pathlib import Path
 import time
 from typing import Any
@@ -15,15 +16,17 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
 from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.replay.chain import Chain, ChainOutput
 from evpinn_ros.replay.history import Drive, History
 from evpinn_ros.replay.scoring import metrics
 from evpinn_ros.replay.sources import Source
-from evpinn_ros.signals.readings import BatteryReading, Reading
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 
 WARM_UP = 120.0  # s at the start that are not scored
+STRAGGLING = 10.0  # s by which readings may come in another order than their stamps
 PROGRESS_STEP = 1.0  # s of the drive between two reports of progress
 
 Progress = Callable[[float], None]  # takes s of the drive done
@@ -37,11 +40,15 @@ class ReplayOptions:
         withhold_battery_after: s since the start, None to withhold nothing.
         warm_up: s at the start that are not scored.
         rate: of real time, None for as fast as possible.
+        start: s since the first reading, before which the drive is not read.
+        duration: s from there, after which it is not read; None for all of it.
     """
 
     withhold_battery_after: float | None = None
     warm_up: float = WARM_UP
     rate: float | None = None
+    start: float = 0.0
+    duration: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +76,19 @@ def replay(
         InputError: the source holds no speed at all.
     """
     history = History()
+    history.add_noticed(chain.estimator.noticed())  # what earlier drives left is no event of this
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
-    for reading in _paced(source.readings(), history, options.rate, progress):
+    readings = span(source.readings(), options.start, options.duration)
+    for reading in _paced(readings, history, options.rate, progress):
         outputs = _outputs(reading, history, chain, options)
         if writer is not None:
             not_recorded.update(_record(writer, reading, outputs))
     wall = time.perf_counter() - started
     drive = history.drive()
     if len(drive.speed) == 0:
-        raise InputError(f"{source.path}: holds no vehicle/speed, nothing can be predicted")
+        where = "" if options.start == 0 and options.duration is None else " in that span"
+        raise InputError(f"{source.path}: holds no vehicle/speed{where}, nothing can be predicted")
     status = chain.estimator.status()
     found = metrics(
         path=str(source.path),
@@ -94,6 +104,25 @@ def replay(
     return Replayed(drive, found, source.problem)
 
 
+def span(readings: Iterator[Reading], start: float, duration: float | None) -> Iterator[Reading]:
+    """The readings of a part of a drive, by their stamps: from `start` on, for `duration`, s.
+
+    Reading ends where stamps are `STRAGGLING` beyond the part.
+    """
+    if start == 0 and duration is None:
+        yield from readings
+        return
+    first_ns: int | None = None
+    end = math.inf if duration is None else start + duration
+    for reading in readings:
+        first_ns = reading.stamp_ns if first_ns is None else first_ns
+        seconds = (reading.stamp_ns - first_ns) / NANOSECONDS
+        if start <= seconds < end:
+            yield reading
+        elif seconds >= end + STRAGGLING:
+            return
+
+
 def _outputs(
     reading: Reading, history: History, chain: Chain, options: ReplayOptions
 ) -> list[ChainOutput]:
@@ -102,9 +131,13 @@ def _outputs(
     withholding = after is not None and history.seconds(reading.stamp_ns) > after
     if withholding and isinstance(reading, BatteryReading):
         return []
+    if history.wants_model:
+        history.add_model(chain.estimator.linear_power())
     outputs = list(chain.push(reading))
     for output in outputs:
         history.add_output(output)
+        if isinstance(output, ParameterSet):
+            history.add_noticed(chain.estimator.noticed())
     return outputs
 
 
@@ -150,13 +183,13 @@ def has_battery(drive: Drive) -> bool:
     return len(drive.measured) > 0
 
 
-def output_folders(out: Path | None, sources: list[Source]) -> list[Path | None]:
+def output_folders(out: Path | None, paths: Sequence[Path]) -> list[Path | None]:
     """Where each drive's bag goes: `out` itself for one, a folder in it for each of several."""
     if out is None:
-        return [None] * len(sources)
-    if len(sources) == 1:
+        return [None] * len(paths)
+    if len(paths) == 1:
         return [out]
-    return [out / f"{index:03d}_{_stem(s.path)}" for index, s in enumerate(sources, start=1)]
+    return [out / f"{index:03d}_{_stem(path)}" for index, path in enumerate(paths, start=1)]
 
 
 def _stem(path: Path) -> str:

@@ -71,8 +71,8 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
     told = _stretches(rows[:, 0])
     heard = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
     common = _common(told, heard) or told
-    predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:])
-    measured = _measured_energy(drive, common) if _common(told, heard) else None
+    predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:3])
+    measured = measured_energy(drive, common) if _common(told, heard) else None
     score: dict[str, float | None] = dict.fromkeys(keys)
     score.update(measured_j=measured, predicted_j=predicted, rknn_j=rknn)
     if measured:
@@ -190,7 +190,7 @@ def measured_at(drive: Drive, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.interp(time, rows[:, 0], rows[:, 1]), inside & near
 
 
-def _measured_energy(drive: Drive, stretches: list[Span]) -> float:
+def measured_energy(drive: Drive, stretches: list[Span]) -> float:
     """Integral of measured power over stretches without gaps, J."""
     time, power = drive.measured.T
     total = 0.0

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import gzip
 from pathlib import Path
 from typing import Protocol
+import zlib
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
 from evpinn_ros.bags.convert import BagReadings
@@ -20,7 +21,7 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
 
-CSV_TIME_COLUMN = "t_s"  # tells a drive's CSV from a CAN log's
+FRAME_COLUMN = "arbitration_id"  # tells a CAN log's CSV from a drive's
 
 
 class Source(Protocol):
@@ -66,10 +67,10 @@ class BagSource:
 class CsvSource:
     """A CSV drive (`bags.csv_drive`)."""
 
-    def __init__(self, path: Path, vehicle: Vehicle) -> None:
+    def __init__(self, path: Path, vehicle: Vehicle, columns: Sequence[str] = ()) -> None:
         """Open the file; power alone becomes current at the vehicle's nominal voltage."""
         self.path = path
-        self.drive = CsvDrive(path, vehicle.nominal_voltage)
+        self.drive = CsvDrive(path, vehicle.nominal_voltage, columns)
         self.dropped = self.drive.dropped
 
         self._problem: str | None = None
@@ -134,7 +135,12 @@ class CanLogSource:
 
 
 def open_source(
-    path: Path, vehicle: Vehicle, can_profile: str | None = None, *, trust_profile: bool = False
+    path: Path,
+    vehicle: Vehicle,
+    can_profile: str | None = None,
+    *,
+    trust_profile: bool = False,
+    columns: Sequence[str] = (),
 ) -> Source:
     """Open a recorded drive of any kind.
 
@@ -143,6 +149,7 @@ def open_source(
         vehicle: whose drive it is.
         can_profile: of a CAN log, the vehicle's when None.
         trust_profile: read a CAN log also where it contradicts the profile.
+        columns: of a CSV file that are told, see `evpinn_ros.bags.csv_columns.columns_of`.
 
     Raises:
         InputError: no such file, no kind known, or a CAN log without a profile.
@@ -151,11 +158,9 @@ def open_source(
         raise InputError(f"{path}: no such file or folder")
     if is_bag(path):
         return _open_bag(path, vehicle, can_profile, trust_profile)
-    name = path.name.lower()  # Vector's tools write DRIVE.BLF as well
-    suffix = Path(name.removesuffix(".gz")).suffix
-    if suffix == ".csv" and _is_drive(path):
-        return CsvSource(path, vehicle)
-    if suffix in LOG_SUFFIXES:
+    if is_drive_table(path):
+        return CsvSource(path, vehicle, columns)
+    if _suffix(path) in LOG_SUFFIXES:
         return CanLogSource(LogFile(path), _bridge(path, vehicle, can_profile, trust_profile))
     raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a CSV")
 
@@ -187,12 +192,23 @@ def _bridge(
     return CanBridge(profile, guard=guard)
 
 
-def _is_drive(path: Path) -> bool:
-    """Whether a CSV file's header names the time column of a drive."""
+def is_drive_table(path: Path) -> bool:
+    """Whether a path is that of a CSV file which is not python-can's log of a bus.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if path.is_dir() or _suffix(path) != ".csv":
+        return False
     opener = gzip.open if path.suffix == ".gz" else Path.open
     try:
         with opener(path, "rb") as file:
             header = file.readline(10_000)
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: {error}") from error
-    return CSV_TIME_COLUMN.encode() in header
+    return FRAME_COLUMN.encode() not in header
+
+
+def _suffix(path: Path) -> str:
+    """Without .gz; Vector's tools write DRIVE.BLF as well."""
+    return Path(path.name.lower().removesuffix(".gz")).suffix

@@ -10,7 +10,7 @@ from typing import Any
 
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, Told
 from evpinn_ros.fleet.tables import SHOWN, Summary
-from evpinn_ros.report.html import write_page
+from evpinn_ros.report.html import table, write_page
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 POPULATION_HEAD = ("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth")
@@ -78,15 +78,8 @@ def _section(
     title: str, head: Sequence[str], rows: Iterable[Sequence[str]], count: int | None = None
 ) -> str:
     """A table with its title; `count` are all rows there are."""
-    lines = "".join(_line("td", row) for row in rows)
+    lines = list(rows)
     if not lines:
         return ""
     more = "" if count is None or count <= SHOWN else f" (the first {SHOWN} of {count})"
-    return (
-        f"<h2>{escape(title)}{more}</h2>\n<div style='overflow-x: auto'>"
-        f"<table>{_line('th', head)}{lines}</table></div>"
-    )
-
-
-def _line(tag: str, cells: Sequence[str]) -> str:
-    return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>\n"
+    return f"<h2>{escape(title)}{more}</h2>\n{table(head, lines)}"

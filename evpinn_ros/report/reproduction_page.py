@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from evpinn_ros.report.html import embedded, write_page
+from evpinn_ros.report.html import embedded, table, write_page
 from evpinn_ros.report.reproduction_figures import reproduction_figures
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.tables import Table, all_tables
@@ -17,18 +17,13 @@ def write_reproduction(path: Path, outcome: Outcome, command: str, label: str) -
         f"<h2>{escape(title)}</h2>\n{embedded(figure, title)}"
         for title, figure in reproduction_figures(outcome).items()
     ]
-    tables = [_table(table) for table in all_tables(outcome)]
+    tables = [_table(found) for found in all_tables(outcome)]
     title = f"EV-PINN on {outcome.vehicle.name}"
     write_page(path, title, command, [f"<p>{escape(label)}</p>", *tables, *figures])
 
 
-def _table(table: Table) -> str:
-    head = "".join(f"<th>{escape(column)}</th>" for column in table.columns)
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-        for row in table.rows
-    )
+def _table(found: Table) -> str:
     return (
-        f"<h2>{escape(table.title)}</h2>\n<div style='overflow-x: auto'><table>"
-        f"<tr>{head}</tr>{rows}</table></div>\n<p>{escape(table.note)}</p>"
+        f"<h2>{escape(found.title)}</h2>\n{table(found.columns, found.rows)}"
+        f"<p>{escape(found.note)}</p>"
     )

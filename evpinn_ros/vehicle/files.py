@@ -111,16 +111,17 @@ def _parse(path: Path) -> Vehicle:
     return Vehicle(
         key=path.stem,
         name=root.text("name"),
-        can_profile=_can_profile(root, path) if root.has("can_profile") else None,
+        can_profile=_can_profile(root) if root.has("can_profile") else None,
         priors=priors,
         **constants,
     )
 
 
-def _can_profile(root: Section, path: Path) -> str:
-    """The name of a profile, or the path of one; that is relative to the vehicle file."""
+def _can_profile(root: Section) -> str:
+    """The name of a profile, or the path of one beside the vehicle file."""
     name = root.text("can_profile")
-    return str(path.parent / name) if Path(name).suffix in (".yaml", ".yml") else name
+    is_path = Path(name).suffix in (".yaml", ".yml")
+    return str(root.path_beside("can_profile")) if is_path else name
 
 
 def _constant(section: Section, name: str) -> float:

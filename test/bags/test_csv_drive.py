@@ -123,9 +123,9 @@ def test_gz_and_byte_order_mark(tmp_path):
 WRONG = [
     ("a.csv", None, "No such file"),
     ("a.csv", b"", "the file is empty"),
-    ("a.csv", b"time,speed_mps,power_w\n1,2,3\n", "no column t_s"),
-    ("a.csv", b"t_s;speed_mps;power_w\n1;2;3\n", "no column t_s and no column speed_mps"),
-    ("a.csv", b"t_s,speed_mps,voltage_v\n1,2,3\n", "no columns voltage_v and current_a, and no"),
+    ("a.csv", b"row,speed_mps,power_w\n1,2,3\n", "no column of time; there are row, speed_mps"),
+    ("a.csv", b"a;b;c\n1;2;3\n", "time and speed; .* say --column time=NAME --column speed=NAME"),
+    ("a.csv", b"t_s,speed_mps,voltage_v\n1,2,3\n", "no columns of voltage and current, and none"),
     ("a.csv", b"t_s,speed_mps,power_w,power_w\n1,2,3,3\n", "a column is there twice"),
     ("a.csv", b"\xff\xfe\x00t_s", "can't decode"),
     ("a.csv.gz", b"t_s,speed_mps,power_w\n", "Not a gzipped file"),

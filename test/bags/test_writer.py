@@ -12,7 +12,7 @@ import yaml
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
-from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.messages import named_vector, scalar, speed_message
 from evpinn_ros.signals.readings import SpeedReading
@@ -162,7 +162,7 @@ def test_late_messages_make_no_chunks_of_their_own(tmp_path):
 WRITE_UNTIL_KILLED = """
 import sys
 from evpinn_ros.bags.types import new_message
-from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.nodes.messages import scalar
 writer = BagWriter(sys.argv[1])
 for i in range(10**9):
@@ -219,3 +219,53 @@ def test_decoding_anything_gives_a_message_or_a_value_error():
     for cut in range(len(raw)):
         with pytest.raises(ValueError):
             decode("sensor_msgs/msg/JointState", raw[:cut])
+
+
+def test_a_bag_goes_on_in_another_file_after_some_time(tmp_path):
+    folder = tmp_path / "drive"
+    with BagWriter(folder, split=Split(seconds=3.0)) as writer:
+        for i in range(200):
+            message = speed_message(new_message, SpeedReading(START + i * STEP, i * 0.1))
+            writer.write("/ev/vehicle/speed", message, START + i * STEP)
+    names = [f"drive_{i}.mcap" for i in range(4)]
+    assert sorted(path.name for path in folder.glob("*.mcap")) == names
+    information = yaml.safe_load((folder / "metadata.yaml").read_text())
+    information = information["rosbag2_bagfile_information"]
+    assert information["relative_file_paths"] == names
+    assert [file["message_count"] for file in information["files"]] == [60, 60, 60, 20]
+    assert [file["duration"]["nanoseconds"] for file in information["files"]] == [
+        59 * STEP,
+        59 * STEP,
+        59 * STEP,
+        19 * STEP,
+    ]
+    starts = [file["starting_time"]["nanoseconds_since_epoch"] for file in information["files"]]
+    assert starts == [START + 60 * i * STEP for i in range(4)]
+    assert information["message_count"] == 200
+    with Reader(folder) as reader:
+        assert [t for _, t, _ in reader.messages()] == [START + i * STEP for i in range(200)]
+    with BagReader(folder) as reader:
+        assert len(list(reader.records())) == 200 and reader.problem is None
+    with Reader(folder / "drive_3.mcap") as reader:  # each file is whole by itself
+        assert reader.message_count == 20
+
+
+def test_a_bag_goes_on_in_another_file_when_one_is_full(tmp_path):
+    folder = tmp_path / "drive"
+    with BagWriter(folder, split=Split(size=20_000)) as writer:
+        for i in range(2000):
+            writer.write_raw("/a", "std_msgs/msg/String", os.urandom(100), START + i * STEP)
+    sizes = [path.stat().st_size for path in folder.glob("*.mcap")]
+    assert len(sizes) > 5 and max(sizes) < 30_000
+    with Reader(folder) as reader:
+        assert reader.message_count == 2000 == sum(1 for _ in reader.messages())
+
+
+def test_a_kill_between_two_files_keeps_both(tmp_path):
+    folder = tmp_path / "drive"
+    writer = BagWriter(folder, split=Split(seconds=3.0))
+    for i in range(100):
+        writer.write("/a", scalar(new_message, i), START + i * STEP)
+    writer.flush()  # and never closed, as when the process is killed
+    with BagReader(folder) as reader:
+        assert [record.message.data for record in reader.records()] == list(range(100))

@@ -165,3 +165,36 @@ def test_a_broken_dbc_file_is_one_line(write, dbc):
     with pytest.raises(InputError) as error:
         load_profile(path)
     assert "\n" not in str(error.value) and str(error.value).startswith(f"{path}:")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("7|16@", "7|1000000000@", "a signal lies beyond bit 20000"),
+        ("7|16@", "7 | 1000000000 @", "a signal lies beyond bit 20000"),
+        ("7|16@", "7// a comment\n|1000000000@", "a signal lies beyond bit 20000"),
+        ("Speed: 8 ", "Speed: 1000000000 ", "a message, or all of them, are too long"),
+        ("BU_: Car", "BU_: Car\n\nSG_MUL_VAL_ 512 S Page 0-3000000000;", "too many pages"),
+    ],
+)
+def test_a_file_that_would_fill_the_memory_is_refused(tmp_path, old, new, reason):
+    assert old in DBC
+    (tmp_path / "my.dbc").write_text(DBC.replace(old, new, 1))
+    (tmp_path / "my.yaml").write_text(HEAD)
+    with pytest.raises(InputError, match=reason):
+        load_profile(tmp_path / "my.yaml")
+
+
+@pytest.mark.parametrize("name", ["../my.dbc", "/etc/my.dbc", "a/../../my.dbc"])
+def test_a_file_elsewhere_is_not_read(tmp_path, name):
+    (tmp_path / "my.yaml").write_text(HEAD.replace("my.dbc", name))
+    with pytest.raises(InputError, match="'dbc' must be a file beside this one"):
+        load_profile(tmp_path / "my.yaml")
+
+
+def test_a_message_of_very_many_signals_is_refused(tmp_path):
+    signal = ' SG_ S : 7|16@0+ (1,0) [0|0] "" Car\n'
+    (tmp_path / "my.dbc").write_text(DBC + "\nBO_ 99 Many: 8 Car\n" + 2001 * signal)
+    (tmp_path / "my.yaml").write_text(HEAD)
+    with pytest.raises(InputError, match="a message has more than 2000 signals"):
+        load_profile(tmp_path / "my.yaml")

@@ -5,7 +5,7 @@ import pytest
 
 from evpinn_ros.can.checksum import id_sum, nissan_crc8
 from evpinn_ros.can.decoder import CHARGE_HOLD_NS, STUCK_AFTER, Decoder
-from evpinn_ros.can.frame import CanFrame, nanoseconds
+from evpinn_ros.can.frame import MOST_IDS, CanFrame, nanoseconds
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
@@ -182,6 +182,12 @@ def test_unknown_ids_are_counted(tesla):
     assert tesla.push(frame(0x132, "989467000000", extended=True)) == ()
     assert tesla.unknown == Counter({0x700: 1, 0x132: 1})
     assert tesla.known == 0
+
+
+def test_garbage_ids_fill_no_memory(tesla):
+    for can_id in range(MOST_IDS + 10):
+        tesla.push(frame(can_id, "00", extended=True))
+    assert (len(tesla.unknown), tesla.uncounted) == (MOST_IDS, 10)
 
 
 MULTIPLEXED = """VERSION ""

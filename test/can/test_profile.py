@@ -1,7 +1,6 @@
 from pathlib import Path
 
 import pytest
-import yaml
 
 from evpinn_ros.can.profile import load_profile, profile_names
 from evpinn_ros.errors import InputError
@@ -116,11 +115,7 @@ def test_damaged_yaml_is_one_line(tmp_path, text):
     assert str(error.value).startswith(str(tmp_path / "a.yaml"))
 
 
-def test_endless_nesting_is_one_line(tmp_path, monkeypatch):
-    def too_deep(*_, **__):
-        raise RecursionError
-
-    monkeypatch.setattr(yaml, "compose", too_deep)  # the real one takes seconds to give up
-    (tmp_path / "a.yaml").write_text("[[[[")
-    with pytest.raises(InputError, match=r"a\.yaml: nested too deeply, not a CAN profile$"):
+def test_endless_nesting_is_one_line(tmp_path):
+    (tmp_path / "a.yaml").write_text("[" * 90_000)
+    with pytest.raises(InputError, match=r"a\.yaml:1: not YAML: nested too deeply$"):
         load_profile(tmp_path / "a.yaml")

@@ -79,7 +79,7 @@ def test_replay_metrics_keep_the_contract(folder):
     keys = {"value", "std", "prior_share", "lower", "upper", "state"}
     assert all(set(each) == keys for each in found["parameters"].values())
     assert found["withheld"]["power"]["rmse_w"] > 0
-    assert "data:image/png;base64," in (folder / "report.html").read_text()
+    assert "data-plot='power'" in (folder / "report.html").read_text()
     assert (folder / "learned" / "metadata.yaml").is_file()
     assert json.loads((folder / "state.json").read_text())["vehicle"] == "tesla_model_3_lr"
 
@@ -115,6 +115,20 @@ def test_convert_csv_says_what_it_assumed(folder):
     assert done.returncode == 0, done.stderr
     assert "355 V" in done.stderr and "note" in done.stderr
     assert done.stdout.strip() == "bag_of_power"
+
+
+def test_convert_on_a_full_disk_is_one_line(folder):
+    """A limit of the size of a file stands for the end of the disk."""
+    command = f"ulimit -f 4; exec {sys.executable} -m evpinn_ros convert drive.log small"
+    done = subprocess.run(
+        ["bash", "-c", f"{command} --vehicle tesla_model_3_lr"],
+        cwd=folder,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=150,
+    )
+    assert_fails_in_one_line(done, "small: File too large; the bag is cut there")
 
 
 def test_convert_can_log_needs_a_vehicle(folder):

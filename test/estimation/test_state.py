@@ -205,6 +205,7 @@ def test_a_crash_while_writing_leaves_the_old_file(tmp_path, monkeypatch):
         (b"\xff\xfe", "not a saved state"),
         (b'{"a": NaN}', "NaN is no number"),
         (b'{"a": -Infinity}', "Infinity is no number"),
+        (b'{"a": 1e999}', "1e999 is no number"),
         (b'{"a": ' + b"9" * 5000 + b"}", "not a saved state"),
         (b"[" * 200_000, "not a saved state"),
         (b"{" + b" " * MAX_FILE_BYTES + b"}", "larger than"),

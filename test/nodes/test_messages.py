@@ -108,6 +108,12 @@ def test_grade_does_not_depend_on_yaw_and_roll(yaw, pitch, roll):
     assert reading_messages.grade_reading(imu).grade == pytest.approx(-pitch, abs=1e-6)
 
 
+def huge_quaternion():
+    message = stamped("sensor_msgs/msg/Imu")
+    message.orientation.w = 1e200  # found by fuzzing: its power raises
+    return message
+
+
 def stamped(type_name: str, **fields: Any) -> Any:
     return new_message(type_name, header=messages.header(new_message, NOW), **fields)
 
@@ -138,6 +144,7 @@ BAD: list[tuple[str, Callable[[], Any]]] = [
     ("no_orientation", lambda: stamped(
         "sensor_msgs/msg/Imu", orientation_covariance=[-1.0] + 8 * [0.0])),
     ("quaternion_not_unit", lambda: stamped("sensor_msgs/msg/Imu")),
+    ("quaternion_not_unit", lambda: huge_quaternion()),
     ("no_fix", no_fix),
     ("not_finite", lambda: stamped("sensor_msgs/msg/NavSatFix", altitude=math.nan)),
     ("not_finite", lambda: stamped("sensor_msgs/msg/Temperature", temperature=math.nan)),

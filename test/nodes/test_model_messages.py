@@ -9,7 +9,7 @@ from evpinn_ros.bags.types import decode, encode, new_message
 from evpinn_ros.estimation.power_filter import PowerFilter
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.messages import BadMessage
-from evpinn_ros.nodes.model_messages import model_message, read_model
+from evpinn_ros.nodes.model_messages import MOST_NUMBERS, model_message, read_model
 from evpinn_ros.vehicle.files import load_vehicle
 
 CAR = load_vehicle("bmw_i3")
@@ -48,12 +48,19 @@ def without_layout():
     return message
 
 
+def far_too_long():
+    message = model_message(new_message, "bmw_i3", MODEL)
+    message.data = np.zeros(MOST_NUMBERS + 1)
+    return message
+
+
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
         (lambda: model_message(new_message, "nissan_leaf", MODEL), "other_vehicle_or_version"),
         (without_layout, "other_vehicle_or_version"),
         (shorter, "lengths_differ"),
+        (far_too_long, "too_large"),
         (lambda: changed(mean=MODEL.mean[:-1]), "lengths_differ"),
         (lambda: changed(directions=MODEL.directions[:, :-1]), "lengths_differ"),
         (lambda: changed(unit_speeds=MODEL.unit_speeds[:1]), "lengths_differ"),

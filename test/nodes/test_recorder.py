@@ -130,3 +130,36 @@ def test_a_full_disk_ends_the_recording_alone(tmp_path):
     assert done.stdout == f"0 recording ended: {folder}: File too large\n", done.stderr
     assert done.stderr.count("recording ended") == 1
     assert len(list(open_can_log(next(folder.glob("*.mcap"))).frames())) >= 500
+
+
+SPLITTING = """
+from collections import deque
+import pathlib, sys
+import rclpy
+from evpinn_ros.bags.writer import Split
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.nodes.recorder import RecorderNode
+
+rclpy.init()
+start = 1_700_000_000_000_000_000
+frames = deque((start + i * 10_000_000, CanFrame(0, i, b"12345678")) for i in range(1000))
+node = RecorderNode(pathlib.Path(sys.argv[1]), frames, Split(seconds=3.0))
+while frames:
+    rclpy.spin_once(node, timeout_sec=0.1)
+node.close()
+"""
+
+
+def test_a_recording_goes_on_in_another_file(tmp_path):
+    folder = tmp_path / "bag"
+    command = [sys.executable, "-c", SPLITTING, str(folder)]
+    done = subprocess.run(
+        command, cwd=share_directory(), capture_output=True, text=True, timeout=90
+    )
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in folder.iterdir()) == [
+        *(f"bag_{i}.mcap" for i in range(4)),
+        "metadata.yaml",
+    ]
+    ids = [frame.can_id for frame in open_can_log(folder).frames()]
+    assert ids == list(range(1000))

@@ -154,14 +154,14 @@ def test_paper_mode_runs_and_learns(readings, vehicle, tmp_path):
     assert result.metrics["parameters"]["mass"]["value"] != vehicle.initial.mass
 
 
-def test_each_of_several_drives_has_a_folder(tmp_path, readings):
-    sources = [Recorded(readings, tmp_path / "a.csv.gz"), Recorded(readings, tmp_path / "b")]
-    assert output_folders(tmp_path / "out", sources) == [
+def test_each_of_several_drives_has_a_folder(tmp_path):
+    paths = [tmp_path / "a.csv.gz", tmp_path / "b"]
+    assert output_folders(tmp_path / "out", paths) == [
         tmp_path / "out" / "001_a",
         tmp_path / "out" / "002_b",
     ]
-    assert output_folders(tmp_path / "out", sources[:1]) == [tmp_path / "out"]
-    assert output_folders(None, sources) == [None, None]
+    assert output_folders(tmp_path / "out", paths[:1]) == [tmp_path / "out"]
+    assert output_folders(None, paths) == [None, None]
 
 
 def test_energy_state_carries_sigma_that_grows_while_withheld(readings, vehicle, tmp_path):

@@ -1,0 +1,144 @@
+"""Bags that rosbag2 compressed, file by file or message by message, unpacked within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterator, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Protocol
+
+import zstandard
+
+from evpinn_ros.bags.mcap_file import RawMessage
+from evpinn_ros.bags.mcap_index import Channel
+from evpinn_ros.errors import InputError
+
+# Drives of real cars shrink to a fifth, a bag in which nothing ever changes to a hundredth. What
+# claims to be more was made to fill a disk or a memory.
+MOST_RATIO = 200
+ALWAYS_ALLOWED = 1 << 20  # bytes, however short the file or message
+_PIECE = 1 << 20
+
+
+class BagFile(Protocol):
+    """An open file with messages: `McapFile`, `RosbagsFile`, and those here around one."""
+
+    @property
+    def channels(self) -> Mapping[int, Channel]:
+        """Channels by id."""
+
+    @property
+    def counts(self) -> Mapping[int, int]:
+        """Messages by channel id."""
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong and lost, in one line."""
+
+    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
+        """The messages of the wanted channel ids in log time order."""
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+class UnpackedFile:
+    """A `.zstd` file; it is unpacked into a folder that lasts until `close`.
+
+    Attributes:
+        channels: by channel id.
+        counts: messages by channel id.
+    """
+
+    def __init__(self, packed: Path, open_file: Callable[[Path], BagFile]) -> None:
+        """Unpack and open it.
+
+        Raises:
+            InputError: it cannot be read, does not unpack, or to more than is allowed.
+        """
+        self._packed, self._folder = packed, TemporaryDirectory()
+        self._path = Path(self._folder.name) / packed.stem
+        try:
+            self._unpack()
+            self._file = open_file(self._path)
+        except (OSError, zstandard.ZstdError) as error:
+            self._folder.cleanup()
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"{packed}: cannot be unpacked: {reason}") from error
+        except InputError as error:
+            self._folder.cleanup()
+            raise InputError(self._named(str(error))) from error
+        self.channels, self.counts = self._file.channels, self._file.counts
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong and lost, in one line."""
+        return self._named(self._file.problem) if self._file.problem else None
+
+    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
+        """The messages of the wanted channel ids in log time order."""
+        return self._file.messages(wanted)
+
+    def close(self) -> None:
+        """Close the file and remove the folder."""
+        self._file.close()
+        self._folder.cleanup()
+
+    def _named(self, text: str) -> str:
+        """The text with the name that the person knows."""
+        return text.replace(str(self._path), str(self._packed))
+
+    def _unpack(self) -> None:
+        left = _allowance(self._packed.stat().st_size)
+        with self._packed.open("rb") as source, self._path.open("wb") as target:
+            reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+            while piece := reader.read(_PIECE):
+                left -= len(piece)
+                if left < 0:
+                    raise InputError(f"{self._path}: unpacks to over {MOST_RATIO} times its size")
+                target.write(piece)
+
+
+class CompressedMessages:
+    """A file whose messages are compressed one by one."""
+
+    def __init__(self, file: BagFile, path: Path) -> None:
+        self._file, self._path = file, path
+        self.channels, self.counts, self.close = file.channels, file.counts, file.close
+        self._lost = 0
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong and lost, in one line."""
+        lost = f"{self._path}: {self._lost} messages do not unpack" if self._lost else None
+        return " | ".join(filter(None, (self._file.problem, lost))) or None
+
+    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
+        """The messages of the wanted channel ids in log time order, unpacked."""
+        for log_time_ns, channel, packed in self._file.messages(wanted):
+            try:
+                data = unpack_zstd(packed, _allowance(len(packed)))
+            except ValueError:
+                self._lost += 1
+                continue
+            yield log_time_ns, channel, data
+
+
+def unpack_zstd(packed: bytes, most_bytes: int) -> bytes:
+    """One zstd frame, or what there is of it, unpacked.
+
+    Raises:
+        ValueError: it does not unpack, or to more than `most_bytes`.
+    """
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+            data = reader.read(most_bytes + 1)
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise ValueError(f"not zstd: {error}") from error
+    if len(data) > most_bytes:
+        raise ValueError(f"unpacks to more than {most_bytes} bytes")
+    return data
+
+
+def _allowance(packed_bytes: int) -> int:
+    return ALWAYS_ALLOWED + MOST_RATIO * packed_bytes

@@ -1,0 +1,111 @@
+"""One MCAP file of a bag that is being written."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import time
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+from evpinn_ros.bags.metadata import WrittenFile, WrittenTopic, as_yaml
+from evpinn_ros.bags.types import typestore
+from evpinn_ros.signals.readings import NANOSECONDS
+
+LIBRARY = "evpinn_ros"  # without a version, which would change the bytes
+CHUNK_SECONDS = 1.0  # lost when the process is killed
+JUMP_SECONDS = 60.0  # log time that falls back farther was set anew; less is a late message
+SYNC_SECONDS = 5.0  # lost when the power is cut
+
+
+class McapPart:
+    """An open file; a chunk ends when a second of log time is over.
+
+    Attributes:
+        written: what is in it.
+        flushed_s: when that was last handed to the operating system, by the monotonic clock.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the file.
+
+        Raises:
+            OSError: it is there, or cannot be made.
+        """
+        self.written = WrittenFile(path.name)
+        self._file = path.open("xb")
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._chunk_ns = 0
+        self.flushed_s = self._synced_s = time.monotonic()
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library=LIBRARY)
+        self._file.flush()
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file, without the chunk that is still open."""
+        return self._file.tell()
+
+    def write(self, topic: WrittenTopic, data: bytes, log_time_ns: int) -> None:
+        """Add a message; its number is that of the topic, over all files."""
+        if topic.name not in self._channels:
+            self._channels[topic.name] = self._add_channel(topic)
+        if not self.written.count:
+            self._chunk_ns = log_time_ns
+        self._writer.add_message(
+            self._channels[topic.name],
+            log_time_ns,
+            data,
+            publish_time=log_time_ns,
+            sequence=topic.count,
+        )
+        self.written.add(log_time_ns)
+
+    def chunk_is_over(self, log_time_ns: int) -> bool:
+        """Whether a message of this time begins another chunk."""
+        if not self.written.count:
+            return False
+        elapsed = (log_time_ns - self._chunk_ns) / NANOSECONDS
+        return elapsed >= CHUNK_SECONDS or elapsed <= -JUMP_SECONDS
+
+    def end_chunk(self, next_ns: int) -> None:
+        """Flush; the next chunk begins at this log time."""
+        self.flush()
+        self._chunk_ns = next_ns
+
+    def flush(self) -> None:
+        """Hand all that was written to the operating system; every few seconds to the disk."""
+        self._writer.flush()
+        self.flushed_s = time.monotonic()
+        if self.flushed_s - self._synced_s >= SYNC_SECONDS:
+            os.fsync(self._file.fileno())
+            self._synced_s = self.flushed_s
+
+    def close(self, information: Any) -> None:
+        """Complete the file, with what metadata.yaml says of it; a second call does nothing."""
+        if self._file.closed:
+            return
+        self._writer.flush()
+        # rosbag2 looks for this when it is given the bare file.
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
+        self._writer.finish()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def _add_channel(self, topic: WrittenTopic) -> int:
+        name = topic.type_name
+        if name not in self._schemas:
+            definition, _ = typestore().generate_msgdef(name, ros_version=2)
+            self._schemas[name] = self._writer.register_schema(
+                name, "ros2msg", definition.encode()
+            )
+        channel: int = self._writer.register_channel(
+            topic.name,
+            "cdr",
+            self._schemas[name],
+            {"offered_qos_profiles": as_yaml(topic.qos), "topic_type_hash": topic.type_hash},
+        )
+        return channel

@@ -1,0 +1,254 @@
+"""`evpinn recover`: what a broken bag still holds, as a new bag, and what was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Attachment, Channel, Metadata
+import yaml
+
+from evpinn_ros.bags.mcap_copy import McapCopy
+from evpinn_ros.bags.mcap_part import LIBRARY
+from evpinn_ros.bags.mcap_scan import FileBytes
+from evpinn_ros.bags.metadata import (
+    WrittenFile,
+    WrittenTopic,
+    as_yaml,
+    bag_information,
+    write_metadata,
+)
+from evpinn_ros.bags.salvage import Loss, Piece, Salvage
+from evpinn_ros.errors import InputError
+
+MOST_LOSSES = 1000  # kept one by one; beyond, only their sum
+LONGEST_QOS = 10_000  # characters of YAML that are read
+ROSBAG2 = "rosbag2"  # metadata that is written anew
+
+Progress = Callable[[int], None]  # takes bytes of the file done
+
+
+@dataclass(slots=True)
+class RecoveredFile:
+    """What one file gave.
+
+    Attributes:
+        path: of the broken file.
+        size: of it, bytes.
+        messages: saved.
+        unproven: those of them that no checksum covers.
+        chunks: saved as they were packed.
+        stated: messages that the file says it held, None when it does not say.
+        ended: it has its end and index.
+        unknown_topic: messages left out, since the definition of their topic is lost.
+        doubtful_topics: whose definition comes from a damaged chunk.
+        start_ns: first log time saved; zero without a message.
+        end_ns: last log time saved.
+        losses: the first `MOST_LOSSES` of them, in order.
+        more_losses: those beyond.
+        lost_bytes: of all losses.
+    """
+
+    path: Path
+    size: int
+    messages: int = 0
+    unproven: int = 0
+    chunks: int = 0
+    stated: int | None = None
+    ended: bool = False
+    unknown_topic: int = 0
+    doubtful_topics: tuple[str, ...] = ()
+    start_ns: int = 0
+    end_ns: int = 0
+    losses: list[Loss] = field(default_factory=list)
+    more_losses: int = 0
+    lost_bytes: int = 0
+
+    @property
+    def lost_chunks(self) -> int:
+        """Chunks that were damaged, cut or refused."""
+        return sum(loss.chunk for loss in self.losses)
+
+    @property
+    def lost_messages(self) -> int | None:
+        """Messages not saved; None when the file does not tell."""
+        if self.stated is not None:
+            return max(0, self.stated - self.messages)
+        known = [loss.messages for loss in self.losses]
+        if self.more_losses or None in known:
+            return None
+        return sum(count or 0 for count in known) + self.unknown_topic
+
+    def written_as(self, path: Path) -> WrittenFile:
+        """What metadata.yaml says of what was saved."""
+        return WrittenFile(path.name, self.messages, self.start_ns, self.end_ns)
+
+    @property
+    def whole(self) -> bool:
+        """Nothing was lost but, perhaps, the index."""
+        lost = self.more_losses or any(loss.messages != 0 for loss in self.losses)
+        return not (lost or self.unknown_topic)
+
+
+def recover(source: Path, out: Path, progress: Progress | None = None) -> list[RecoveredFile]:
+    """Save what a broken MCAP file, or a folder of them, still holds as a new bag.
+
+    Args:
+        source: MCAP file, or rosbag2 folder, with or without metadata.yaml.
+        out: folder of the new bag, not there or empty.
+        progress: is told how many bytes are done, of all files together.
+
+    Raises:
+        InputError: no MCAP there, `out` is in use, or no message could be saved.
+        OSError: `out` cannot be written.
+    """
+    paths = broken_files(source)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: in use; give the name of a new folder")
+    out.mkdir(parents=True, exist_ok=True)
+    found: list[RecoveredFile] = []
+    files: list[WrittenFile] = []
+    topics: dict[str, WrittenTopic] = {}
+    for path in paths:
+        copy = McapCopy(out / f"{out.resolve().name}_{len(files)}.mcap", LIBRARY)
+        before = sum(each.size for each in found)
+        try:
+            found.append(_recover_file(path, copy, topics, partial(_tell, progress, before)))
+        finally:
+            copy.close()
+        if found[-1].messages:
+            files.append(found[-1].written_as(copy.path))
+        else:
+            copy.path.unlink()
+    if not files:
+        out.rmdir()
+        empty = not any(one.size for one in found)
+        reason = "the file is empty" if empty else "no message could be saved"
+        raise InputError(f"{source}: {reason}")
+    write_metadata(out, bag_information(files, topics.values()))
+    return found
+
+
+def broken_files(source: Path) -> list[Path]:
+    """The MCAP files of a bag, in the order of their numbers.
+
+    Raises:
+        InputError: there is none.
+    """
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder")
+    if source.is_file():
+        return [source]
+    if not source.is_dir():
+        raise InputError(f"{source}: neither a file nor a folder")
+    paths = [path for path in source.glob("*.mcap") if path.is_file()]
+    if not paths:
+        known = (
+            "sqlite3 bags are saved by: sqlite3 BAG.db3 .recover"
+            if any(source.glob("*.db3"))
+            else "give the folder of a rosbag2 bag, or an MCAP file"
+        )
+        raise InputError(f"{source}: no .mcap file in this folder; {known}")
+    return sorted(paths, key=lambda path: (_number(path), path.name))
+
+
+def _number(path: Path) -> int:
+    """Of a file of several: drive_10.mcap comes after drive_9.mcap."""
+    digits = path.stem.rpartition("_")[2]
+    return int(digits) if digits.isascii() and digits.isdigit() else -1
+
+
+def _tell(progress: Progress | None, before: int, done: int) -> None:
+    if progress is not None:
+        progress(before + done)
+
+
+def _recover_file(
+    path: Path, copy: McapCopy, topics: dict[str, WrittenTopic], progress: Progress
+) -> RecoveredFile:
+    file = FileBytes(path)
+    try:
+        one = RecoveredFile(path, file.size)
+        salvage = Salvage(file)
+        unended: list[Loss] = []
+        for each in salvage:
+            if isinstance(each, Loss):
+                _note_loss(one, each, unended)
+                progress(each.end)
+            elif isinstance(each, Piece):
+                _save(one, each, copy, salvage, unended)
+                progress(each.end)
+            elif isinstance(each, Attachment):
+                copy.attach(each)
+            elif isinstance(each, Metadata) and each.name != ROSBAG2:
+                copy.note(each)
+        one.stated, one.ended = salvage.stated, salvage.ended
+        one.unknown_topic = salvage.unknown
+        one.doubtful_topics = tuple(sorted(salvage.doubtful))
+        counts = copy.counts
+        for id_ in sorted(counts):
+            _count_topic(topics, salvage, id_, counts[id_])
+        information = bag_information([one.written_as(copy.path)], topics.values())
+        copy.note(Metadata(ROSBAG2, {"serialized_metadata": as_yaml(information)}))
+        copy.finish(salvage.definitions)
+        return one
+    finally:
+        file.close()
+
+
+def _save(
+    one: RecoveredFile, piece: Piece, copy: McapCopy, salvage: Salvage, unended: list[Loss]
+) -> None:
+    if not piece.found.count:
+        return
+    if piece.chunk is not None:
+        copy.copy(*piece.chunk, piece.found, salvage.definitions)
+        one.chunks += 1
+    else:
+        copy.pack(piece.content, piece.found, salvage.definitions)
+    start_ns, end_ns = piece.found.span_ns
+    for loss in unended:
+        loss.before_ns = start_ns
+    unended.clear()
+    one.start_ns = min(one.start_ns, start_ns) if one.messages else start_ns
+    one.end_ns = max(one.end_ns, end_ns)
+    one.messages += piece.found.count
+    one.unproven += 0 if piece.proven else piece.found.count
+
+
+def _note_loss(one: RecoveredFile, loss: Loss, unended: list[Loss]) -> None:
+    one.lost_bytes += loss.end - loss.begin
+    loss.after_ns = one.end_ns if one.messages else None
+    if len(one.losses) == MOST_LOSSES:
+        one.more_losses += 1
+        return
+    one.losses.append(loss)
+    unended.append(loss)
+
+
+def _count_topic(
+    topics: dict[str, WrittenTopic], salvage: Salvage, channel_id: int, count: int
+) -> None:
+    known = salvage.definitions
+    channel = known.channels[channel_id]
+    if channel.topic not in topics:
+        type_name = known.schemas[channel.schema_id].name if channel.schema_id else ""
+        type_hash = channel.metadata.get("topic_type_hash", "")
+        topics[channel.topic] = WrittenTopic(channel.topic, type_name, type_hash, _qos(channel))
+    topics[channel.topic].count += count
+
+
+def _qos(channel: Channel) -> list[dict[str, Any]]:
+    """What the publisher offered, as the file says: rosbags reads a topic only if both agree."""
+    text = channel.metadata.get("offered_qos_profiles", "")
+    if len(text) > LONGEST_QOS or {"&", "*"} & {*text}:
+        return []
+    try:
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    whole = isinstance(found, list) and all(isinstance(each, dict) for each in found)
+    return found if whole else []

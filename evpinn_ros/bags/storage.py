@@ -1,0 +1,84 @@
+"""A rosbag2 bag in the other storage: MCAP to sqlite3 and back, every topic as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+from evpinn_ros.bags.rosbags_file import READ_ERRORS
+from evpinn_ros.bags.types import typestore
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import NANOSECONDS
+
+VERSION = 9  # of metadata.yaml: Jazzy
+
+
+class Storage(str, Enum):
+    """How a rosbag2 bag keeps its messages."""
+
+    MCAP = "mcap"
+    SQLITE3 = "sqlite3"
+
+
+def change_storage(
+    source: Path, out: Path, storage: Storage, progress: Callable[[float], None] | None = None
+) -> int:
+    """Write every message of a sound bag, byte for byte, into a new bag.
+
+    Args:
+        source: folder, `.mcap` or `.db3`.
+        out: folder of the new bag, not there yet.
+        storage: of the new bag.
+        progress: is told the seconds of the recording done.
+
+    Returns:
+        Messages written.
+
+    Raises:
+        InputError: the bag is broken (`evpinn recover` saves MCAP), or `out` cannot be written.
+    """
+    if out.exists():
+        raise InputError(f"{out}: there already; give the name of a new folder")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with Reader(source) as reader:
+            return _copy(reader, out, storage, progress)
+    except READ_ERRORS as error:
+        reason = " ".join(str(error).replace(str(source), "").split())
+        raise InputError(
+            f"{source} to {out}: {reason}; evpinn recover saves a broken MCAP"
+        ) from error
+
+
+def _copy(
+    reader: Reader, out: Path, storage: Storage, progress: Callable[[float], None] | None
+) -> int:
+    count, told_ns = 0, 0
+    with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
+        new = {each.id: _connect(writer, each) for each in reader.connections}
+        for connection, log_time_ns, data in reader.messages():
+            writer.write(new[connection.id], log_time_ns, data)
+            count += 1
+            if progress is not None and log_time_ns - told_ns > NANOSECONDS:
+                progress((log_time_ns - reader.start_time) / NANOSECONDS)
+                told_ns = log_time_ns
+    return count
+
+
+def _connect(writer: Writer, connection: Any) -> Any:
+    """The same topic in the new bag; the definition of its type from the bag, if it has it."""
+    definition = connection.msgdef.data
+    described: dict[str, Any] = {"typestore": typestore()}
+    if definition and connection.digest:
+        described = {"msgdef": definition, "rihs01": connection.digest}
+    return writer.add_connection(
+        connection.topic,
+        connection.msgtype,
+        serialization_format=connection.ext.serialization_format,
+        offered_qos_profiles=connection.ext.offered_qos_profiles,
+        **described,
+    )

@@ -1,0 +1,65 @@
+"""Vector .blf logs of anywhere: python-can believes every length that a damaged one claims."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import logging
+import struct
+from typing import IO, Any
+
+import can
+
+# Bytes of a log that are read or kept at once. Vector's and python-can's containers hold 128 KB;
+# deflate makes a thousand times as much of zeros, and an object can claim to go on for ever.
+LARGEST_OBJECT = 512 << 10
+
+_MARK = b"LOBJ"
+_OBJECT = struct.Struct("<4sHHII")  # mark, size and version of the header, size, type
+_PADDING = 4
+
+# It would say the same of each object of a damaged log; `LogFile.problem` says it once.
+logging.getLogger("can.io.blf").setLevel(logging.ERROR)
+
+
+class BlfReader(can.BLFReader):  # type: ignore[misc]  # python-can has types but no marker
+    """Reads a log and raises ValueError where an object is too large or has no size at all."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        super().__init__(_Bounded(file))
+
+    def _parse_container(self, data: bytes) -> Iterator[Any]:
+        if len(self._tail) > LARGEST_OBJECT:
+            raise ValueError(f"an object is larger than {LARGEST_OBJECT} bytes")
+        yield from super()._parse_container(data)
+
+    def _parse_data(self, data: bytes) -> Iterator[Any]:
+        """The messages; an object of no size would be read for ever."""
+        end = _sound_until(data)
+        yield from super()._parse_data(data[:end])
+        if end < len(data):
+            raise ValueError("an object has no size")
+
+
+class _Bounded:
+    """A file that does not read more than an object may have."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self.close = file, file.close
+
+    def read(self, size: int) -> bytes:
+        if not 0 <= size <= LARGEST_OBJECT:
+            raise ValueError(f"an object is larger than {LARGEST_OBJECT} bytes")
+        return self._file.read(size)
+
+
+def _sound_until(data: bytes) -> int:
+    """Where the first object begins that is shorter than its own header; else the end."""
+    position = 0
+    while True:
+        position = data.find(_MARK, position, position + 2 * _PADDING)
+        if position < 0 or position + _OBJECT.size > len(data):
+            return len(data)
+        size = _OBJECT.unpack_from(data, position)[3]
+        if size < _OBJECT.size:
+            return position
+        position += size

@@ -1,0 +1,63 @@
+"""`evpinn bench fuzz`: damaged inputs for every parser of what comes from outside."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+from rich.table import Table
+import typer
+
+from evpinn_ros.bench.fuzz import FuzzResult
+from evpinn_ros.bench.fuzz import fuzz as fuzz_target
+from evpinn_ros.bench.fuzz_targets import TARGETS
+from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.errors import InputError
+
+
+def fuzz(
+    inputs: Annotated[int, typer.Option(min=1, help="In all, divided among the targets.")] = 10**6,
+    seconds: Annotated[int, typer.Option(min=1, help="For each target at most.")] = 86400,
+    target: Annotated[
+        list[str] | None, typer.Option(help="Only this one; may be given again.")
+    ] = None,
+    crashes: Annotated[Path, typer.Option(help="Folder for inputs that crash.")] = Path("crashes"),
+    metrics: Annotated[Path | None, typer.Option(help="Write the results as JSON.")] = None,
+) -> None:
+    """Feed every parser damaged inputs and look for crashes, hangs and memory that fills.
+
+    Example: evpinn bench fuzz --inputs 100000 --target mcap
+    """
+    if find_spec("atheris") is None:
+        raise InputError("this needs atheris; pip install 'evpinn_ros[fuzz]'")
+    known = {each.name: each for each in TARGETS}
+    if unknown := sorted({*(target or ())} - known.keys()):
+        raise InputError(f"no target '{unknown[0]}'; known are {', '.join(known)}")
+    chosen = [known[name] for name in target or known]
+    found: list[FuzzResult] = []
+    for each in chosen:
+        found.append(fuzz_target(each, -(-inputs // len(chosen)), seconds, crashes))
+        last = found[-1]
+        note(f"{last.target}: {last.inputs} inputs, {last.said or 'no crash'}")
+    results.print(_table(found))
+    if metrics is not None:
+        write_json(metrics, [asdict(each) | {"crash": str(each.crash or "")} for each in found])
+    if any(each.said for each in found):
+        raise typer.Exit(1)
+
+
+def _table(found: list[FuzzResult]) -> Table:
+    table = Table("target", "inputs", "inputs/s", "slowest, ms", "memory, MB", "crash")
+    for each in found:
+        table.add_row(
+            each.target,
+            str(each.inputs),
+            f"{each.inputs / each.seconds:.0f}",
+            f"{1e3 * each.slowest_s:.0f}",
+            str(each.memory_mb),
+            str(each.crash or each.said or "none"),
+        )
+    table.add_row("all", str(sum(each.inputs for each in found)))
+    return table

@@ -1,0 +1,62 @@
+"""`evpinn bench report`: how long the report of a drive takes, and how large it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import shlex
+import sys
+import time
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.cli.console import progress_bar, results
+from evpinn_ros.cli.tables import figures_table
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.one_thread import one_thread
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.run import ReplayOptions, replay
+from evpinn_ros.replay.sources import open_source
+from evpinn_ros.report.drive_page import ReportedDrive, write_drives
+from evpinn_ros.vehicle.files import load_vehicle
+
+MEGABYTE = 1e6
+
+
+def report(
+    drive: Annotated[Path, typer.Argument(help="Bag, CAN log or CSV; the goal is for an hour.")],
+    vehicle: Annotated[
+        str, typer.Option(help="Vehicle by name, or the path of its file.")
+    ] = "tesla_model_3_lr",
+    out: Annotated[Path, typer.Option(help="The report.")] = Path("out/report.html"),
+) -> None:
+    """Time the report of a drive after its replay.
+
+    Example: evpinn simulate out/hour --duration 3600 && evpinn bench report out/hour
+    """
+    one_thread()
+    car, settings, options = load_vehicle(vehicle), EstimatorSettings(), ReplayOptions()
+    chain = Chain(car, settings, InlineWorker(time.perf_counter))
+    source = open_source(drive, car)
+    with progress_bar("replay", total=None) as progress:
+        replayed = replay(
+            source, chain, options, vehicle=car.key, mode=settings.mode.value, progress=progress
+        )
+    begin = time.perf_counter()
+    reported = ReportedDrive(replayed.drive, replayed.metrics, car, options.warm_up)
+    write_drives(out, [reported], shlex.join(["evpinn", *sys.argv[1:]]))
+    seconds = time.perf_counter() - begin
+    rows = _rows(replayed.metrics, seconds, out.stat().st_size)
+    results.print(figures_table(f"Report of {drive.name}", rows))
+
+
+def _rows(
+    found: dict[str, dict[str, float]], seconds: float, size: int
+) -> Iterator[tuple[str, str, str]]:
+    yield "drive", f"{found['input']['duration_s']:.0f} s", ""
+    yield "samples", f"{found['input']['samples']}", ""
+    yield "replay", f"{found['replay']['wall_s']:.0f} s", ""
+    yield "report", f"{seconds:.2f} s", "15 s"
+    yield "size", f"{size / MEGABYTE:.2f} MB", "3 MB"

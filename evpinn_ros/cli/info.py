@@ -1,0 +1,154 @@
+"""`evpinn info`: what a recording holds, and which part of it the estimator can use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from datetime import datetime, timezone
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.replay.contents import Contents, contents
+from evpinn_ros.replay.usable import Flow, Span, Usable
+from evpinn_ros.signals.readings import NANOSECONDS
+
+MOST_SPANS = 10  # on the terminal; --json has them all
+
+
+def info(
+    inputs: Annotated[list[Path], typer.Argument(help="Bags, CAN logs or CSV files.")],
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+    ] = None,
+    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+) -> None:
+    """Show what recordings hold, and which part of them the estimator can use.
+
+    Example: evpinn info bags/urban drive.log drive.csv
+    """
+    found: list[Contents] = []
+    problems = 0
+    for path in inputs:
+        try:
+            with progress_bar(path.name, total=None) as progress:
+                found.append(contents(path, column or (), progress))
+        except InputError as error:
+            problems += 1
+            note(f"evpinn: {error}")
+            continue
+        if not as_json_text:
+            _show(found[-1])
+    if as_json_text:
+        typer.echo(json.dumps([_as_json(each) for each in found], indent=2, allow_nan=False))
+    if problems:
+        raise typer.Exit(1)
+
+
+def _show(found: Contents) -> None:
+    if found.topics:
+        table = titled_table(f"{found.path}")
+        for name in ("topic", "type", "messages", "Hz", "longest gap"):
+            table.add_column(name, justify="left" if name in ("topic", "type") else "right")
+        for topic in found.topics:
+            table.add_row(topic.name, topic.type_name, *_flow(topic.flow))
+        results.print(table)
+    for line in _lines(found):
+        results.print(line, markup=False, soft_wrap=True)
+
+
+def _lines(found: Contents) -> Iterator[str]:
+    begin, end = found.span_ns or (0, 0)
+    when = f"{(end - begin) / NANOSECONDS:.1f} s from {_date(begin)}" if end else "empty"
+    yield f"{found.path}: {found.kind}, {when}"
+    for column in found.columns:
+        told = f", {column.unit}, {column.why}" if column.why else ""
+        yield f"  {column.quantity}: column {column.name!r}{told}"
+    if found.frames:
+        fits = f"profile {found.profile}" if found.profile else "no profile that is known"
+        yield f"  CAN frames: {fits} fits"
+    if found.vehicles:
+        yield f"  may be of: --vehicle {' or '.join(found.vehicles)}"
+    if found.drive is not None:
+        yield from _drive_lines(found.drive, begin)
+    for reason, count in sorted((found.dropped or {}).items()):
+        yield f"  {count} not used: {reason}"
+    for text in found.notes:
+        yield f"  {text}"
+
+
+def _drive_lines(drive: Usable, begin_ns: int) -> Iterator[str]:
+    for kind, flow in drive.flows.items():
+        count, rate, gap = _flow(flow)
+        yield f"  {kind}: {count} readings, {rate} a second, longest gap {gap}"
+    voltage = "" if math.isnan(drive.voltage) else f"; battery {drive.voltage:.0f} V in the mean"
+    yield f"  distance: {drive.distance / 1000:.2f} km{voltage}"
+    yield f"  estimator: {drive.verdict}"
+    for first, last in _relative(drive.spans[:MOST_SPANS], begin_ns):
+        yield f"    {first:.1f} s to {last:.1f} s"
+    if len(drive.spans) > MOST_SPANS:
+        yield f"    and {len(drive.spans) - MOST_SPANS} more"
+
+
+def _relative(spans: tuple[Span, ...], begin_ns: int) -> Iterator[tuple[float, float]]:
+    for first, last in spans:
+        yield (first - begin_ns) / NANOSECONDS, (last - begin_ns) / NANOSECONDS
+
+
+def _flow(flow: Flow) -> tuple[str, str, str]:
+    if not flow.count:
+        return "0", "", ""
+    rate = f"{flow.rate:.1f}" if math.isfinite(flow.rate) else ""
+    return str(flow.count), rate, f"{flow.longest_gap:.2f} s"
+
+
+def _date(stamp_ns: int) -> str:
+    try:
+        moment = datetime.fromtimestamp(stamp_ns // NANOSECONDS, timezone.utc)
+    except (OverflowError, ValueError, OSError):
+        return f"{stamp_ns} ns"
+    return f"{moment:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _as_json(found: Contents) -> dict[str, Any]:
+    begin, end = found.span_ns or (0, 0)
+    drive = found.drive
+    return {
+        "path": str(found.path),
+        "kind": found.kind,
+        "start_ns": begin,
+        "duration_s": (end - begin) / NANOSECONDS,
+        "topics": [
+            {"name": topic.name, "type": topic.type_name, **_flow_json(topic.flow)}
+            for topic in found.topics
+        ],
+        "columns": [asdict(column) for column in found.columns],
+        "can_profile": found.profile,
+        "vehicles": list(found.vehicles),
+        "readings": {k: _flow_json(flow) for k, flow in (drive.flows if drive else {}).items()},
+        "distance_m": drive.distance if drive else None,
+        "voltage_v": drive.voltage if drive and math.isfinite(drive.voltage) else None,
+        "usable": None
+        if drive is None
+        else {
+            "verdict": drive.verdict,
+            "seconds": drive.seconds,
+            "moving_s": drive.moving,
+            "spans_s": list(_relative(drive.spans, begin)),
+        },
+        "dropped": dict(found.dropped or {}),
+        "notes": list(found.notes),
+    }
+
+
+def _flow_json(flow: Flow) -> dict[str, Any]:
+    rate = flow.rate if math.isfinite(flow.rate) else None
+    gaps = {"longest_gap_s": flow.longest_gap, "gaps": flow.gaps}
+    return {"count": flow.count, "rate_hz": rate, **gaps}

@@ -1,0 +1,92 @@
+"""`evpinn recover`: what a broken MCAP still holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from datetime import datetime, timezone
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from evpinn_ros.bags.recover import RecoveredFile, broken_files
+from evpinn_ros.bags.recover import recover as recover_bag
+from evpinn_ros.bags.salvage import Loss
+from evpinn_ros.cli.console import bytes_bar, results, writing
+from evpinn_ros.signals.readings import NANOSECONDS
+
+MOST_LINES = 20  # of losses on the terminal; --json has them all
+
+
+def recover(
+    broken: Annotated[Path, typer.Argument(help="MCAP file, or folder of a rosbag2 bag.")],
+    out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
+    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+) -> None:
+    """Save what a broken MCAP bag still holds, and say what was lost.
+
+    Cut anywhere, without an end, bytes flipped, overwritten or missing: only the chunks that are
+    damaged are lost. The bag that is broken is not touched.
+
+    Example: evpinn recover out/today/today_0.mcap out/saved
+    """
+    total = sum(path.stat().st_size for path in broken_files(broken))
+    with writing(out), bytes_bar(broken.name, total) as progress:
+        found = recover_bag(broken, out, progress)
+    if as_json_text:
+        document = {"bag": str(out), "files": [_as_json(one) for one in found]}
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+        return
+    for one in found:
+        for line in _lines(one):
+            results.print(line, markup=False, soft_wrap=True)
+    results.print(str(out), markup=False, soft_wrap=True)
+
+
+def _lines(one: RecoveredFile) -> Iterator[str]:
+    span = f", {_time(one.start_ns)} to {_time(one.end_ns)}" if one.messages else ""
+    yield f"{one.path}: {one.messages} messages saved{span}"
+    if one.unproven:
+        yield f"  {one.unproven} of them have no checksum: what is in them was not checked"
+    for loss in one.losses[:MOST_LINES]:
+        yield f"  lost: {_loss(loss)}"
+    if more := one.more_losses + len(one.losses[MOST_LINES:]):
+        yield f"  lost: {more} more stretches; {one.lost_bytes} bytes in all"
+    if one.unknown_topic:
+        yield f"  lost: {one.unknown_topic} messages, for the definition of their topic is lost"
+    if one.doubtful_topics:
+        yield f"  defined in a damaged chunk alone: {', '.join(one.doubtful_topics)}"
+    if one.whole:
+        yield "  nothing is lost" + ("" if one.ended else "; its end and index were missing")
+    elif one.lost_messages is not None:
+        yield f"  {one.lost_messages} messages lost in all"
+    else:
+        yield "  how many messages are lost cannot be told: the file's own count is gone"
+
+
+def _loss(loss: Loss) -> str:
+    what = "a chunk" if loss.chunk else "records"
+    count = "" if loss.messages is None else f", {loss.messages} messages"
+    text = f"{what}, bytes {loss.begin} to {loss.end}{count}, {loss.reason}"
+    if loss.after_ns is not None and loss.before_ns is not None:
+        seconds = (loss.before_ns - loss.after_ns) / NANOSECONDS
+        return f"{text}; between {_time(loss.after_ns)} and {seconds:.3f} s later"
+    if loss.after_ns is not None:
+        return f"{text}; after {_time(loss.after_ns)}"
+    return text
+
+
+def _time(stamp_ns: int) -> str:
+    """UTC to the millisecond; the bare number where it is no date."""
+    try:
+        moment = datetime.fromtimestamp(stamp_ns / NANOSECONDS, timezone.utc)
+    except (OverflowError, ValueError, OSError):
+        return f"{stamp_ns} ns"
+    return moment.isoformat(sep=" ", timespec="milliseconds").removesuffix("+00:00")
+
+
+def _as_json(one: RecoveredFile) -> dict[str, Any]:
+    sums = {"lost_messages": one.lost_messages, "lost_chunks": one.lost_chunks}
+    return asdict(one) | {"path": str(one.path)} | sums

@@ -1,0 +1,101 @@
+"""What happened on a drive that a person should know when reading its curves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
+from evpinn_ros.replay.history import Drive, Noticed
+from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.suspicion import CURRENT_SIGN
+
+CLOCK_STEP = 10.0  # s that stamps must go back to be no stragglers
+SUSPICIONS = {
+    CURRENT_SIGN: "Accelerating charges the battery: is the sign of current wrong?",
+    GRADE_SIGN: "Climbing gives power back: is the sign of grade or pitch wrong?",
+}
+
+
+class EventKind(str, Enum):
+    """What kind of event."""
+
+    PAYLOAD = "payload"
+    SUSPICION = "suspicion"
+    SPEED_SILENT = "speed silent"
+    BATTERY_SILENT = "battery silent"
+    RESET = "time reset"
+    WITHHELD = "battery withheld"
+
+
+class Event(NamedTuple):
+    """Something that happened at a time, s since the first reading."""
+
+    time: float
+    kind: EventKind
+    text: str
+
+
+def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event]:
+    """The events of a drive in order; the battery withheld from a time on, s, is one."""
+    found = [*_gaps(drive), *_resets(drive), *_payloads(drive), *_suspicions(drive.noticed)]
+    if withheld_from is not None and withheld_from < drive.duration:
+        text = "From here on the battery was hidden from the estimator."
+        found.append(Event(withheld_from, EventKind.WITHHELD, text))
+    return sorted(found, key=lambda event: event.time)
+
+
+def _gaps(drive: Drive) -> Iterator[Event]:
+    """Silences inside of the drive and at its ends."""
+    for kind, rows, lost in (
+        (EventKind.SPEED_SILENT, drive.speed, "nothing was predicted or learned across it"),
+        (EventKind.BATTERY_SILENT, drive.measured, "power went on from speed alone"),
+    ):
+        times = np.concatenate(([0.0], np.sort(rows[:, 0]), [drive.duration]))
+        for index in np.flatnonzero(np.diff(times) > MAX_MEASURED_STEP):
+            seconds = times[index + 1] - times[index]
+            yield Event(float(times[index]), kind, f"For {seconds:.1f} s; {lost}.")
+
+
+def _resets(drive: Drive) -> Iterator[Event]:
+    times = drive.speed[:, 0]
+    for index in np.flatnonzero(np.diff(times) < -CLOCK_STEP):
+        back = times[index] - times[index + 1]
+        text = f"Stamps went back by {back:.0f} s; what is joined over time began anew."
+        yield Event(float(times[index + 1]), EventKind.RESET, text)
+
+
+def _payloads(drive: Drive) -> Iterator[Event]:
+    """Each change of payload as it was told last, and those that were withdrawn."""
+    last: dict[int, Event] = {}
+    for before, now in zip(drive.noticed, drive.noticed[1:], strict=False):
+        report, change = now.report, now.report.load_change
+        if report.load_changes_withdrawn > before.report.load_changes_withdrawn:
+            text = "The change of payload told before was withdrawn: later data took it back."
+            yield Event(now.time, EventKind.PAYLOAD, text)
+        elif change is not None and change != before.report.load_change:
+            stop = (change.stamp_ns - drive.start_ns) / NANOSECONDS
+            text = (
+                f"{change.delta_mass:+.0f} ± {change.std:.0f} kg at this stop; "
+                f"told {max(now.time - stop, 0.0):.0f} s later."
+            )
+            told = last.get(report.load_changes)
+            if told is not None:
+                text = text.partition(";")[0] + ";" + told.text.partition(";")[2]
+            last[report.load_changes] = Event(stop, EventKind.PAYLOAD, text)
+    yield from last.values()
+
+
+def _suspicions(noticed: tuple[Noticed, ...]) -> Iterator[Event]:
+    before: str | None = None
+    for time, report in noticed:
+        if report.suspicion != before:
+            text = "The signals agree again."
+            if report.suspicion is not None:
+                text = SUSPICIONS.get(report.suspicion, report.suspicion)
+            yield Event(time, EventKind.SUSPICION, text)
+        before = report.suspicion

@@ -1,0 +1,113 @@
+"""The scores and parameters of a replay as rows of text, for terminal and report alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.scoring import Span, null_scores
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
+
+DECIMALS = {"eta": 3, "mu": 3, "mass": 0, "c_rr": 5, "c_d": 4, "p_aux": 0}
+UNITS = {"mass": " kg", "p_aux": " W"}
+MEANINGS = {
+    "eta": "motor efficiency",
+    "mu": "regeneration",
+    "mass": "all aboard",
+    "c_rr": "rolling",
+    "c_d": "drag",
+    "p_aux": "auxiliary",
+}
+SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")
+
+
+def parameter_columns(truth: Parameters | None) -> tuple[str, ...]:
+    """The columns of `parameter_rows`."""
+    true = () if truth is None else ("true value",)
+    return ("parameter", "live value", "1-sigma", *true, "prior", "state")
+
+
+def parameter_rows(found: Mapping[str, Any], truth: Parameters | None) -> list[tuple[str, ...]]:
+    """Live value, 1-sigma, the truth if known, prior share and state of each parameter."""
+    rows = []
+    for name in PARAMETER_NAMES:
+        estimate = found["parameters"].get(name)
+        if estimate is None:
+            continue
+        row = [number(name, estimate["value"]), number(name, estimate["std"])]
+        if truth is not None:
+            row.append(number(name, getattr(truth, name)))
+        share = f"{100 * estimate['prior_share']:.0f} %"
+        rows.append((f"{name}  {MEANINGS[name]}", *row, share, estimate["state"]))
+    return rows
+
+
+def score_rows(drive: Drive, found: Mapping[str, Any], warm_up: float) -> list[tuple[str, ...]]:
+    """Scores of power under `SCORE_COLUMNS`, with the nulls that say what they are worth."""
+    lag = found["power"]["lag_s"]
+    title = "power/smoothed" if lag is None else f"power/smoothed ({lag:.1f} s later)"
+    rows = [
+        (title, *_scores(found["power"])),
+        ("power/predicted (at once)", *_scores(found["power_now"])),
+    ]
+    withheld = found.get("withheld")
+    if withheld is not None:
+        title = f"  battery withheld after {withheld['from_s']:.0f} s"
+        rows.append((f"{title}, smoothed", *_scores(withheld["power"])))
+        rows.append((f"{title}, at once", *_scores(withheld["power_now"])))
+    nulls = null_scores(drive, Span(warm_up, drive.duration))
+    rows.append(("null: last value held", watts(nulls["last_value"]), "", "", ""))
+    rows.append(("null: random split, interpolated", watts(nulls["interpolation"]), "", "", ""))
+    return rows
+
+
+def energy_lines(found: Mapping[str, Any]) -> list[str]:
+    """Energy measured and predicted, a line for the drive and one for its withheld part."""
+    lines = [_energy_line("Energy", found["energy"])]
+    if "withheld" in found:
+        lines.append(_energy_line("Energy while withheld", found["withheld"]["energy"]))
+    return lines
+
+
+def number(name: str, value: float) -> str:
+    """A parameter with its digits and unit."""
+    return f"{value:.{DECIMALS[name]}f}{UNITS.get(name, '')}"
+
+
+def watts(value: float | None) -> str:
+    """A power."""
+    return "-" if value is None else f"{value:.0f} W"
+
+
+def watt_hours(joules: float | None) -> str:
+    """An energy."""
+    return "-" if joules is None else f"{joules / 3600:.1f} Wh"
+
+
+def signed_percent(value: float | None) -> str:
+    """An error."""
+    return "-" if value is None else f"{value:+.2f} %"
+
+
+def _energy_line(title: str, score: Mapping[str, float | None]) -> str:
+    predicted = (
+        f"predicted {watt_hours(score['predicted_j'])} (RKNN {watt_hours(score['rknn_j'])})"
+    )
+    if score["measured_j"] is None:
+        return f"{title}: {predicted}, not measured"
+    return (
+        f"{title}: measured {watt_hours(score['measured_j'])}, {predicted}, "
+        f"error {signed_percent(score['error_percent'])} "
+        f"(RKNN {signed_percent(score['rknn_error_percent'])})"
+    )
+
+
+def _scores(score: Mapping[str, float | None]) -> list[str]:
+    r2, coverage = score["r2"], score["coverage_90"]
+    return [
+        watts(score["rmse_w"]),
+        watts(score["mae_w"]),
+        "-" if r2 is None else f"{r2:.4f}",
+        "-" if coverage is None else f"{100 * coverage:.1f} %",
+    ]

@@ -1,0 +1,146 @@
+"""Where in speed and acceleration a drive's data lay, and where its predictions were off."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.scoring import MAX_MEASURED_STEP, Span, measured_at, scored
+from evpinn_ros.report.thinning import packed
+
+KMH = 3.6
+KILO = 1000.0
+HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
+SPEED_CELL, ACCELERATION_CELL = 5.0, 0.25  # km/h, m/s^2
+LARGEST_SPEED, LARGEST_ACCELERATION = 300.0, 5.0  # km/h, m/s^2: what is beyond counts as this
+LEAST = 1.0  # s in a cell or bin before an error is told of it
+POINTS = 2500  # of single moments beside their spread
+HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
+FAST, SLOW = 80.0, 5.0  # km/h: drag tells above, auxiliary power below
+
+Chart = dict[str, Any]
+
+
+class Moments(NamedTuple):
+    """Moments whose power was measured; shape (n,) each.
+
+    Attributes:
+        time: s.
+        speed: km/h.
+        acceleration: m/s^2.
+        seconds: that each stands for.
+        error: predicted less measured power, kW.
+    """
+
+    time: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    seconds: np.ndarray
+    error: np.ndarray
+
+    def those(self, chosen: np.ndarray) -> Moments:
+        """Some of them."""
+        return Moments(*(column[chosen] for column in self))
+
+
+def moments(drive: Drive) -> Moments:
+    """The moments of `power/smoothed` at which the battery was heard."""
+    series = drive.smoothed
+    measured, known = measured_at(drive, series.time)
+    order = np.argsort(drive.speed[:, 0], kind="stable")
+    time, speed = drive.speed[order].T
+    if not len(time):
+        return Moments(*(np.empty(0) for _ in Moments._fields))
+    before, after = (np.interp(series.time + s, time, speed) for s in (-HALF_SPAN, HALF_SPAN))
+    steps = np.clip(np.diff(series.time, append=np.nan), 0.0, MAX_MEASURED_STEP)
+    every = Moments(
+        series.time,
+        np.clip(KMH * np.interp(series.time, time, speed), -LARGEST_SPEED, LARGEST_SPEED),
+        np.clip((after - before) / (2 * HALF_SPAN), -LARGEST_ACCELERATION, LARGEST_ACCELERATION),
+        np.nan_to_num(steps),
+        (series.power - measured) / KILO,
+    )
+    return every.those(known & np.isfinite(every.error))
+
+
+def scored_moments(drive: Drive, found: Moments, warm_up: float) -> Moments:
+    """Those that count for scores."""
+    counted = drive.smoothed.time[scored(drive, drive.smoothed, Span(warm_up, drive.duration))]
+    return found.those(np.isin(found.time, counted))
+
+
+def driven_minutes(found: Moments) -> dict[str, float]:
+    """Minutes of the kind of driving that tells each identifiable combination."""
+    hard = np.abs(found.acceleration) > HARD
+    kinds = {
+        "mass_over_eta": hard,
+        "drag_area_over_eta": found.speed > FAST,
+        "c_rr": (found.speed > SLOW) & (found.speed <= FAST) & ~hard,
+        "regeneration": found.acceleration < -HARD,
+        "p_aux": np.abs(found.speed) <= SLOW,
+    }
+    return {name: float(found.seconds[kind].sum()) / 60 for name, kind in kinds.items()}
+
+
+def coverage_map(found: Moments) -> Chart:
+    """Seconds in each cell of speed and acceleration."""
+    cells, shape = _cells(found)
+    seconds = np.bincount(cells, found.seconds, minlength=shape[0] * shape[1])
+    return _map_chart("seconds", np.where(seconds > 0, seconds, np.nan), shape, 1.0)
+
+
+def error_map(found: Moments) -> Chart:
+    """Mean error of predicted power in each cell, kW."""
+    cells, shape = _cells(found)
+    count = shape[0] * shape[1]
+    seconds = np.bincount(cells, found.seconds, minlength=count)
+    error = np.bincount(cells, found.seconds * found.error, minlength=count)
+    enough = seconds >= LEAST
+    mean = np.divide(error, seconds, out=np.full(count, np.nan), where=enough)
+    return _map_chart("error", mean, shape, 0.95)
+
+
+def spread_chart(found: Moments, against: str) -> Chart:
+    """Errors over `speed` or `acceleration`: median and 90 % of each bin, and single moments."""
+    at = getattr(found, against)
+    cell = SPEED_CELL if against == "speed" else ACCELERATION_CELL
+    bins = np.round(at / cell).astype(np.int64)
+    rows = []
+    for index in np.unique(bins):
+        inside = bins == index
+        if found.seconds[inside].sum() >= LEAST:
+            rows.append([index * cell, *np.quantile(found.error[inside], (0.05, 0.5, 0.95))])
+    chosen = np.unique(np.linspace(0, len(at) - 1, min(POINTS, len(at))).astype(int))
+    return {
+        "kind": "spread",
+        "axes": ["speed, km/h" if against == "speed" else "acceleration, m/s²", "error, kW"],
+        "bins": np.array(rows).reshape(-1, 4).round(4).tolist(),
+        "x": packed(at[chosen]),
+        "y": packed(found.error[chosen]),
+    }
+
+
+def _cells(found: Moments) -> tuple[np.ndarray, tuple[int, int]]:
+    """The cell of each moment, and how many cells there are over speed and acceleration."""
+    half = round(LARGEST_ACCELERATION / ACCELERATION_CELL)
+    i = np.maximum(np.floor(found.speed / SPEED_CELL), 0).astype(np.int64)
+    j = np.floor(found.acceleration / ACCELERATION_CELL + 0.5).astype(np.int64) + half
+    shape = (int(i.max(initial=0)) + 1, 2 * half + 1)
+    return i * shape[1] + j, shape
+
+
+def _map_chart(of: str, values: np.ndarray, shape: tuple[int, int], share: float) -> Chart:
+    """Full colour begins at the quantile `share` of the values."""
+    known = np.abs(values[np.isfinite(values)])
+    return {
+        "kind": "cells",
+        "of": of,
+        "full": max(float(np.quantile(known, share)), 1e-9) if len(known) else 1.0,
+        "axes": ["speed, km/h", "acceleration, m/s²"],
+        "cell": [SPEED_CELL, ACCELERATION_CELL],
+        "first": [0.0, -LARGEST_ACCELERATION - ACCELERATION_CELL / 2],
+        "shape": list(shape),
+        "values": packed(values),
+    }

@@ -1,0 +1,100 @@
+"""Series for a page: on an even grid, thinned so that peaks stay, two bytes a number."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
+
+LEVELS = 65534  # that two bytes tell apart, beside "no value"
+NO_VALUE = -32768
+LARGEST = 1e12  # of any unit here; beyond, the arithmetic of the levels could overflow
+PER_BUCKET = 2  # points kept of a bucket
+
+
+class Grid(NamedTuple):
+    """Buckets of equal width in time, each of which keeps `PER_BUCKET` points.
+
+    Attributes:
+        width: of a bucket, s.
+        buckets: their number.
+    """
+
+    width: float
+    buckets: int
+
+    @property
+    def times(self) -> dict[str, float | int]:
+        """Where the kept points lie: their first, step and number, as the page takes them."""
+        step = self.width / PER_BUCKET
+        return {"start": step / 2, "step": step, "count": PER_BUCKET * self.buckets}
+
+
+def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
+    """A grid over a drive on which a series loses nothing, or as fine as `points` allow.
+
+    Args:
+        time: s, of the series, shape (n,).
+        duration: of the drive, s.
+        points: at most so many are kept.
+    """
+    steps = np.diff(np.unique(time))
+    period = float(np.median(steps)) if len(steps) else 1.0
+    span = max(duration, period)
+    buckets = int(min(max(span / (PER_BUCKET * period), 1), points // PER_BUCKET))
+    return Grid(span / buckets, buckets)
+
+
+def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
+    """The least and the greatest value of each bucket, in the order they came.
+
+    Buckets between two values that are near enough are filled by a line, others hold NaN.
+
+    Args:
+        time: s, in any order, shape (n,).
+        values: shape (n,); those that are not finite are left out.
+        grid: where to.
+
+    Returns:
+        Shape (PER_BUCKET * buckets,).
+    """
+    bucket = np.floor(time / grid.width).astype(np.int64)
+    bucket[time == grid.width * grid.buckets] = grid.buckets - 1
+    kept = np.isfinite(values) & (bucket >= 0) & (bucket < grid.buckets)
+    order = np.flatnonzero(kept)[np.argsort(time[kept], kind="stable")]
+    time, values, bucket = time[order], values[order], bucket[order]
+    found = np.full((grid.buckets, PER_BUCKET), np.nan)
+    if len(time):
+        by_value = np.lexsort((values, bucket))
+        filled, first = np.unique(bucket[by_value], return_index=True)
+        last = np.append(first[1:], len(by_value)) - 1
+        extremes = np.sort(np.stack((by_value[first], by_value[last])), axis=0)
+        found[filled] = values[extremes].T
+        _join(found, time, values, grid)
+    return found.reshape(-1)
+
+
+def _join(found: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid) -> None:
+    """Fill empty buckets between two values no further apart than power is held to be known."""
+    empty = np.flatnonzero(np.isnan(found[:, 0]))
+    middle = (empty + 0.5) * grid.width
+    after = np.searchsorted(time, middle)
+    inside = (after > 0) & (after < len(time))
+    empty, middle, after = empty[inside], middle[inside], after[inside]
+    near = time[after] - time[after - 1] <= MAX_MEASURED_STEP
+    found[empty[near]] = np.interp(middle[near], time, values)[:, None]
+
+
+def packed(values: np.ndarray) -> dict[str, Any]:
+    """Numbers as base64 of little-endian 16-bit levels; NaN has a level of its own."""
+    values = np.clip(values, -LARGEST, LARGEST)
+    known = np.isfinite(values)
+    low = float(values[known].min()) if known.any() else 0.0
+    high = float(values[known].max()) if known.any() else 0.0
+    step = (high - low) / LEVELS or 1.0
+    levels = np.full(len(values), NO_VALUE, dtype="<i2")
+    levels[known] = np.round((values[known] - low) / step) - LEVELS // 2
+    return {"low": low, "step": step, "levels": base64.b64encode(levels.tobytes()).decode()}

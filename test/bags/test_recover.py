@@ -1,0 +1,312 @@
+"""Broken MCAP files saved, against the whole ones."""
+
+import os
+from pathlib import Path
+import random
+import struct
+import subprocess
+import sys
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+import pytest
+from rosbags.rosbag2 import Reader
+import yaml
+import zstandard
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.recover import recover
+from evpinn_ros.bags.types import encode, new_message
+from evpinn_ros.bags.writer import BagWriter, Split
+from evpinn_ros.bench.recovery import STORAGES, campaign, messages_of, write_bag
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.messages import scalar
+
+START = 1_700_000_000_000_000_000
+STEP = 100_000_000
+CHUNK_HEAD = 9 + 32 + 4 + 8  # bytes of a chunk before its packed records, with a name of 4
+
+
+def chunks_of(path: Path) -> list:
+    with path.open("rb") as file:
+        return make_reader(file).get_summary().chunk_indexes
+
+
+@pytest.fixture(scope="module")
+def wholes(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("whole")
+    for storage in STORAGES:
+        write_bag(folder / f"{storage}.mcap", storage, 120_000, random.Random(7))
+    return {storage: folder / f"{storage}.mcap" for storage in STORAGES}
+
+
+def saved(folder: Path, data: bytes):
+    """The report and the messages of a recovery, read by rosbags as well."""
+    (folder / "broken.mcap").write_bytes(data)
+    (report,) = recover(folder / "broken.mcap", folder / "new")
+    found = messages_of(folder / "new" / "new_0.mcap")
+    with Reader(folder / "new") as reader:
+        assert sum(1 for _ in reader.messages()) == reader.message_count == len(found)
+    assert report.messages == len(found)
+    return report, found
+
+
+@pytest.mark.parametrize(("storage", "fault", "tally"), list(campaign(60, 40_000)))
+def test_every_message_of_undamaged_chunks_comes_back(storage, fault, tally):
+    assert tally.cases == 5 and tally.messages > 0
+    assert (tally.missing, tally.miscounted, tally.unread) == (0, 0, 0)
+    if (storage, fault) == ("loose", "bit flipped"):
+        assert tally.altered <= tally.cases  # no checksum covers the message that was hit
+    else:
+        assert tally.altered == 0
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_whole_file_comes_back_whole(wholes, tmp_path, storage):
+    report, found = saved(tmp_path, wholes[storage].read_bytes())
+    assert found == messages_of(wholes[storage])
+    assert report.whole and report.ended and report.lost_messages == 0
+    assert report.unproven == (report.messages if storage == "loose" else 0)
+
+
+def test_only_the_damaged_chunk_is_lost_and_told(wholes, tmp_path):
+    path = wholes["zstd"]
+    chunks, data = chunks_of(path), bytearray(path.read_bytes())
+    hit = chunks[2]
+    data[hit.chunk_start_offset + hit.chunk_length // 2] ^= 1
+    report, found = saved(tmp_path, bytes(data))
+    whole = messages_of(path)
+    times = range(hit.message_start_time, hit.message_end_time + 1)
+    assert found == [message for message in whole if message[1] not in times]
+    (loss,) = report.losses
+    assert (loss.begin, loss.end) == (
+        hit.chunk_start_offset,
+        hit.chunk_start_offset + hit.chunk_length,
+    )
+    assert loss.messages == report.lost_messages == len(whole) - len(found)
+    assert (loss.after_ns, loss.before_ns) == (
+        chunks[1].message_end_time,
+        chunks[3].message_start_time,
+    )
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_bytes_that_are_overwritten_or_missing_cost_what_they_hit(wholes, tmp_path, storage):
+    data, whole = wholes[storage].read_bytes(), messages_of(wholes[storage])
+    for name, hole in (("zeros", bytes(512)), ("missing", b""), ("noise", b"\x05\x16\0\0" * 300)):
+        folder = tmp_path / name
+        folder.mkdir()
+        _, found = saved(folder, data[:50_000] + hole + data[50_512:])
+        assert len(set(found) - set(whole)) <= (storage == "loose")
+        assert len(whole) * 0.6 < len(found) < len(whole)
+        assert found[-1] == whole[-1] and found[0] == whole[0]
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    storage=st.sampled_from(STORAGES),
+    begin=st.integers(0, 100_000),
+    hole=st.binary(max_size=300),
+    cut=st.integers(0, 30_000),
+)
+def test_any_damage_gives_messages_or_one_line(
+    wholes, tmp_path_factory, storage, begin, hole, cut
+):
+    data = wholes[storage].read_bytes()
+    folder = tmp_path_factory.mktemp("any")
+    broken = data[:begin] + hole + data[begin + 100 : len(data) - cut]
+    try:
+        report, found = saved(folder, broken)
+    except InputError as error:
+        assert "\n" not in str(error)
+        return
+    alien = set(found) - set(messages_of(wholes[storage]))
+    # Two messages of one length, spliced where bytes are missing, look like one.
+    assert len(alien) <= (1 if report.unproven else 0) or storage == "loose"
+
+
+def test_topics_whose_definition_was_in_the_lost_chunk(wholes, tmp_path):
+    """The index at the end has it too; without that, what is left of the damaged chunk."""
+    path = wholes["chunks"]
+    first, data = chunks_of(path)[0], bytearray(path.read_bytes())
+    data[first.chunk_start_offset + first.chunk_length - 3] ^= 1
+    sound = [m for m in messages_of(path) if m[1] > first.message_end_time]
+    (tmp_path / "a").mkdir()
+    report, found = saved(tmp_path / "a", bytes(data))
+    assert found == sound and not report.doubtful_topics
+    (tmp_path / "b").mkdir()
+    report, found = saved(tmp_path / "b", bytes(data[:-10]))
+    assert found == sound and len(report.doubtful_topics) == 4 and not report.ended
+
+
+@pytest.mark.parametrize("size", [0, 3, 1 << 40])
+def test_a_chunk_that_lies_about_its_size_is_refused(wholes, tmp_path, size):
+    path = wholes["zstd"]
+    hit, data = chunks_of(path)[1], bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, hit.chunk_start_offset + 9 + 16, size)
+    report, found = saved(tmp_path, bytes(data))
+    assert len(report.losses) == 1 and len(found) > 0.6 * len(messages_of(path))
+
+
+def test_a_bomb_is_not_unpacked(tmp_path):
+    """A chunk of 2 GiB of zeros in 200 kB, which says it is small, and one which says it."""
+    bomb = zstandard.compress(bytes(1 << 20)) * 2048
+    chunks = b""
+    for size in (1000, 2 << 30):
+        body = struct.pack("<QQQII", 1, 2, size, 7, 4) + b"zstd" + struct.pack("<Q", len(bomb))
+        chunks += struct.pack("<BQ", 6, len(body) + len(bomb)) + body + bomb
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE, use_chunking=False)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        channel = writer.register_channel("/a", "cdr", schema)
+        writer.add_message(channel, START, encode(scalar(new_message, 1.0)), START)
+        writer.finish()
+    whole = (tmp_path / "a.mcap").read_bytes()
+    end = whole.index(b"\x0f\x04\0\0\0\0\0\0\0")
+    (tmp_path / "bomb.mcap").write_bytes(whole[:end] + chunks + whole[end:])
+    code = (
+        "import resource, sys; from pathlib import Path\n"
+        "from evpinn_ros.bags.recover import recover\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "(one,) = recover(Path(sys.argv[1]), Path(sys.argv[2]))\n"
+        "grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before\n"
+        "print(one.messages, len(one.losses), grown < 100_000)"
+    )
+    command = [sys.executable, "-c", code, tmp_path / "bomb.mcap", tmp_path / "new"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.stdout == "1 2 True\n", done.stderr
+
+
+def test_attachments_and_metadata_are_kept(tmp_path):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        channel = writer.register_channel("/a", "cdr", schema)
+        writer.add_message(channel, START, encode(scalar(new_message, 1.0)), START)
+        writer.add_attachment(START, START, "map.txt", "text/plain", b"here" * 100)
+        writer.add_metadata("car", {"name": "it"})
+        writer.finish()
+    saved(tmp_path, (tmp_path / "a.mcap").read_bytes()[:-20])
+    with (tmp_path / "new" / "new_0.mcap").open("rb") as file:
+        reader = make_reader(file)
+        assert [a.data for a in reader.iter_attachments()] == [b"here" * 100]
+        assert {m.name: m.metadata for m in reader.iter_metadata()}["car"] == {"name": "it"}
+        assert reader.get_summary().statistics.attachment_count == 1
+
+
+def bag_of_three(folder: Path) -> Path:
+    with BagWriter(folder, split=Split(seconds=10.0)) as writer:
+        for i in range(300):
+            message = new_message("geometry_msgs/msg/TwistStamped")
+            writer.write("/other", message, START + i * STEP)
+            writer.write("/ev/battery/voltage", scalar(new_message, i), START + i * STEP)
+    return folder
+
+
+def test_a_folder_without_metadata_and_with_a_broken_file(tmp_path):
+    bag = bag_of_three(tmp_path / "bag")
+    (bag / "metadata.yaml").unlink()
+    last = bag / "bag_2.mcap"
+    last.write_bytes(last.read_bytes()[: last.stat().st_size * 2 // 5])
+    first, _, third = recover(bag, tmp_path / "new")
+    assert first.whole and not third.ended and 400 < 400 + third.messages < 600
+    with Reader(tmp_path / "new") as reader:
+        assert reader.message_count == 400 + third.messages == sum(1 for _ in reader.messages())
+    with BagReader(tmp_path / "new") as reader:
+        values = [record.message.data for record in reader.records(["/ev/battery/voltage"])]
+        assert values == list(range(len(values))) and reader.problem is None
+    information = yaml.safe_load((tmp_path / "new" / "metadata.yaml").read_text())
+    files = information["rosbag2_bagfile_information"]["files"]
+    assert [file["path"] for file in files] == ["new_0.mcap", "new_1.mcap", "new_2.mcap"]
+    assert [file["message_count"] for file in files] == [200, 200, third.messages]
+
+
+def test_ten_files_keep_their_order(tmp_path):
+    with BagWriter(tmp_path / "bag", split=Split(seconds=1.0)) as writer:
+        for i in range(120):
+            writer.write("/ev/battery/voltage", scalar(new_message, i), START + i * STEP)
+    found = recover(tmp_path / "bag", tmp_path / "new")
+    assert [each.path.name for each in found] == [f"bag_{i}.mcap" for i in range(12)]
+
+
+WRONG = [
+    (None, "no such file"),
+    (b"", "the file is empty"),
+    (b"\x89MCAP0\r\n", "no message could be saved"),
+    (b"nothing of the kind" * 1000, "no message could be saved"),
+    (bytes(100_000), "no message could be saved"),
+    (b"\x05\x16\0\0\0\0\0\0\0" * 10_000, "no message could be saved"),
+]
+
+
+@pytest.mark.parametrize(("content", "reason"), WRONG)
+def test_what_holds_nothing_is_refused_in_one_line(tmp_path, content, reason):
+    path = tmp_path / "a.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=reason) as caught:
+        recover(path, tmp_path / "new")
+    assert "a.mcap" in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "new").exists()
+
+
+def test_nothing_is_overwritten(wholes, tmp_path):
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "mine.txt").write_text("")
+    with pytest.raises(InputError, match="in use"):
+        recover(wholes["zstd"], tmp_path / "new")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"no \.mcap file in this folder"):
+        recover(tmp_path / "empty", tmp_path / "other")
+
+
+def test_what_is_no_file_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="neither a file nor a folder"):
+        recover(tmp_path / "pipe", tmp_path / "new")
+
+
+def test_records_of_other_programs_are_skipped(wholes, tmp_path):
+    data, chunks = wholes["zstd"].read_bytes(), chunks_of(wholes["zstd"])
+    own = b"\x80" + struct.pack("<Q", 5) + b"whose"
+    at = chunks[1].chunk_start_offset
+    report, found = saved(tmp_path, data[:at] + own + data[at:])
+    assert report.losses == [] and found == messages_of(wholes["zstd"])
+
+
+@pytest.mark.parametrize("storage", [CompressionType.NONE, None])
+def test_numbers_that_look_like_records_do_not_hold_up_the_search(tmp_path, storage):
+    """Two megabytes of small integers behind a damaged head: every fourth byte may begin one."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE, use_chunking=storage is not None)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Int32MultiArray", "ros2msg", b"int32[] a")
+        channel = writer.register_channel("/a", "cdr", schema)
+        numbers = struct.pack("<500000i", *(i % 13 + 1 + 65536 * (i % 7) for i in range(500_000)))
+        for i in range(3):
+            writer.add_message(channel, START + i, numbers, START + i)
+        writer.finish()
+    data, whole = bytearray(path.read_bytes()), messages_of(path)
+    second = data.index(numbers[:40], data.index(numbers[:40]) + 2_000_000)
+    begin, end = (second - 80, second) if storage is not None else (second - 30, second - 26)
+    data[begin:end] = b"\xff" * (end - begin)
+    _, found = saved(tmp_path, bytes(data))
+    assert found == [whole[0], whole[2]]
+
+
+def test_a_damaged_message_index_costs_nothing(wholes, tmp_path):
+    path = wholes["zstd"]
+    hit, data = chunks_of(path)[1], path.read_bytes()
+    begin = hit.chunk_start_offset + hit.chunk_length
+    for place in (begin, begin + 1, begin + 9, begin + 30, begin + hit.message_index_length - 3):
+        (tmp_path / str(place)).mkdir()
+        report, found = saved(tmp_path / str(place), data[:place] + b"\xee" + data[place + 1 :])
+        assert found == messages_of(path)
+        assert report.whole and report.lost_messages == 0 and report.lost_chunks == 0

@@ -1,0 +1,174 @@
+"""The commands for recordings as a person meets them: info, recover, convert, replay."""
+
+import json
+from pathlib import Path
+import resource
+import subprocess
+import sys
+
+import pytest
+from rosbags.rosbag2 import Reader
+
+from evpinn_ros.bags.csv_drive import CsvDrive
+from evpinn_ros.bags.writer import BagWriter, Split
+
+ROOT = Path(__file__).parents[2]
+URBAN = ROOT / "bags" / "urban"
+
+
+def evpinn(*arguments, cwd: Path, largest_file: int = -1) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
+
+    def limit() -> None:
+        if largest_file > 0:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
+
+    return subprocess.run(
+        command,
+        cwd=cwd,
+        env={"PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=150,
+        preexec_fn=limit,  # as a full disk fails, in a write of the system's
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A stranger's CSV of 100 s, km/h, and current negative while it discharges; a broken bag."""
+    folder = tmp_path_factory.mktemp("bags")
+    lines = ["Time [s];Velocity [km/h];Battery Voltage [V];Battery Current [A];Radio"]
+    for i in range(1000):
+        speed = 20.0 + 20.0 * ((i // 100) % 2 * 2 - 1) * ((i % 100) / 50 - 1)
+        rising = 1 if (i // 100) % 2 else -1
+        lines.append(f"{0.1 * i:.1f};{speed:.2f};360;{-30.0 - 25.0 * rising};loud")
+    (folder / "my.csv").write_text("\n".join(lines) + "\n")
+    (file,) = URBAN.glob("*.mcap")
+    data = bytearray(file.read_bytes()[:150_000])
+    data[60_000:60_900] = bytes(900)
+    (folder / "broken.mcap").write_bytes(data)
+    return folder
+
+
+def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> None:
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    line = done.stderr.strip().splitlines()[-1]
+    for word in words:
+        assert word in line
+
+
+def test_a_strangers_csv_in_two_commands(folder):
+    done = evpinn("convert", "my.csv", "my", "--vehicle", "bmw_i3", cwd=folder)
+    assert done.returncode == 0 and done.stdout.strip() == "my"
+    for told in ("km/h, by its name", "negative while it discharges", "not used: Radio"):
+        assert told in done.stderr
+    direct = evpinn("replay", "my.csv", "--vehicle", "bmw_i3", "--metrics", "a.json", cwd=folder)
+    bag = evpinn("replay", "my", "--vehicle", "bmw_i3", "--metrics", "b.json", cwd=folder)
+    assert direct.returncode == bag.returncode == 0, direct.stderr + bag.stderr
+    assert "km/h, by its name" in direct.stderr
+    first, second = (json.loads((folder / name).read_text()) for name in ("a.json", "b.json"))
+    assert first["energy"]["measured_j"] == pytest.approx(second["energy"]["measured_j"])
+    assert first["energy"]["measured_j"] == pytest.approx(360 * 30 * 100, rel=0.02)
+
+
+def test_told_columns_reach_both_commands(folder):
+    (folder / "odd.csv").write_text("a,b,c\n" + "".join(f"{i},{i},{i}\n" for i in range(20)))
+    failed = evpinn("convert", "odd.csv", "odd", cwd=folder)
+    assert_fails_in_one_line(failed, "no column of time and speed", "--column time=NAME")
+    assert not (folder / "odd").exists()
+    told = ("--column", "time=a", "--column", "speed=b:km/h", "--column", "power=c:kW")
+    assert evpinn("convert", "odd.csv", "odd", *told, cwd=folder).returncode == 0
+    assert evpinn("replay", "odd.csv", *told, cwd=folder).returncode == 0
+    assert CsvDrive(folder / "odd.csv", 1.0, told[1::2]).rules[1].factor == pytest.approx(1 / 3.6)
+
+
+def test_start_duration_and_loop(folder):
+    done = evpinn(
+        *("replay", "my.csv", "--vehicle", "bmw_i3", "--start", 20, "--duration", 30),
+        *("--loop", 2, "--metrics", "part.json", "--warm-up", 5, "--out", "parts"),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    first, second = json.loads((folder / "part.json").read_text())
+    for each in (first, second):
+        assert each["input"]["duration_s"] == pytest.approx(29.9)
+    # The second turn knows what the first taught.
+    assert second["parameters"]["p_aux"] != first["parameters"]["p_aux"]
+    assert sorted(path.name for path in (folder / "parts").iterdir()) == ["001_my", "002_my"]
+    done = evpinn("replay", "my.csv", "--start", 5000, cwd=folder)
+    assert_fails_in_one_line(done, "my.csv", "in that span")
+
+
+def test_info_of_everything_and_of_one_that_is_bad(folder):
+    done = evpinn("info", URBAN, "nowhere", "my.csv", "broken.mcap", "--json", cwd=folder)
+    assert done.returncode == 1 and "nowhere: no such file" in done.stderr
+    bag, table, broken = json.loads(done.stdout)
+    assert bag["usable"]["seconds"] == pytest.approx(360, abs=1)
+    assert table["columns"][1]["unit"] == "km/h" and table["usable"]["moving_s"] > 50
+    assert "damaged" in broken["notes"][0]
+    shown = evpinn("info", URBAN, cwd=folder)
+    assert "can be used" in shown.stdout and shown.returncode == 0
+
+
+def test_recover_then_replay(folder):
+    done = evpinn("recover", "broken.mcap", "saved", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "messages saved" in done.stdout and "a chunk, bytes" in done.stdout
+    assert "damaged" in done.stdout and "cut" in done.stdout
+    with Reader(folder / "saved") as reader:
+        count = reader.message_count
+        assert sum(1 for _ in reader.messages()) == count > 3500
+    replayed = evpinn("replay", "saved", "--vehicle", "tesla_model_3_lr", cwd=folder)
+    assert (replayed.returncode, replayed.stderr) == (0, "")
+    again = evpinn("recover", "broken.mcap", "saved", cwd=folder)
+    assert_fails_in_one_line(again, "saved", "in use")
+    report = json.loads(evpinn("recover", "broken.mcap", "two", "--json", cwd=folder).stdout)
+    (file,) = report["files"]
+    assert file["messages"] == count and len(file["losses"]) >= 2
+
+
+def test_a_full_disk_is_one_line(folder):
+    done = evpinn("convert", URBAN, "full_1", cwd=folder, largest_file=50_000)
+    assert_fails_in_one_line(done, "full_1", "File too large")
+    done = evpinn("recover", "broken.mcap", "full_2", cwd=folder, largest_file=50_000)
+    assert_fails_in_one_line(done, "full_2", "File too large")
+    done = evpinn("replay", "my.csv", "--out", "full_3", cwd=folder, largest_file=50_000)
+    assert_fails_in_one_line(done, "full_3", "File too large")
+    done = evpinn(
+        "convert", URBAN, "full_4", "--storage", "sqlite3", cwd=folder, largest_file=50_000
+    )
+    assert_fails_in_one_line(done, "full_4")
+
+
+def test_a_bag_of_several_files_is_replayed(folder):
+    with BagWriter(folder / "split", split=Split(seconds=20.0)) as writer, Reader(URBAN) as reader:
+        for connection, log_time_ns, data in reader.messages():
+            writer.write_raw(connection.topic, connection.msgtype, bytes(data), log_time_ns)
+    assert len(list((folder / "split").glob("*.mcap"))) == 18
+    found = json.loads(evpinn("info", "split", URBAN, "--json", cwd=folder).stdout)
+    assert found[0]["topics"] == found[1]["topics"]
+
+
+def test_splitting_needs_a_recording(folder):
+    done = evpinn("run", "--vehicle", "generic", "--split-time", 60, cwd=folder)
+    assert done.returncode == 2 and "need --record" in done.stderr
+
+
+def test_bench_recover(folder):
+    done = evpinn(
+        *("bench", "recover", "--cases", 12, "--megabytes", 1, "--json", "b.json"), cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads((folder / "b.json").read_text())
+    assert sum(each["cases"] for each in found["campaign"]) == 12
+    assert sum(each["missing"] for each in found["campaign"]) == 0
+    assert [each["storage"] for each in found["speed"]] == ["zstd", "lz4", "chunks", "loose"]
+
+
+def test_a_csv_without_one_usable_time_makes_no_bag(folder):
+    rows = "".join(f"some day,{i},{i}\n" for i in range(20))
+    (folder / "days.csv").write_text("time,speed_mps,power_w\n" + rows)
+    done = evpinn("convert", "days.csv", "days", cwd=folder)
+    assert_fails_in_one_line(done, "days.csv", "no reading in it; dropped: 20 no_time")
+    assert not (folder / "days").exists()

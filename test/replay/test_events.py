@@ -1,0 +1,110 @@
+"""Events of a drive, from series made by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from evpinn_ros.estimation.learner import LearnerReport
+from evpinn_ros.estimation.load_change import LoadChange
+from evpinn_ros.replay.events import EventKind, drive_events
+from evpinn_ros.replay.history import Drive, Noticed, PowerSeries
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.suspicion import CURRENT_SIGN
+
+START_NS = 1_700_000_000 * NANOSECONDS
+
+
+def drive(speed=None, measured=None, noticed=()) -> Drive:
+    """A minute of one reading a second, or at the times that are given."""
+    whole = np.arange(61.0)
+    rows = [
+        np.stack((times, np.zeros(len(times))), axis=1)
+        for times in (np.array(whole if t is None else t, float) for t in (speed, measured))
+    ]
+    nothing = PowerSeries(*np.empty((4, 0)))
+    return Drive(
+        duration=60.0,
+        speed=rows[0],
+        measured=rows[1],
+        smoothed=nothing,
+        newest=nothing,
+        energy=np.empty((0, 4)),
+        parameters={},
+        final=None,
+        start_ns=START_NS,
+        noticed=tuple(Noticed(time, report) for time, report in noticed),
+    )
+
+
+def told(found) -> list[tuple[float, EventKind]]:
+    return [(event.time, event.kind) for event in found]
+
+
+def test_a_quiet_drive_has_no_events():
+    assert drive_events(drive(noticed=[(0.0, LearnerReport())])) == []
+
+
+def test_gaps_are_events_at_the_ends_too():
+    speed = [t for t in range(61) if not 20 < t < 30]
+    found = drive_events(drive(speed, range(5, 51)))
+    assert told(found) == [
+        (0.0, EventKind.BATTERY_SILENT),
+        (20.0, EventKind.SPEED_SILENT),
+        (50.0, EventKind.BATTERY_SILENT),
+    ]
+    assert "10.0 s" in found[1].text
+
+
+def test_a_battery_that_never_spoke_is_one_event():
+    assert told(drive_events(drive(measured=[]))) == [(0.0, EventKind.BATTERY_SILENT)]
+
+
+def test_stamps_that_go_back_are_a_reset_and_stragglers_none():
+    straggling = [0, 1, 2, 4, 3, *range(5, 61)]
+    assert drive_events(drive(straggling)) == []
+    found = drive_events(drive([*range(61), *range(30, 61)]))
+    assert told(found) == [(30.0, EventKind.RESET)] and "30 s" in found[0].text
+
+
+def test_a_payload_is_told_once_as_it_was_known_last():
+    stop = START_NS + 10 * NANOSECONDS
+    changes = [LoadChange(stop, mass, std) for mass, std in ((150.0, 40.0), (180.0, 25.0))]
+    reports = [LearnerReport(change, 1) for change in changes]
+    found = drive_events(
+        drive(noticed=[(0.0, LearnerReport()), (40.0, reports[0]), (41.0, reports[1])])
+    )
+    assert told(found) == [(10.0, EventKind.PAYLOAD)]
+    assert "+180 ± 25 kg" in found[0].text and "30 s later" in found[0].text
+
+
+def test_a_payload_that_is_withdrawn_is_told():
+    known = LearnerReport(LoadChange(START_NS, 150.0, 40.0), 1)
+    gone = LearnerReport(None, 1, 1)
+    found = drive_events(drive(noticed=[(0.0, LearnerReport()), (30.0, known), (50.0, gone)]))
+    assert told(found) == [(0.0, EventKind.PAYLOAD), (50.0, EventKind.PAYLOAD)]
+    assert "withdrawn" in found[1].text
+
+
+def test_a_payload_of_an_earlier_drive_is_no_event():
+    known = LearnerReport(LoadChange(START_NS - NANOSECONDS, 150.0, 40.0), 1)
+    assert drive_events(drive(noticed=[(0.0, known)])) == []
+
+
+def test_suspicions_come_and_go():
+    suspected = LearnerReport(suspicion=CURRENT_SIGN)
+    found = drive_events(
+        drive(noticed=[(0.0, LearnerReport()), (20.0, suspected), (40.0, LearnerReport())])
+    )
+    assert told(found) == [(20.0, EventKind.SUSPICION), (40.0, EventKind.SUSPICION)]
+    assert "sign of current" in found[0].text
+
+
+def test_a_withheld_battery_is_an_event_if_it_came_to_that():
+    assert told(drive_events(drive(), 30.0)) == [(30.0, EventKind.WITHHELD)]
+    assert drive_events(drive(), 90.0) == []
+
+
+def test_events_are_in_order():
+    messy = replace(drive(range(0, 61, 10), range(0, 61, 7)))
+    times = [event.time for event in drive_events(messy, 15.0)]
+    assert len(times) > 5 and times == sorted(times)

@@ -1,0 +1,105 @@
+"""A drive as the plan it would have been, asked of the car as it was known before."""
+
+from dataclasses import replace
+import math
+import time
+
+import numpy as np
+import pytest
+
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.foretold import drive_plan, foretold_parts
+from evpinn_ros.replay.history import MODEL_STEP, History, KnownModel
+from evpinn_ros.replay.scoring import Span, energy_score
+
+
+@pytest.fixture(scope="module")
+def drive(readings, vehicle):
+    """Two minutes of which nothing was learned: its model is that of the vehicle file."""
+    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    history = History()
+    history.add_model(chain.estimator.linear_power())
+    for reading in readings:
+        history.add_reading(reading)
+    return history.drive()
+
+
+def test_a_drive_is_foretold_by_what_was_known_before(drive, vehicle):
+    (part,) = foretold_parts(drive, vehicle.air_density)
+    assert part.span == Span(0.0, drive.duration)
+    time, power = drive.measured.T
+    assert part.measured == pytest.approx(np.trapezoid(power, time), rel=0.02)
+    assert part.covered and 0 < part.sigma < abs(part.forecast)
+
+
+def test_each_part_is_foretold_by_the_model_of_its_begin(drive, vehicle):
+    first = drive.models[0].model
+    halved = replace(first, mean=0.5 * first.mean)
+    half = drive.duration / 2
+    models = (drive.models[0], KnownModel(half, halved))
+    parts = foretold_parts(replace(drive, models=models), vehicle.air_density)
+    whole = foretold_parts(replace(drive, models=(drive.models[0],)), vehicle.air_density)
+    again = foretold_parts(
+        replace(drive, models=(drive.models[0], KnownModel(half, first))), vehicle.air_density
+    )
+    assert [part.span.begin for part in parts] == [0.0, half]
+    assert parts[0] == again[0]
+    assert parts[1].forecast == pytest.approx(again[1].forecast / 2)
+    total = sum(part.measured for part in again)
+    assert total == pytest.approx(whole[0].measured, rel=0.05)
+
+
+@pytest.mark.parametrize("series", ["speed", "measured"])
+def test_a_part_with_a_gap_is_not_compared(drive, vehicle, series):
+    rows = getattr(drive, series)
+    gappy = replace(drive, **{series: rows[np.abs(rows[:, 0] - 50.0) > 2.0]})
+    assert foretold_parts(gappy, vehicle.air_density) == []
+
+
+def test_a_short_drive_and_one_without_models_are_not_compared(drive, vehicle):
+    assert foretold_parts(replace(drive, duration=20.0), vehicle.air_density) == []
+    assert foretold_parts(replace(drive, models=()), vehicle.air_density) == []
+
+
+def test_a_plan_climbs_as_its_altitudes_do():
+    time = np.arange(0.0, 101.0, 0.5)
+    speed = np.stack((time, np.full(len(time), 20.0)), axis=1)
+    height = np.stack((time, 0.02 * 20.0 * time), axis=1)
+    plan = drive_plan(speed, height)
+    assert plan.distance[-1] == pytest.approx(20.0 * plan.time[-1])
+    middle = slice(20, 80)  # smoothing rounds the ends
+    grade = np.diff(plan.elevation[middle]) / np.diff(plan.distance[middle])
+    assert grade == pytest.approx(0.02, abs=1e-3)
+    assert not drive_plan(speed, np.empty((0, 2))).elevation.any()
+
+
+def test_models_are_kept_every_few_minutes(readings, vehicle):
+    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    history, kept = History(), []
+    first = readings[0]
+    for second in range(0, 1000):
+        history.add_reading(replace(first, stamp_ns=first.stamp_ns + second * 10**9))
+        if history.wants_model:
+            history.add_model(chain.estimator.linear_power())
+            kept.append(second)
+    assert np.diff(kept).tolist() == [MODEL_STEP] * 3
+    history.add_model(None)
+    assert len(history.drive().models) == 4
+
+
+def test_energy_has_its_sigma(readings, vehicle):
+    chain, history = (
+        Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter)),
+        History(),
+    )
+    for reading in readings[:400]:
+        history.add_reading(reading)
+        for output in chain.push(reading):
+            history.add_output(output)
+    drive = history.drive()
+    assert drive.energy.shape[1] == 4 and (np.diff(drive.energy[:, 3]) >= 0).all()
+    assert drive.energy[-1, 3] > 0
+    found = energy_score(drive, Span(-1.0, math.inf))
+    assert found["predicted_j"] == pytest.approx(np.ptp(drive.energy[:, 1]), rel=0.1)

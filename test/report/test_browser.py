@@ -1,0 +1,165 @@
+"""The report of a drive in a real Chromium."""
+
+import base64
+import io
+from pathlib import Path
+
+from matplotlib.image import imread
+import numpy as np
+import pytest
+
+from evpinn_ros.report.drive_page import write_drives
+
+INKED = """Array.from(document.querySelectorAll('canvas'), canvas => {
+  const copy = new OffscreenCanvas(canvas.width, canvas.height)
+    .getContext('2d', { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  return new Set(new Uint32Array(data.buffer)).size;
+})"""
+AS_PNG = "Array.from(document.querySelectorAll('canvas'), canvas => canvas.toDataURL())"
+WIDTHS = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+SETTLED = "new Promise(done => setTimeout(done, 200))"
+
+
+@pytest.fixture(scope="module")
+def page(reported, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_drives(path, [reported], "evpinn replay out/town")
+    return path
+
+
+def pictures(browser) -> list[np.ndarray]:
+    """Every canvas, shape (height, width, 4) each."""
+    texts = browser.run(AS_PNG)
+    return [imread(io.BytesIO(base64.b64decode(text.partition(",")[2]))) for text in texts]
+
+
+def differ(some: list[np.ndarray], others: list[np.ndarray]) -> list[bool]:
+    """Which canvases show something else, beyond the few pixels that a redraw rounds anew."""
+    return [
+        a.shape != b.shape or float((np.abs(a - b) > 0.1).any(axis=2).mean()) > 1e-3
+        for a, b in zip(some, others, strict=True)
+    ]
+
+
+def box(browser, plot: str) -> tuple[float, float, float, float]:
+    """Left, top, width and height of the inside of a plot, scrolled into view."""
+    return browser.run(f"""(() => {{
+      const over = document.querySelector("[data-plot='{plot}'] .u-over");
+      over.scrollIntoView({{ block: "center" }});
+      const found = over.getBoundingClientRect();
+      return [found.left, found.top, found.width, found.height];
+    }})()""")
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [1100, 390])
+def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
+    browser.open(page, width=width, dark=dark)
+    inked = browser.run(INKED)
+    assert len(inked) == 16 and min(inked) > 5  # colours: axes, grid and what is drawn
+    whole, seen = browser.run(WIDTHS)
+    assert whole <= seen == width or (width > 600 and whole <= seen)
+    assert browser.troubles == []
+    assert browser.requests == [page.as_uri()]
+
+
+def test_dark_is_dark(browser, page):
+    shades = []
+    for dark in (False, True):
+        browser.open(page, width=1100, dark=dark)
+        shades.append(browser.run("getComputedStyle(document.body).backgroundColor"))
+    assert shades == ["rgb(251, 251, 249)", "rgb(22, 24, 27)"]
+
+
+def test_to_zoom_one_curve_zooms_all_over_time_and_back(browser, page):
+    browser.open(page, width=1100)
+    before = pictures(browser)
+    left, top, width, height = box(browser, "power")
+    y = top + height / 2
+    browser.drag((left + 0.3 * width, y), (left + 0.5 * width, y))
+    browser.run(SETTLED)
+    changed = differ(before, pictures(browser))
+    # Four maps and plots of errors stay, the rest follows.
+    assert changed.count(False) == 4 and len(changed) == 16
+    browser.run("document.querySelector('button').click()")
+    browser.run(SETTLED)
+    assert not any(differ(before, pictures(browser)))
+    assert browser.troubles == []
+
+
+def test_values_show_under_the_cursor(browser, page):
+    browser.open(page, width=1100)
+    for plot, words in (
+        ("power", ("measured", "predicted", "to")),
+        ("mass", ("truth", "prior", "%")),
+        ("outcome", ("forecast", "±")),
+    ):
+        left, top, width, height = box(browser, plot)
+        where = {"x": left + 0.6 * width, "y": top + 0.5 * height}
+        browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
+        browser.run(SETTLED)
+        text = browser.run(f"document.querySelector(\"[data-plot='{plot}']\").innerText")
+        assert all(word in text for word in words), text
+        assert any(character.isdigit() for character in text)
+    left, top, width, height = box(browser, "coverage")
+    where = {"x": left + 2, "y": top + 0.5 * height}
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
+    browser.run(SETTLED)
+    assert "0 to 5 km/h" in browser.run("document.querySelector('.readout').innerText")
+    assert browser.troubles == []
+
+
+def test_a_finger_zooms_sideways(browser, page):
+    browser.open(page, width=390)
+    before = pictures(browser)
+    left, top, width, height = box(browser, "speed")
+    for kind, share in (("touchStart", 0.3), ("touchMove", 0.6), ("touchEnd", None)):
+        at = [] if share is None else [{"x": left + share * width, "y": top + height / 2}]
+        browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=at)
+    browser.run(SETTLED)
+    assert differ(before, pictures(browser)).count(True) == 12
+    assert browser.troubles == []
+
+
+def test_a_drive_that_is_opened_later_is_drawn(browser, reported, tmp_path):
+    path = tmp_path / "two.html"
+    write_drives(path, [reported, reported], "evpinn replay a b")
+    browser.open(path, width=390)
+    assert len(browser.run(INKED)) == 16
+    browser.run("document.querySelectorAll('summary')[1].click()")
+    browser.wait_for("document.querySelectorAll('canvas').length === 32")
+    browser.run(SETTLED)
+    assert min(browser.run(INKED)) > 5
+    whole, seen = browser.run(WIDTHS)
+    assert whole <= seen
+    assert browser.troubles == []
+
+
+def test_text_of_a_bag_does_not_run(browser, reported, tmp_path):
+    """The policy holds even if a script came through."""
+    path = tmp_path / "hostile.html"
+    write_drives(path, [reported], "</code><script>document.title = 'owned'</script>")
+    browser.open(path, width=1100)
+    assert browser.run("document.title") == "Drive town" and browser.troubles == []
+    text = path.read_text("utf-8")
+    path.write_text(text.replace("</h1>", "</h1><script>document.title = 'owned'</script>"))
+    browser.open(path, width=1100)
+    assert browser.run("document.title") == "Drive town"
+    assert "Content Security Policy" in " ".join(browser.troubles)
+
+
+def test_dark_pages_print_as_light_ones(browser, page):
+    """Paper is white: the plots are drawn anew for it."""
+    browser.open(page, width=1100)
+    light = pictures(browser)
+    browser.open(page, width=1100, dark=True)
+    dark = pictures(browser)
+    assert all(differ(light, dark))
+    browser.run("dispatchEvent(new Event('beforeprint'))")
+    browser.run(SETTLED)
+    assert not any(differ(light, pictures(browser)))
+    browser.run("dispatchEvent(new Event('afterprint'))")
+    browser.run(SETTLED)
+    assert not any(differ(dark, pictures(browser)))

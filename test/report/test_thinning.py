@@ -1,0 +1,86 @@
+"""Thinning keeps peaks and gaps; packing keeps values to half a level."""
+
+import base64
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.report.thinning import LEVELS, NO_VALUE, Grid, grid_for, packed, thinned
+
+
+def unpacked(found: dict) -> np.ndarray:
+    levels = np.frombuffer(base64.b64decode(found["levels"]), dtype="<i2").astype(float)
+    values = found["low"] + (levels + LEVELS // 2) * found["step"]
+    return np.where(levels == NO_VALUE, np.nan, values)
+
+
+def test_an_hour_at_10_hz_loses_nothing():
+    time = np.arange(36_000) / 10 + 0.05
+    values = np.random.default_rng(1).normal(size=len(time))
+    grid = grid_for(time, 3600.0, 40_000)
+    assert np.array_equal(thinned(time, values, grid), values)
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.0, 100.0), st.floats(-1e6, 1e6)),
+        min_size=1,
+        max_size=80,
+        unique_by=lambda row: row[0],
+    ),
+    st.integers(1, 30),
+)
+def test_peaks_of_every_bucket_stay(rows, buckets):
+    time, values = np.array(rows).T
+    grid = Grid(100.0 / buckets, buckets)
+    found = thinned(time, values, grid).reshape(buckets, 2)
+    bucket = np.minimum(np.floor(time / grid.width).astype(int), buckets - 1)
+    for index in np.unique(bucket):
+        inside = values[bucket == index]
+        assert (found[index].min(), found[index].max()) == (inside.min(), inside.max())
+
+
+def test_the_order_of_peaks_within_a_bucket_stays():
+    time = np.array([0.1, 0.5, 0.9])
+    grid = Grid(1.0, 1)
+    assert thinned(time, np.array([5.0, 0.0, -5.0]), grid).tolist() == [5.0, -5.0]
+    assert thinned(time, np.array([-5.0, 0.0, 5.0]), grid).tolist() == [-5.0, 5.0]
+    # A recording that jumped back has its later half first.
+    assert thinned(time[::-1], np.array([5.0, 0.0, -5.0]), grid).tolist() == [-5.0, 5.0]
+
+
+def test_a_gap_stays_and_a_missing_reading_is_bridged():
+    time = np.array([0.5, 1.5, 3.5, 10.5])
+    found = thinned(time, np.array([0.0, 1.0, 3.0, 10.0]), Grid(1.0, 11)).reshape(11, 2)
+    assert found[2].tolist() == [2.0, 2.0]
+    assert np.isnan(found[4:10]).all() and found[10, 0] == 10.0
+
+
+def test_what_is_not_finite_or_not_of_the_drive_is_left_out():
+    time = np.array([-5.0, 0.5, 0.6, 0.7, 99.0])
+    values = np.array([9.0, np.nan, 1.0, np.inf, 9.0])
+    assert thinned(time, values, Grid(1.0, 1)).tolist() == [1.0, 1.0]
+    assert np.isnan(thinned(np.empty(0), np.empty(0), Grid(1.0, 3))).all()
+
+
+@pytest.mark.parametrize("time", [[], [3.0], [3.0, 3.0], [0.0, 5e9]])
+def test_any_series_has_a_grid(time):
+    grid = grid_for(np.array(time), max(time, default=0.0), 2000)
+    assert grid.width > 0 and 1 <= grid.buckets <= 1000
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=False), max_size=50))
+def test_packing_is_within_half_a_level(values):
+    values = np.clip(np.array(values, float), -1e12, 1e12)
+    found = packed(values)
+    after = unpacked(found)
+    assert np.array_equal(np.isnan(after), np.isnan(values))
+    known = ~np.isnan(values)
+    rounding = 1e-9 * np.abs(values[known]).max(initial=0.0)
+    assert (np.abs(after - values)[known] <= found["step"] * 0.5001 + rounding).all()
+
+
+def test_packing_survives_what_a_bag_may_hold():
+    assert np.isfinite(unpacked(packed(np.array([-1.7e308, 1.7e308])))).all()
