@@ -11,6 +11,7 @@ import math
 from multiprocessing import active_children
 import os
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
 
 import numpy as np
 
@@ -43,6 +44,7 @@ class Scaling:
         drives: learned.
         start_s: until each worker had done a car.
         drives_per_s: after that.
+        cpu_s: of the processor a drive, start of the workers included.
         tenths_s: wall time per drive, in the first tenth after the start and in the last.
         rss_mb: of all processes, when a tenth of the cars was done and at the end.
         tables_s: to write the tables.
@@ -52,6 +54,7 @@ class Scaling:
     drives: int
     start_s: float
     drives_per_s: float
+    cpu_s: float
     tenths_s: tuple[float, float]
     rss_mb: tuple[float, float]
     tables_s: float
@@ -83,7 +86,7 @@ def many_drives(folder: Path, vehicle: Vehicle, drives: int, seconds: float) -> 
 
 def scaling(cars: list[CarDrives], out: Path, workers: int, clock: Callable[[], float]) -> Scaling:
     """Learn a whole fleet anew, and watch."""
-    begun = clock()
+    begun, used = clock(), _cpu_s()
     done, memory = [], []
     with claimed(out):
         for outcome in learn_fleet(cars, out, LocalExecutor(workers)):
@@ -92,7 +95,7 @@ def scaling(cars: list[CarDrives], out: Path, workers: int, clock: Callable[[], 
                 raise RuntimeError(outcome.problem)
             if len(done) in (max(workers, len(cars) // 10), len(cars)):
                 memory.append(_rss_mb())
-        written = clock()
+        written, used = clock(), _cpu_s() - used
         learned = write_tables(out, cars, {}).counts["learned"]
     steps = np.diff(done[workers - 1 :]) / DRIVES_PER_CAR
     tenth = max(1, len(steps) // 10)
@@ -101,6 +104,7 @@ def scaling(cars: list[CarDrives], out: Path, workers: int, clock: Callable[[], 
         learned,
         done[workers - 1] - begun,
         1.0 / float(steps.mean()),
+        used / learned,
         (float(steps[:tenth].mean()), float(steps[-tenth:].mean())),
         (memory[0], memory[-1]),
         clock() - written,
@@ -164,6 +168,12 @@ def _bag(folder: Path, vehicle: Vehicle, seconds: float, seed: int, day: int) ->
     start_ns = EPOCH_NS + day * DAY_NS
     write(simulate(DriveKind.URBAN, vehicle, seconds, seed, start_ns=start_ns), folder)
     return next(folder.glob("*.mcap"))
+
+
+def _cpu_s() -> float:
+    """Of the processor, of the workers that have ended."""
+    used = getrusage(RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _rss_mb() -> float:

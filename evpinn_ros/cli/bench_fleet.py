@@ -57,13 +57,23 @@ def fleet(
 
 def _show_scaling(runs: list[Scaling]) -> None:
     table = titled_table(f"{runs[0].drives} drives")
-    for name in ("workers", "drives/s", "times", "ms a drive", "MB", "start s", "tables s"):
+    for name in (
+        "workers",
+        "drives/s",
+        "times",
+        "ms CPU",
+        "ms a drive",
+        "MB",
+        "start s",
+        "tables s",
+    ):
         table.add_column(name, justify="right")
     for run in runs:
         table.add_row(
             str(run.workers),
             f"{run.drives_per_s:.2f}",
             f"{run.drives_per_s / runs[0].drives_per_s:.2f}",
+            f"{1e3 * run.cpu_s:.0f}",
             " -> ".join(f"{1e3 * each:.0f}" for each in run.tenths_s),
             " -> ".join(f"{each:.0f}" for each in run.rss_mb),
             f"{run.start_s:.1f}",

@@ -66,7 +66,7 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     page = (out / "report.html").read_text()
     for text in ("ann", "nissan_leaf", "bad.mcap", "mass_over_eta", "evpinn fleet"):
         assert text in page
-    assert "http" not in page
+    assert "http:" not in page and "https:" not in page
     learned = load_vehicle(file)
     assert learned.priors["eta"].std < load_vehicle("nissan_leaf").priors["eta"].std * 1.01
     state = json.loads((out / "cars" / "ann" / "state.json").read_text())
