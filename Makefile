@@ -11,9 +11,9 @@ INSTALLED := $(VENV)/installed
 # A sourced ROS 2 brings its own rclpy; without one it comes as wheels, with the extra `ros`.
 ifdef ROS_DISTRO
 VENV_OPTIONS := --system-site-packages
-EXTRAS := dev,bench,foxglove
+EXTRAS := dev,bench,foxglove,fleet
 else
-EXTRAS := dev,ros,bench,foxglove
+EXTRAS := dev,ros,bench,foxglove,fleet
 endif
 
 # Nodes started here meet no other robot, and workers side by side take one core each.

@@ -70,6 +70,8 @@ setup(
             "ros-std-srvs",
             "ros-trajectory-msgs",
         ],
+        # `evpinn fleet`: Parquet, and Dask for a cluster.
+        "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
         "bench": ["deepxde"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.

@@ -18,7 +18,8 @@ class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
     names = (
-        *("replay", "run", "watch", "view", "convert", "simulate", "reproduce", "bench", "demo"),
+        *("replay", "run", "watch", "view", "convert", "simulate", "reproduce", "fleet"),
+        *("bench", "demo"),
         *("info", "recover"),
         "can",
         "check_params",
