@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.cli.console import progress_bar, results
+from evpinn_ros.cli.options import VehicleOption
 from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
@@ -27,9 +28,7 @@ MEGABYTE = 1e6
 
 def report(
     drive: Annotated[Path, typer.Argument(help="Bag, CAN log or CSV; the goal is for an hour.")],
-    vehicle: Annotated[
-        str, typer.Option(help="Vehicle by name, or the path of its file.")
-    ] = "tesla_model_3_lr",
+    vehicle: VehicleOption = "tesla_model_3_lr",
     out: Annotated[Path, typer.Option(help="The report.")] = Path("out/report.html"),
 ) -> None:
     """Time the report of a drive after its replay.
