@@ -30,7 +30,7 @@ from evpinn_ros.errors import InputError
 RECEIVE_TIMEOUT_S = 0.1
 SILENT_AFTER_S = 1.0
 FIRST_BACKOFF_S = 0.5
-LAST_BACKOFF_S = 10.0
+LAST_BACKOFF_S = 2.0  # with the 2 s that slcan needs to open, read again within 5 s
 GARBLED_PAUSE_S = 0.01
 SEND_TIMEOUT_S = 0.1
 SOCKET_QUEUE = 1 << 22  # bytes; a frame takes up to a thousand of them

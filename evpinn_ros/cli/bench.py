@@ -17,6 +17,7 @@ COMMANDS = (
     "fuzz",
     "report",
     "recover",
+    "faults",
 )  # each a function in `bench_<name>.py`
 
 

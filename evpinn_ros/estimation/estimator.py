@@ -39,6 +39,7 @@ from evpinn_ros.signals.sample import (
     TimeJump,
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import RegenForm
@@ -103,6 +104,7 @@ class EstimatorStatus:
         band_coverage: share of recent samples inside the 90 % band, by kind of prediction.
         newest_ns: stamp of the newest speed, None before the first.
         unknown: optional inputs that tell nothing (see `Road.unknown`).
+        stuck: name of the signal that repeats one value (see `signals.stuck`), or None.
     """
 
     activity: Activity
@@ -118,6 +120,7 @@ class EstimatorStatus:
     progress: Mapping[str, float] = field(default_factory=dict)
     seen: Mapping[str, int] = field(default_factory=dict)
     band_coverage: Mapping[str, float] = field(default_factory=dict)
+    stuck: str | None = None
 
 
 class OnlineEstimator:
@@ -158,6 +161,7 @@ class OnlineEstimator:
         self._worker.durations.clear()
 
     def _begin_time(self) -> None:
+        self._stuck = StuckSuspicion()
         self._tick_ns: int | None = None
         self._waiting = False
         self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
@@ -168,7 +172,11 @@ class OnlineEstimator:
         """Take one reading; give the predictions and parameters it leads to, in order."""
         before = self._stream.dropped.total()
         events = list(self._stream.push(reading))
-        if isinstance(reading, BatteryReading) and self._stream.dropped.total() == before:
+        taken = self._stream.dropped.total() == before
+        if taken:
+            self._stuck.push(reading)
+        believed = taken and self._stuck.suspected != BATTERY_STUCK
+        if isinstance(reading, BatteryReading) and believed:
             sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * reading.power)
             yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, reading.power, sigma)
         for event in events:
@@ -212,6 +220,7 @@ class OnlineEstimator:
             progress={name: p.progress for name, p in self.parameters().parameters.items()},
             seen=self._seen.counts(),
             band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
+            stuck=self._stuck.suspected,
         )
 
     def export(self) -> dict[str, Any]:
@@ -255,6 +264,9 @@ class OnlineEstimator:
                 self._learner.advance(event.sample)
                 yield from self._predict(PowerKind.SMOOTHED, event.sample)
             case MeasuredSample():
+                if (stuck := self._stuck.suspected) is not None:
+                    self._learner.gated[stuck] += 1
+                    return
                 if gate(event.sample, event.power) is None:
                     self._learn_bands(event)
                     if self.enabled:

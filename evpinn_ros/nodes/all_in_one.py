@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-import sys
 from typing import Any
 
 from evpinn_ros.bags.writer import Split
@@ -19,10 +18,6 @@ from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
 from evpinn_ros.nodes.topics import NAMESPACE
 
-SWITCH_INTERVAL = 5e-4
-"""s that a thread may keep the interpreter from the bridge's, which wants it after each system
-call. At Python's own 5 ms, beside the learner, one frame in a hundred came 12 ms late, now 4."""
-
 NODES = {"can_bridge": CanBridgeNode, "estimator": EstimatorNode, "energy": EnergyNode}
 
 
@@ -34,7 +29,7 @@ def run(
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
 ) -> int:
-    """Run everything until SIGINT or SIGTERM.
+    """Run everything until SIGINT or SIGTERM, which end the process with 0.
 
     Args:
         parameters: values by name; each node takes those of its table, over any file's.
@@ -44,9 +39,8 @@ def run(
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
 
     Returns:
-        The exit code: 0 when told to stop, 1 with one line on stderr when input is wrong.
+        The exit code 1, with one line on stderr, when input is wrong; else the process ends here.
     """
-    sys.setswitchinterval(SWITCH_INTERVAL)
     args = ["--ros-args", *ros_args] if ros_args else []
     options = {name: _options(name, namespace, parameters) for name in NODES}
     recorder: list[running.MakeNode] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 import math
 from typing import Any
 
@@ -12,7 +13,8 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from evpinn_ros.nodes import factory, topics
-from evpinn_ros.nodes.diagnosis import Health, Status
+from evpinn_ros.nodes.arrivals import Losses
+from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import BadMessage, diagnostics
 from evpinn_ros.nodes.parameter_table import TABLES
@@ -21,6 +23,7 @@ from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import NANOSECONDS
 
 REPORT_PERIOD = 1.0  # s, REP-107
+NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
@@ -48,6 +51,11 @@ class GuardedNode(Node):
         self._faults: Counter[str] = Counter()
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, int] = {}
+        self._inputs: dict[Topic, str] = {}
+        self._losses = Losses()
+        self._lately = Lately()
+        self._mismatched: dict[Topic, str] = {}
+        self._notices: dict[str, tuple[str, float]] = {}
         # Timers of the node's clock stand still when that clock does, and so would the report.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.advertise(topics.DIAGNOSTICS)
@@ -62,17 +70,33 @@ class GuardedNode(Node):
 
     def advertise(self, *outputs: Topic) -> None:
         """Make publishers for `publish`."""
-        self._outlets |= {topic: factory.advertise(self, topic) for topic in outputs}
+        for topic in outputs:
+            self._outlets[topic] = factory.advertise(self, topic, partial(self._refused_by, topic))
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
-        """Subscribe, with `raw` to bytes; what the callback raises is counted."""
+        """Subscribe, with `raw` to bytes; what the callback raises is counted.
 
-        def take(message: Any) -> None:
+        An input that is not raw is a stream of one publisher: a second one is told.
+        """
+
+        def take(message: Any, info: Mapping[str, Any]) -> None:
             self.received[topic] += 1
-            self._arrivals[topic] = self.now_ns()
+            if lost := self._losses.push(topic, info):
+                self.bad[f"{topic.name}: lost"] += lost
+            self._mismatched.pop(topic, None)
             callback(message)
+            self._arrivals[topic] = self.now_ns()
 
-        factory.subscribe(self, topic, self.guarded(take, topic.name), raw=raw)
+        safe = self.guarded(take, topic.name)
+        subscription = factory.subscribe(
+            self,
+            topic,
+            lambda message, info: safe(message, info),
+            raw=raw,
+            on_mismatch=partial(self._mismatched.__setitem__, topic),
+        )
+        if not raw:
+            self._inputs[topic] = subscription.topic_name
 
     def every(self, seconds: float, callback: Callable[[], None]) -> None:
         """Call back by a clock that never jumps."""
@@ -108,12 +132,47 @@ class GuardedNode(Node):
         """The node's clock, for ages and /diagnostics alone."""
         return int(self.get_clock().now().nanoseconds)
 
-    def health(self, dropped: Mapping[str, int] | None = None) -> Health:
-        """What went wrong so far; `dropped` are messages that were not used, by reason."""
-        return Health({**self.bad, **(dropped or {})}, dict(self._faults))
+    def notice(self, kind: str, text: str) -> None:
+        """Tell this in the diagnostics for `LATELY` seconds; the newest of each kind counts."""
+        self._notices[kind] = text, self.steady_s()
+
+    def steady_s(self) -> float:
+        """A clock that never jumps, s."""
+        return float(self._steady.now().nanoseconds) / NANOSECONDS
+
+    def health(
+        self,
+        dropped: Mapping[str, int] | None = None,
+        told_elsewhere: Mapping[str, int] | None = None,
+    ) -> Health:
+        """What went wrong so far.
+
+        Args:
+            dropped: messages that were not used, by reason.
+            told_elsewhere: likewise, where the status has them among its values already.
+        """
+        bad = {**self.bad, **(dropped or {})}
+        lately = self._lately.push(self.steady_s(), {**bad, **(told_elsewhere or {})})
+        return Health(bad, dict(self._faults), tuple(self._noticed(lately)))
+
+    def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
+        since = self.steady_s() - LATELY
+        yield from (text for text, at in self._notices.values() if at > since)
+        for topic, policy in self._mismatched.items():
+            yield f"incompatible QoS of {topic.name}: {policy}"
+        for topic, name in self._inputs.items():
+            if (publishers := self.count_publishers(name)) > 1:
+                yield f"{publishers} publishers of {topic.name}"
+        if self.get_clock().ros_time_is_active and self.now_ns() == 0:
+            yield NO_CLOCK
+        if (unused := unused_notice(lately)) is not None:
+            yield unused
+
+    def _refused_by(self, topic: Topic, policy: str) -> None:
+        self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
 
     def age(self, topic: Topic) -> float:
-        """Seconds since the last message of an input, NaN before the first."""
+        """Seconds since the last usable message of an input, NaN before the first."""
         arrived = self._arrivals.get(topic)
         return math.nan if arrived is None else (self.now_ns() - arrived) / NANOSECONDS
 

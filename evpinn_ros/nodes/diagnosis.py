@@ -5,6 +5,7 @@ Each node has a module beside this one with its pure function: state in, `Status
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
@@ -13,6 +14,8 @@ from typing import NamedTuple
 from evpinn_ros.nodes.messages import Level
 
 SILENT_AFTER = 3.0  # s without a message of the leading input
+LATELY = 10.0  # s for which something that happened is told
+FEW = 3  # messages lost lately that nobody need know of
 
 
 class Status(NamedTuple):
@@ -26,17 +29,50 @@ class Status(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What went wrong in a node: messages not used by reason, faults of our own by text."""
+    """What went wrong in a node.
+
+    Attributes:
+        bad: messages not used, by reason.
+        faults: of our own, by text.
+        notices: what a person should know now, a few words each.
+    """
 
     bad: Mapping[str, int]
     faults: Mapping[str, int]
+    notices: tuple[str, ...] = ()
+
+
+class Lately:
+    """Counters of the last seconds, from counters since the start."""
+
+    def __init__(self) -> None:
+        """Nothing counted yet."""
+        self._looks: deque[tuple[float, Mapping[str, int]]] = deque([(-math.inf, {})])
+
+    def push(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
+        """What was added in the last `LATELY` seconds by `now`, s, of a clock that never jumps."""
+        self._looks.append((now, dict(counts)))
+        while self._looks[1][0] <= now - LATELY:
+            self._looks.popleft()
+        before = self._looks[0][1]
+        added = {reason: count - before.get(reason, 0) for reason, count in counts.items()}
+        return {reason: count for reason, count in added.items() if count > 0}
+
+
+def unused_notice(lately: Mapping[str, int]) -> str | None:
+    """One line of what was lost or not used lately, None where that is next to nothing."""
+    if sum(lately.values()) <= FEW:
+        return None
+    return "not used lately: " + ", ".join(f"{why} {n}" for why, n in sorted(lately.items()))
 
 
 def with_health(status: Status, health: Health) -> Status:
-    """A status with the counters of its node; a fault of our own outweighs all else."""
+    """A status with counters and notices of its node; a fault of our own outweighs all else."""
     values = {**status.values, **flat("bad", health.bad), **flat("fault", health.faults)}
     if not health.faults:
-        return status._replace(values=values)
+        text = "; ".join((status.text, *health.notices))
+        level = max(status.level, Level.WARN) if health.notices else status.level
+        return status._replace(level=level, text=text, values=values)
     newest = list(health.faults)[-1]
     return status._replace(level=Level.ERROR, text=f"internal fault: {newest}", values=values)
 

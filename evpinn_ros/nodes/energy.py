@@ -165,7 +165,8 @@ class EnergyNode(GuardedNode):
 
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]
-        self.get_logger().warning(f"time went back by {jump.seconds:.1f} s: {policy}")
+        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
+        self.notice("jump", text)
         if policy == JumpPolicy.RESET.value:
             self._keeper.start_over()
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
 from pathlib import Path
 import time
@@ -9,9 +10,10 @@ from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
-from evpinn_ros.estimation.estimator import OnlineEstimator
+from evpinn_ros.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
 from evpinn_ros.estimation.worker import ThreadWorker
 from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status
 from evpinn_ros.nodes.estimate_messages import output_messages
@@ -60,6 +62,7 @@ class EstimatorNode(GuardedNode):
             self._vehicle, estimator_settings(self.values), self._worker
         )
         self._guard = StampGuard(topics.SPEED)
+        self._stamps = StampWatch()
         path = self.values["state_file"]
         self._keeper = StateKeeper(Path(path).expanduser() if path else None, self.estimator)
         self._load()
@@ -76,9 +79,10 @@ class EstimatorNode(GuardedNode):
 
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
+        status = self.estimator.status()
         report = EstimatorReport(
-            status=self.estimator.status(),
-            health=self.health(self._guard.dropped),
+            status=status,
+            health=self.health(self._guard.dropped, _unexpected(status)),
             speed_age=self.age(topics.SPEED),
             jumps=self._guard.jumps,
             state_problem=self._keeper.problem,
@@ -108,6 +112,10 @@ class EstimatorNode(GuardedNode):
 
     def _take(self, topic: Topic, message: Any) -> None:
         reading = to_reading(topic.type_name, message)
+        if topic is topics.SPEED:
+            wrong = self._stamps.push(reading.stamp_ns, self.now_ns(), self.steady_s())
+            if wrong is not None:
+                self.notice("stamps", f"{topic.name}: {wrong}")
         if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
             self._push(reading)
             return
@@ -124,7 +132,8 @@ class EstimatorNode(GuardedNode):
 
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]
-        self.get_logger().warning(f"time went back by {jump.seconds:.1f} s: {policy}")
+        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
+        self.notice("jump", text)
         if policy == JumpPolicy.RESET.value:
             self._keeper.start_over()
         else:
@@ -148,6 +157,17 @@ class EstimatorNode(GuardedNode):
         response.success = True
         response.message = "learning" if request.data else "paused: predicting only"
         return response
+
+
+def _unexpected(status: EstimatorStatus) -> Counter[str]:
+    """Readings dropped that a person should know of.
+
+    A battery that tells its state of charge alone is none of them, as long as others tell power.
+    """
+    dropped = Counter(status.dropped)
+    if status.activity is not Activity.PREDICTING:
+        del dropped["battery_unmeasured"]
+    return dropped
 
 
 def main(args: list[str] | None = None) -> int:

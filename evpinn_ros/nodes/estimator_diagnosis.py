@@ -19,9 +19,14 @@ from evpinn_ros.nodes.diagnosis import (
 )
 from evpinn_ros.nodes.messages import Level
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.signals.suspicion import CURRENT_SIGN
 
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
+STUCK = {
+    SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
+    BATTERY_STUCK: "battery/state is stuck at one value: it is not believed, nothing is learned",
+}
 RECENT = 60  # updates whose median duration is told
 
 
@@ -76,6 +81,8 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
         return Level.WARN, f"no vehicle/speed for {report.speed_age:.0f} s"
     if report.state_problem is not None:
         return Level.WARN, report.state_problem
+    if status.stuck is not None:
+        return Level.WARN, STUCK[status.stuck]
     if status.report.suspicion == CURRENT_SIGN:
         return Level.WARN, "accelerating charges the battery: is the sign of current wrong?"
     if status.report.suspicion == GRADE_SIGN:

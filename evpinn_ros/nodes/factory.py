@@ -7,8 +7,14 @@ from functools import cache
 import importlib
 from typing import Any
 
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from evpinn_ros.nodes.topics import Qos, Topic
@@ -36,25 +42,46 @@ def qos_profile(qos: Qos) -> QoSProfile:
     )
 
 
-def advertise(node: Node, topic: Topic) -> Any:
-    """A publisher; its quality of service can be overridden by parameters."""
+def advertise(node: Node, topic: Topic, on_mismatch: Callable[[str], None] | None = None) -> Any:
+    """A publisher; its quality of service can be overridden by parameters.
+
+    `on_mismatch` takes the policy for which a subscriber gets nothing; rclpy's own logs it.
+    """
+    events = PublisherEventCallbacks(incompatible_qos=_tell_policy(on_mismatch))
     return node.create_publisher(
         message_class(topic.type_name),
         topic.name,
         qos_profile(topic.publisher_qos),
         qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        event_callbacks=events,
     )
 
 
 def subscribe(
-    node: Node, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False
+    node: Node,
+    topic: Topic,
+    callback: Callable[..., None],
+    *,
+    raw: bool = False,
+    on_mismatch: Callable[[str], None] | None = None,
 ) -> Any:
-    """A subscription likewise; with `raw` the callback gets the bytes of the message."""
+    """A subscription likewise; with `raw` the callback gets the bytes of the message.
+
+    A callback of two arguments gets what the middleware tells of the message beside.
+    """
+    events = SubscriptionEventCallbacks(incompatible_qos=_tell_policy(on_mismatch))
     return node.create_subscription(
         message_class(topic.type_name),
         topic.name,
         callback,
         qos_profile(topic.subscriber_qos),
         qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        event_callbacks=events,
         raw=raw,
     )
+
+
+def _tell_policy(tell: Callable[[str], None] | None) -> Callable[[Any], None] | None:
+    if tell is None:
+        return None
+    return lambda event: tell(qos_policy_name_from_kind(event.last_policy_kind).lower())

@@ -26,7 +26,7 @@ START_TIMEOUT = 60.0  # s for the nodes to come up on a busy machine
 SILENCE_TIMEOUT = 15.0  # s without any prediction: something has died
 STOP_TIMEOUT = 10.0  # s for a node to save and end
 SPIN = 0.2  # s
-FIRST_DOMAIN, DOMAINS = 50, 50  # all below 102, which any platform allows
+FIRST_DOMAIN, DOMAINS = 82, 20  # all below 102, which any platform allows; tests have those below
 
 
 def record_through_nodes(
@@ -116,17 +116,22 @@ def _spin_for(executor: SingleThreadedExecutor, seconds: float) -> None:
         executor.spin_once(timeout_sec=SPIN)
 
 
+def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:
+    """The command that starts one node's executable."""
+    command = [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args"]
+    command += ["-r", f"__ns:={NAMESPACE}", "--log-level", "warn"]
+    for key, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        command += ["-p", f"{key}:={text}"]
+    return command
+
+
 @contextmanager
 def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
     """One node's executable, stopped as a launch file would stop it."""
     known = {parameter.name for parameter in TABLES[name]}
-    command = [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args"]
-    command += ["-r", f"__ns:={NAMESPACE}", "--log-level", "warn"]
-    for key, value in parameters.items():
-        if key in known:
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            command += ["-p", f"{key}:={text}"]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    own = {key: value for key, value in parameters.items() if key in known}
+    process = subprocess.Popen(node_command(name, own), stdin=subprocess.DEVNULL)
     try:
         yield process
     finally:

@@ -34,6 +34,7 @@ from evpinn_ros.signals.sample import (
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
 MAX_SPEED = 100.0  # m/s, no production car
 MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
+MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and no power is told
 MAX_VOLTAGE = 2000.0  # V
 MAX_CURRENT = 5000.0  # A
 JUMP_AFTER = 10  # readings late in a row are no stragglers: time went back
@@ -201,7 +202,9 @@ class SampleStream:
         )
 
     def _push_battery(self, reading: BatteryReading) -> None:
-        if not (0.0 <= reading.voltage <= MAX_VOLTAGE and abs(reading.current) <= MAX_CURRENT):
+        if not (
+            MIN_VOLTAGE <= reading.voltage <= MAX_VOLTAGE and abs(reading.current) <= MAX_CURRENT
+        ):
             known = math.isfinite(reading.voltage) and math.isfinite(reading.current)
             self.dropped["battery_out_of_range" if known else "battery_unmeasured"] += 1
             return

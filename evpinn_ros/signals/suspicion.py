@@ -50,7 +50,7 @@ class SignSuspicion:
         if self._seconds < ENOUGH or self._size <= 0.0:
             return
         share = self._with / self._size
-        self.suspected = share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW)
+        self.suspected = bool(share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW))
         self.told = True
 
     def export(self) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_s
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
 from evpinn_ros.nodes.forecaster import Air, Basis
 from evpinn_ros.nodes.messages import Level
+from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 
 WELL = Health({}, {})
 STATUS = EstimatorStatus(
@@ -173,3 +174,15 @@ def test_a_grade_of_the_wrong_sign_is_named():
     status = dataclasses.replace(STATUS, report=LearnerReport(suspicion="grade_sign"))
     found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
     assert found.level == Level.WARN and "sign of grade" in found.text
+
+
+def test_a_notice_is_added_to_the_verdict_and_makes_it_a_warning():
+    found = estimator(health=Health({}, {}, ("2 publishers of vehicle/speed",)))
+    assert found.level is Level.WARN
+    assert found.text == "learning: 35 of 40 updates adopted; 2 publishers of vehicle/speed"
+
+
+@pytest.mark.parametrize("stuck", [SPEED_STUCK, BATTERY_STUCK])
+def test_a_stuck_sensor_is_named(stuck):
+    found = estimator(dataclasses.replace(STATUS, stuck=stuck))
+    assert found.level is Level.WARN and "is stuck at one value" in found.text

@@ -207,6 +207,7 @@ def test_impossible_accelerations(new_stream, play, ramp, at):
         (math.nan, -1.0, "battery_unmeasured"),
         (350.0, math.nan, "battery_unmeasured"),
         (350.0, math.inf, "battery_unmeasured"),
+        (0.0, -20.0, "battery_out_of_range"),
         (-1.0, 1.0, "battery_out_of_range"),
         (2001.0, 1.0, "battery_out_of_range"),
         (350.0, -5001.0, "battery_out_of_range"),

@@ -1,0 +1,87 @@
+"""What a node says of its inputs beside its own verdict, over real DDS."""
+
+import math
+
+from evpinn_ros.nodes import factory, topics
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.messages import Level, speed_message
+from evpinn_ros.nodes.topics import SUBSCRIBER_DEPTH
+from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
+
+START = 1_700_000_000 * NANOSECONDS
+
+
+def speed(seconds, value=10.0):
+    reading = SpeedReading(START + round(seconds * NANOSECONDS), value)
+    return speed_message(new_message, reading)
+
+
+def test_values_that_are_no_numbers_are_named_and_are_no_arrival(bench):
+    node = bench.start(EstimatorNode)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    arrived = node._arrivals[topics.SPEED]
+    for step in range(5):
+        message = speed(1 + step / 10)
+        message.twist.twist.linear.x = math.nan
+        bench.deliver(node, topics.SPEED, message)
+    level, text, values = bench.diagnosis(node)["estimate"]
+    assert level is Level.WARN and "vehicle/speed: not_finite 5" in text
+    assert values["bad.vehicle/speed: not_finite"] == "5"
+    assert node._arrivals[topics.SPEED] == arrived
+
+
+def test_what_a_full_queue_dropped_is_counted_and_named(bench):
+    node = bench.start(EstimatorNode)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    for step in range(3 * SUBSCRIBER_DEPTH):
+        bench.send(topics.SPEED, speed(step / 10))
+    bench.pump(lambda: node.received[topics.SPEED] > SUBSCRIBER_DEPTH)
+    lost = 2 * SUBSCRIBER_DEPTH
+    assert node.bad["vehicle/speed: lost"] == lost
+    assert f"vehicle/speed: lost {lost}" in bench.diagnosis(node)["estimate"][1]
+
+
+def test_a_second_publisher_is_named_until_it_goes(bench):
+    node = bench.start(EnergyNode)
+    bench.publisher(topics.SPEED)
+    second = factory.advertise(bench.node, topics.SPEED)
+    wanted = "2 publishers of vehicle/speed"
+    bench.pump(lambda: wanted in bench.diagnosis(node)["meter"][1])
+    bench.node.destroy_publisher(second)
+    bench.pump(lambda: wanted not in bench.diagnosis(node)["meter"][1])
+
+
+def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(bench):
+    name = f"qos_overrides.{topics.SPEED.under()}.subscription.reliability"
+    node = bench.start(EstimatorNode, **{name: "reliable"})
+    kind = factory.message_class(topics.SPEED_TYPE)
+    weak = factory.qos_profile(topics.SPEED.subscriber_qos)
+    publisher = bench.node.create_publisher(kind, topics.SPEED.name, weak)
+    wanted = "incompatible QoS of vehicle/speed: reliability"
+    bench.pump(lambda: wanted in bench.diagnosis(node)["estimate"][1])
+    bench.node.destroy_publisher(publisher)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    assert wanted not in bench.diagnosis(node)["estimate"][1]
+
+
+def test_a_subscriber_that_gets_nothing_is_named(bench):
+    node = bench.start(EstimatorNode)
+    kind = factory.message_class(topics.POWER_PREDICTED.type_name)
+    latched = factory.qos_profile(topics.MODEL.subscriber_qos)
+    bench.node.create_subscription(kind, topics.POWER_PREDICTED.name, print, latched)
+    wanted = "a subscriber of power/predicted wants another QoS: durability"
+    bench.pump(lambda: wanted in bench.diagnosis(node)["estimate"][1])
+
+
+def test_simulated_time_without_a_clock_is_named(bench):
+    node = bench.start(EstimatorNode, use_sim_time=True)
+    assert "no /clock comes" in bench.diagnosis(node)["estimate"][1]
+
+
+def test_stamps_of_the_future_are_named(bench):
+    node = bench.start(EstimatorNode)
+    ahead = node.now_ns() - START + 3600 * NANOSECONDS
+    bench.deliver(node, topics.SPEED, speed(ahead / NANOSECONDS))
+    assert "ahead of this computer's clock" in bench.diagnosis(node)["estimate"][1]

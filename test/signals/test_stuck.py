@@ -1,0 +1,73 @@
+"""A sensor that hangs at one value, told from a car that does."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK, StuckSuspicion
+
+
+def judge(seconds, speed, current, suspicion=None, begin=0.0):
+    """The verdict after a drive at 10 Hz: functions of time give m/s and A at 350 V."""
+    suspicion = suspicion or StuckSuspicion()
+    for step in range(round(10 * seconds)):
+        now = begin + step / 10
+        stamp_ns = round(now * NANOSECONDS)
+        suspicion.push(BatteryReading(stamp_ns, 350.0, current(now)))
+        suspicion.push(SpeedReading(stamp_ns, speed(now)))
+    return suspicion.suspected
+
+
+def waves(mean, size):
+    return lambda t: mean + size * math.sin(t / 3)
+
+
+def test_a_car_that_drives_is_not_suspected():
+    assert judge(60, waves(15, 8), waves(-50, 120)) is None
+
+
+def test_a_battery_that_hangs_while_speed_changes():
+    assert judge(20, waves(15, 8), lambda _: -40.0) == BATTERY_STUCK
+
+
+def test_a_speed_that_hangs_while_power_changes():
+    assert judge(20, lambda _: 15.0, waves(-50, 120)) == SPEED_STUCK
+
+
+def test_a_value_that_moves_again_clears_the_verdict():
+    suspicion = StuckSuspicion()
+    assert judge(20, lambda _: 15.0, waves(-50, 120), suspicion) == SPEED_STUCK
+    assert judge(1, waves(15, 8), waves(-50, 120), suspicion, begin=20.0) is None
+
+
+@pytest.mark.parametrize(
+    ("speed", "current"),
+    [
+        (lambda _: 0.0, lambda _: -3.0),  # parked
+        (lambda _: 0.0, waves(-50, 100)),  # charging, heating
+        (lambda _: 30.0, waves(-60, 20)),  # cruise control in wind, speed in whole km/h
+        (lambda t: 15.0 - t / 10, lambda _: -3.0),  # coasting, current in whole A
+    ],
+)
+def test_a_car_that_does_one_thing_is_not_suspected(speed, current):
+    assert judge(25, speed, current) is None
+
+
+def test_long_cruising_over_hills_is_not_suspected():
+    assert judge(600, lambda _: 30.0, lambda t: -60 + 60 * math.sin(t / 60)) is None
+
+
+def test_a_battery_that_is_not_measured_says_nothing():
+    assert judge(20, waves(15, 8), lambda _: math.nan) is None
+
+
+@given(st.lists(st.tuples(st.integers(0, 10**11), st.floats(), st.floats(), st.booleans())))
+def test_any_readings_are_survived(items):
+    suspicion = StuckSuspicion()
+    for stamp_ns, first, second, battery in items:
+        reading = BatteryReading(stamp_ns, first, second) if battery else None
+        suspicion.push(reading or SpeedReading(stamp_ns, first))
+    assert suspicion.suspected in (None, SPEED_STUCK, BATTERY_STUCK)
