@@ -73,7 +73,8 @@ class RateColumn(ProgressColumn):
         speed = task.finished_speed or task.speed
         if speed is None:
             return Text()
-        return Text(f"{speed:.3g} " + ("x real time" if self._unit == DRIVE else "a second"))
+        told = f"{speed:.0f}" if speed >= 100 else f"{speed:.3g}"
+        return Text(told + (" x real time" if self._unit == DRIVE else " a second"))
 
 
 @contextmanager
