@@ -21,7 +21,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test test-matrix lint bags golden docs clean
+.PHONY: demo test test-matrix test-wheels lint bags golden docs clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
@@ -38,9 +38,15 @@ test-matrix: test
 	@$(MAKE) --no-print-directory test VENV=$(JAZZY) PYTHON=$(PYTHON312) \
 		CONSTRAINTS=$(JAZZY)/constraints.txt
 
+# Wheel and sdist in a fresh environment of each Python. `WITHOUT=torch` saves gigabytes.
+PYTHONS ?= python3.10 python3.11 python3.12 python3.13
+test-wheels:
+	@$(PYTHON) test/wheels.py $(PYTHONS) --without $(WITHOUT)
+
 lint: $(INSTALLED)
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
+	@$(BIN)/hadolint Containerfile
 	@$(BIN)/mypy
 
 # The recipe of the bundled bags is the one their README shows: from each line that starts

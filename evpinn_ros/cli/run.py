@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.bags.writer import Split
+from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.report.foxglove import LOOPBACK, PORT
@@ -18,7 +19,7 @@ MEGABYTE = 1e6
 
 
 def run(
-    vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
+    vehicle: VehicleOption,
     can_interface: Annotated[
         str | None,
         typer.Option(help="Driver of the adapter, in python-can; socketcan if not given."),
@@ -35,9 +36,7 @@ def run(
             "--bus-options", help="More for the driver, as 'name=value ...': listen_only=true..."
         ),
     ] = None,
-    can_profile: Annotated[
-        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
-    ] = None,
+    can_profile: CanProfileOption = None,
     trust_profile: Annotated[
         bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
     ] = False,
