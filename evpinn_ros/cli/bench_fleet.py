@@ -13,6 +13,7 @@ import typer
 
 from evpinn_ros.bench.fleet import Recovered, Scaling, many_drives, recovered, scaling
 from evpinn_ros.cli.console import results, write_json
+from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.fleet.tables import require_parquet
 from evpinn_ros.vehicle.files import load_vehicle
@@ -26,10 +27,8 @@ def fleet(
     workers: Annotated[list[int] | None, typer.Option(min=1, help="May be repeated.")] = None,
     cars: Annotated[int, typer.Option(min=0, help="Cars of a known population, 0 for none.")] = 24,
     minutes: Annotated[float, typer.Option(min=1.0, help="Each of these drives.")] = 10.0,
-    vehicle: Annotated[str, typer.Option(help="Model of all cars.")] = "nissan_leaf",
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures as JSON.")
-    ] = None,
+    vehicle: VehicleOption = "nissan_leaf",
+    json_file: JsonOption = None,
 ) -> None:
     """Measure `evpinn fleet` on simulated drives: drives a second, memory, and the priors found.
 

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 import typer
 
 from evpinn_ros.cli.console import note, notes, results
+from evpinn_ros.cli.options import VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
@@ -33,9 +34,7 @@ def fleet(
     out: Annotated[
         Path, typer.Option(help="Folder of the results; a later run goes on from there.")
     ] = Path("fleet"),
-    vehicle: Annotated[
-        str, typer.Option(help="Model of all cars, by name or path of its file.")
-    ] = "generic",
+    vehicle: VehicleOption = "generic",
     manifest: Annotated[
         Path | None, typer.Option(help="fleet.yaml or CSV: which drive is of which car and model.")
     ] = None,
