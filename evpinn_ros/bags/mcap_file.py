@@ -23,6 +23,7 @@ from evpinn_ros.errors import InputError
 # Messages held back because a chunk that comes later may have earlier ones. Chunks of a recorder
 # overlap by seconds; when more is to be held, order is given up rather than the memory.
 MOST_HELD = 512 << 20  # bytes
+OVERLAP = "chunks overlap too far: not all is in order of time"
 OVERHEAD = 250  # bytes of a message in Python beside its data
 
 RawMessage: TypeAlias = tuple[int, int, bytes]  # log time, ns; channel id; data
@@ -79,7 +80,8 @@ class McapFile:
             ready = bisect_left(waiting, horizon, key=itemgetter(0))
             if sum(OVERHEAD + len(data) for *_, data in waiting) > MOST_HELD:
                 ready = len(waiting)
-                self._index.notes.append("chunks overlap too far: not all is in order of time")
+                if OVERLAP not in self._index.notes:
+                    self._index.notes.append(OVERLAP)
             for log_time_ns, _, channel, data in waiting[:ready]:
                 yield log_time_ns, channel, data
             del waiting[:ready]

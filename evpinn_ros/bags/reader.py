@@ -19,6 +19,7 @@ from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.errors import InputError
 from evpinn_ros.yaml_section import load_plain
 
+PACKED = ".zstd"
 LARGEST_MESSAGE = 16 << 20  # bytes; ours have at most 8 MB, a plan of 50 000 points
 
 
@@ -156,11 +157,11 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
         return [_open_file(path)]
     metadata = _metadata(path / METADATA, problems)
     mode = str(metadata.get("compression_mode")).lower()
-    ending = ".zstd" if mode == "file" else ""
-    paths = sorted(path.glob(f"*.mcap{ending}")) or sorted(path.glob(f"*.db3{ending}"))
+    paths = _files(path, "mcap") or _files(path, "db3")
     # Only their names are compared: what is opened lies in the folder, whatever the list says.
     listed = {Path(str(name)).name for name in metadata.get("relative_file_paths") or ()}
-    if missing := sorted(listed - {each.name for each in paths}):
+    there = {each.name.removesuffix(PACKED) for each in paths}
+    if missing := sorted(name for name in listed if name.removesuffix(PACKED) not in there):
         problems.append(f"{path}: {METADATA} lists {', '.join(missing)}, not there")
     files: list[BagFile] = []
     errors: list[InputError] = []
@@ -175,8 +176,18 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
     return files
 
 
+def _files(folder: Path, storage: str) -> list[Path]:
+    """Files of a storage in order, compressed only where they are not there as they were.
+
+    What was recorded when the power went has no metadata.yaml, and a last file not compressed yet.
+    """
+    files = {path.stem: path for path in folder.glob(f"*.{storage}{PACKED}")}
+    files |= {path.name: path for path in folder.glob(f"*.{storage}")}
+    return [files[name] for name in sorted(files)]
+
+
 def _open_compressed(path: Path, mode: str) -> BagFile:
-    if mode == "file":
+    if path.suffix == PACKED:
         return UnpackedFile(path, _open_file)
     return CompressedMessages(_open_file(path), path) if mode == "message" else _open_file(path)
 

@@ -54,14 +54,14 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None) -> int:
     try:
         rclpy.init(args=args)
     except RuntimeError as error:
-        return _fail(error)
+        return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
     nodes: list[GuardedNode] = []
     try:
         for make in makers:
             nodes.append(make())
         _spin(nodes)
     except InputError as error:
-        return _fail(error)
+        return _fail(str(error))
     except ExternalShutdownException:
         pass
     except RuntimeError:
@@ -93,6 +93,6 @@ def _end_process() -> NoReturn:
     os._exit(0)
 
 
-def _fail(error: Exception) -> int:
-    sys.stderr.write(" ".join(str(error).split()) + "\n")
+def _fail(reason: str) -> int:
+    sys.stderr.write(" ".join(reason.split()) + "\n")
     return 1

@@ -80,10 +80,15 @@ class StateKeeper:
         return None
 
     def _refuse(self, problem: str) -> None:
-        self.problem, self._refused = problem, True
+        aside = "" if self._path is None else f"; it will be kept as {_aside(self._path).name}"
+        self.problem, self._refused = problem + aside, True
 
     def _set_refused_aside(self, path: Path) -> None:
         """A file that was refused may be another car's: it is renamed, not overwritten."""
         if self._refused and path.exists():
-            path.replace(path.with_name(path.name + ".refused"))
+            path.replace(_aside(path))
         self._refused = False
+
+
+def _aside(path: Path) -> Path:
+    return path.with_name(path.name + ".refused")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 import math
+from typing import Any
 
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -16,6 +17,7 @@ POWER_SWING = 30e3  # W that a car at one speed does not go through in that time
 FINE = 0.1  # m/s, a step of finer speeds
 COARSE_LONG, COARSE_SWING = 5.0, 60e3
 SPEED_SWING = 5.0  # m/s that no car goes through at one voltage and one current
+IDLE_POWER = 5e3  # W; a full battery takes no more while friction stops the car, or none at all
 MOVING = 2.0  # m/s
 
 
@@ -42,7 +44,9 @@ class StuckSuspicion:
     @property
     def suspected(self) -> str | None:
         """`SPEED_STUCK`, `BATTERY_STUCK` or None."""
-        if self._battery.swing > SPEED_SWING:
+        voltage, current = self._battery.value or (0.0, 0.0)
+        idle = abs(voltage * current) < IDLE_POWER
+        if (self._battery.rise if idle else self._battery.swing) > SPEED_SWING:
             return BATTERY_STUCK
         speed = self._speed.value
         moving = isinstance(speed, float) and abs(speed) > MOVING
@@ -58,20 +62,26 @@ class _Repeats:
     """How long a value repeats, and through what another one went meanwhile."""
 
     def __init__(self) -> None:
-        self.value: Hashable = None
+        self.value: Any = None
         self._begin(0)
 
     def _begin(self, stamp_ns: int) -> None:
-        self._since_ns, self._count, self._found = stamp_ns, 0, 0.0
+        self._since_ns, self._count, self._found, self._risen = stamp_ns, 0, 0.0, 0.0
         self._begin_window(stamp_ns)
 
     def _begin_window(self, stamp_ns: int) -> None:
         self._window_ns, self._low, self._high = stamp_ns, math.inf, -math.inf
+        self._climb = 0.0
 
     @property
     def swing(self) -> float:
         """Of the other value while this one stood still; 0 until that is long enough."""
         return self._found
+
+    @property
+    def rise(self) -> float:
+        """The same, upwards alone."""
+        return self._risen
 
     def push(self, stamp_ns: int, value: Hashable, long: float) -> None:
         if value != self.value or stamp_ns < self._since_ns:
@@ -80,8 +90,10 @@ class _Repeats:
         self._count += 1
         if self._count >= OFTEN and stamp_ns - self._since_ns >= long * NANOSECONDS:
             self._found = max(self._found, self._high - self._low)
+            self._risen = max(self._risen, self._climb)
 
     def witness(self, stamp_ns: int, value: float) -> None:
         if abs(stamp_ns - self._window_ns) > WINDOW_NS:
             self._begin_window(stamp_ns)
         self._low, self._high = min(self._low, value), max(self._high, value)
+        self._climb = max(self._climb, value - self._low)

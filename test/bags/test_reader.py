@@ -8,6 +8,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
+import zstandard
 
 from evpinn_ros.bags.reader import BagReader, TopicInfo
 from evpinn_ros.bags.types import encode, new_message, typestore
@@ -122,6 +123,26 @@ def test_bags_of_rosbags(tmp_path, plugin, compressed):
     if compressed is None:
         (file,) = (path for path in folder.iterdir() if path.suffix in (".db3", ".mcap"))
         assert numbers(file) == (list(range(COUNT)), None)
+
+
+def test_a_compressed_recording_that_the_power_ended(tmp_path):
+    """rosbag2 writes metadata.yaml at the end, and compresses a file when the next one began."""
+    folder = write_rosbags(
+        tmp_path / "bag", StoragePlugin.MCAP, CompressionMode.FILE, CompressionFormat.ZSTD
+    )
+    (packed,) = folder.glob("*.zstd")
+    with packed.open("rb") as source, packed.with_suffix("").open("wb") as target:
+        zstandard.ZstdDecompressor().copy_stream(source, target)
+    assert numbers(folder) == (list(range(COUNT)), None)  # both are there, as zstd -d leaves them
+    packed.with_suffix("").unlink()
+    (folder / "metadata.yaml").unlink()
+    assert numbers(folder) == (list(range(COUNT)), None)
+    write_mcap(folder / "bag_1.mcap")
+    both = sorted(2 * list(range(COUNT)))
+    assert numbers(folder) == (both, None)
+    with (folder / "bag_1.mcap.zstd").open("wb") as cut:
+        cut.write(b"begun")
+    assert numbers(folder) == (both, None)
 
 
 OPTIONS = [

@@ -130,6 +130,7 @@ def test_a_state_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, cont
     drive(bench, node, 0, 0.2)
     level, text, _ = said(bench, node)
     assert level is Level.WARN and reason in text and str(path) in text
+    assert "kept as car.json.refused" in text
     assert prior["vehicle"] == "tesla_model_3_lr"
     node.save()
     assert json.loads(path.read_text())["version"] == prior["version"]

@@ -92,6 +92,7 @@ def test_a_node_whose_output_was_closed_ends_well(bench):
     [
         ("estimator", ("-p", "vehicle:=nope"), "no vehicle named 'nope'"),
         ("energy", ("--params-file", "/nowhere.yaml"), "/nowhere.yaml"),
+        ("energy", ("--wrong",), "ROS does not start: ['--wrong']"),
         ("can_bridge", ("-p", "vehicle:=generic"), "names no CAN profile"),
     ],
 )

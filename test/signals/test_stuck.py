@@ -33,6 +33,10 @@ def test_a_battery_that_hangs_while_speed_changes():
     assert judge(20, waves(15, 8), lambda _: -40.0) == BATTERY_STUCK
 
 
+def test_a_battery_that_hangs_at_next_to_nothing_while_the_car_accelerates():
+    assert judge(20, waves(15, 8), lambda _: -2.0) == BATTERY_STUCK
+
+
 def test_a_speed_that_hangs_while_power_changes():
     assert judge(20, lambda _: 15.0, waves(-50, 120)) == SPEED_STUCK
 
@@ -50,6 +54,7 @@ def test_a_value_that_moves_again_clears_the_verdict():
         (lambda _: 0.0, waves(-50, 100)),  # charging, heating
         (lambda _: 30.0, waves(-60, 20)),  # cruise control in wind, speed in whole km/h
         (lambda t: 15.0 - t / 10, lambda _: -3.0),  # coasting, current in whole A
+        (lambda t: max(0.0, 15.0 - 3 * t), lambda _: -2.0),  # a full battery takes nothing back
     ],
 )
 def test_a_car_that_does_one_thing_is_not_suspected(speed, current):
