@@ -5,13 +5,21 @@ Run: python docs/generate.py
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from enum import Enum
+import inspect
 import math
 from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin
+
+import typer
 
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
+from evpinn_ros.cli.main import app
 from evpinn_ros.nodes.parameter_table import TABLES, Parameter
 from evpinn_ros.nodes.topics import TOPICS, Topic
+from evpinn_ros.replay.metric_table import METRICS
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -116,7 +124,115 @@ def _vehicle_section(vehicle: Vehicle) -> Iterator[str]:
     yield ""
 
 
-PAGES = {"topics.md": topics_page, "parameters.md": parameters_page, "vehicles.md": vehicles_page}
+def metrics_page() -> str:
+    """Every key of `evpinn replay --metrics`."""
+    lines = [MADE, "# Metrics", ""]
+    lines += ["`evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one"]
+    lines += [
+        "drive, a list for several. A part in <> stands for any name. What cannot be known is"
+    ]
+    lines += ["`null`: nothing measured, or too short. Every score of power and energy is"]
+    lines += ["predict-then-update; `power` is of `power/smoothed` and `power_now` of"]
+    lines += ["`power/predicted`, both after `--warm-up`. `withheld` is there with"]
+    lines += ["`--withhold-battery-after` alone, and then the keys outside of it are of the part"]
+    lines += ["before. How to read them: [read the uncertainty](guides/uncertainty.md).", ""]
+    lines += ["| key | unit | meaning |", "|---|---|---|"]
+    lines += [f"| `{each.key}` | {each.unit} | {each.meaning} |" for each in METRICS]
+    return "\n".join([*lines, ""])
+
+
+def commands_page() -> str:
+    """Every command: help, examples, arguments and options."""
+    found = list(_commands(typer.main.get_command(app), "evpinn"))
+    lines = [MADE, "# Commands", ""]
+    lines += [
+        "What `--help` of each says. Wrong usage ends with exit code 2, wrong input with one"
+    ]
+    lines += ["line and exit code 1.", "", "| command | |", "|---|---|"]
+    for path, command in found:
+        anchor = path.replace(" ", "-")
+        lines.append(f"| [`{path}`](#{anchor}) | {_paragraphs(command)[0]} |")
+    for path, command in found:
+        lines += ["", *_command_section(path, command)]
+    return "\n".join([*lines, ""])
+
+
+def _commands(command: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """Every command by the words that call it, groups before their members."""
+    yield path, command
+    if hasattr(command, "list_commands"):
+        context = command.make_context(path, [], resilient_parsing=True)
+        for name in command.list_commands(context):
+            yield from _commands(command.get_command(context, name), f"{path} {name}")
+
+
+def _function(command: Any) -> Callable[..., Any]:
+    """The function of ours behind a command: what libraries make of it changes with them."""
+    return inspect.unwrap(command.callback)
+
+
+def _paragraphs(command: Any) -> list[str]:
+    text = inspect.getdoc(_function(command)) or ""
+    return [" ".join(each.split()) for each in text.split("\n\n")]
+
+
+def _command_section(path: str, command: Any) -> Iterator[str]:
+    yield f"## {path}"
+    for text in _paragraphs(command):
+        example = text.removeprefix("Example: ")
+        yield from ("", text) if example == text else ("", "```bash", example, "```")
+    declared = inspect.signature(_function(command), eval_str=True).parameters
+    rows = [
+        _option_row(option.opts, *get_args(declared[option.name].annotation), option.default)
+        for option in command.params
+        if option.name in declared and get_args(declared[option.name].annotation)
+    ]
+    if rows:
+        yield from ("", "| name | value | default | meaning |", "|---|---|---|---|", *rows)
+
+
+def _option_row(names: list[str], kind: Any, info: Any, default: Any) -> str:
+    is_argument = isinstance(info, typer.models.ArgumentInfo)
+    name = (info.metavar or names[0].upper()) if is_argument else ", ".join(names)
+    needed = default is None and NoneType not in get_args(kind)
+    cells = (
+        f"`{name}`",
+        _value(kind, info),
+        "required" if needed else _default(default),
+        info.help or "",
+    )
+    return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
+
+
+def _value(kind: Any, info: Any) -> str:
+    """What an option takes, in words."""
+    (kind,) = set(get_args(kind)) - {NoneType} if isinstance(kind, UnionType) else (kind,)
+    several = ", repeated" if get_origin(kind) is list else ""
+    (kind,) = get_args(kind) if several else (kind,)
+    if issubclass(kind, Enum):
+        return ", ".join(f"`{each.value}`" for each in kind) + several
+    words = {bool: "flag", float: "number", int: "whole number", Path: "path", str: "text"}
+    ends = (("from", info.min), ("to", info.max))
+    bounds = [f"{word} {end:g}" for word, end in ends if end is not None]
+    return " ".join([words.get(kind, "time"), *bounds]) + several
+
+
+def _default(value: Any) -> str:
+    if value is None or value is False or value == "":
+        return ""
+    if isinstance(value, list):
+        return ", ".join(map(_default, value))
+    value = value.value if isinstance(value, Enum) else value
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+PAGES = {
+    "topics.md": topics_page,
+    "parameters.md": parameters_page,
+    "vehicles.md": vehicles_page,
+    "commands.md": commands_page,
+    "metrics.md": metrics_page,
+}
 
 
 def main() -> None:
