@@ -183,7 +183,7 @@ def _command_section(path: str, command: Any) -> Iterator[str]:
         yield from ("", text) if example == text else ("", "```bash", example, "```")
     declared = inspect.signature(_function(command), eval_str=True).parameters
     rows = [
-        _option_row(option.opts, *get_args(declared[option.name].annotation), option.default)
+        _option_row(option.opts, declared[option.name])
         for option in command.params
         if option.name in declared and get_args(declared[option.name].annotation)
     ]
@@ -191,16 +191,11 @@ def _command_section(path: str, command: Any) -> Iterator[str]:
         yield from ("", "| name | value | default | meaning |", "|---|---|---|---|", *rows)
 
 
-def _option_row(names: list[str], kind: Any, info: Any, default: Any) -> str:
+def _option_row(names: list[str], declared: inspect.Parameter) -> str:
+    kind, info = get_args(declared.annotation)
     is_argument = isinstance(info, typer.models.ArgumentInfo)
     name = (info.metavar or names[0].upper()) if is_argument else ", ".join(names)
-    needed = default is None and NoneType not in get_args(kind)
-    cells = (
-        f"`{name}`",
-        _value(kind, info),
-        "required" if needed else _default(default),
-        info.help or "",
-    )
+    cells = (f"`{name}`", _value(kind, info), _default(declared.default), info.help or "")
     return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
 
 
@@ -218,9 +213,11 @@ def _value(kind: Any, info: Any) -> str:
 
 
 def _default(value: Any) -> str:
+    if value is inspect.Parameter.empty:
+        return "required"
     if value is None or value is False or value == "":
         return ""
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return ", ".join(map(_default, value))
     value = value.value if isinstance(value, Enum) else value
     return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"

@@ -66,13 +66,17 @@ def commands(text: str) -> Iterator[list[str]]:
             words = words[end:]
 
 
-def parse(command, words: list[str], parent=None) -> None:
-    """Raises what the shell would show for a command line that is wrong."""
-    context = command.make_context(words[0], words[1:], parent=parent)
-    if hasattr(command, "resolve_command"):
-        rest = [*context._protected_args, *context.args]
-        name, found, rest = command.resolve_command(context, rest)
-        parse(found, [name, *rest], context)
+def parse(words: list[str]) -> None:
+    """Raises what the shell would show for a command line that is wrong; runs nothing."""
+    command = COMMAND
+    while hasattr(command, "get_command"):
+        context = command.make_context(words[0], [], resilient_parsing=True)
+        words = words[1:]
+        if not words or words[0].startswith("-"):  # an option of the group acts when it is parsed
+            return
+        command = command.get_command(context, words[0])
+        assert command is not None, f"no command {words[0]}"
+    command.make_context(words[0], words[1:])
 
 
 def plain(text: str) -> list[str]:
@@ -126,7 +130,7 @@ def test_commands_are_ones_that_the_command_line_takes(page):
     for block in blocks(page.read_text()):
         for words in commands(block.text):
             try:
-                parse(COMMAND, words)
+                parse(words)
             except Exception as error:
                 pytest.fail(f"{shlex.join(words)}: {error}")
 
@@ -139,7 +143,9 @@ def test_a_wrong_option_is_found_wherever_it_stands():
     (words,) = commands(block.text)
     assert words == ["evpinn", "run", "--vehicle", "a", "--no-such", "1"]
     with pytest.raises(Exception, match=r"[Nn]o such option"):
-        parse(COMMAND, words)
+        parse(words)
+    with pytest.raises(AssertionError, match="no command"):
+        parse(["evpinn", "bench", "weather"])
 
 
 def test_a_reason_is_needed_right_before_the_block():
