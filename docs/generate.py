@@ -6,6 +6,7 @@ Run: python docs/generate.py
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from datetime import datetime
 from enum import Enum
 import inspect
 import math
@@ -24,6 +25,14 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 MADE = "<!-- Made by docs/generate.py; change the source, not this page. -->\n"
+WORDS = {  # what an option takes
+    bool: "flag",
+    datetime: "time",
+    float: "number",
+    int: "whole number",
+    Path: "path",
+    str: "text",
+}
 
 
 def topics_page() -> str:
@@ -206,10 +215,9 @@ def _value(kind: Any, info: Any) -> str:
     (kind,) = get_args(kind) if several else (kind,)
     if issubclass(kind, Enum):
         return ", ".join(f"`{each.value}`" for each in kind) + several
-    words = {bool: "flag", float: "number", int: "whole number", Path: "path", str: "text"}
     ends = (("from", info.min), ("to", info.max))
     bounds = [f"{word} {end:g}" for word, end in ends if end is not None]
-    return " ".join([words.get(kind, "time"), *bounds]) + several
+    return " ".join([WORDS[kind], *bounds]) + several
 
 
 def _default(value: Any) -> str:

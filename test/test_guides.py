@@ -121,7 +121,7 @@ def test_blocks_run_as_they_stand(page, checkout):
         )
         assert done.returncode == 0, f"{block.text}\n{done.stdout}{done.stderr}"
         came = plain(done.stdout + done.stderr)
-        missing = [line for line in plain(block.shown) if line not in (*came, "...")]
+        missing = [line for line in plain(block.shown) if line not in (*came, "...", "")]
         assert not missing, f"{block.text}\nshows other output than\n{done.stdout}{done.stderr}"
 
 
@@ -133,6 +133,14 @@ def test_commands_are_ones_that_the_command_line_takes(page):
                 parse(words)
             except Exception as error:
                 pytest.fail(f"{shlex.join(words)}: {error}")
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.stem)
+def test_every_fence_is_one_that_is_understood(page):
+    text = page.read_text()
+    found = FENCED.findall(text)
+    assert {language for language, _ in found} <= {"bash", "python", "yaml", ""}
+    assert text.count("```") == 2 * len(found), "indented, or not closed: it would not be run"
 
 
 def test_a_wrong_option_is_found_wherever_it_stands():
