@@ -11,9 +11,9 @@ INSTALLED := $(VENV)/installed
 # A sourced ROS 2 brings its own rclpy; without one it comes as wheels, with the extra `ros`.
 ifdef ROS_DISTRO
 VENV_OPTIONS := --system-site-packages
-EXTRAS := dev,bench
+EXTRAS := dev,bench,foxglove,fleet
 else
-EXTRAS := dev,ros,bench
+EXTRAS := dev,ros,bench,foxglove,fleet
 endif
 
 # Nodes started here meet no other robot, and workers side by side take one core each.
@@ -21,7 +21,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test test-matrix lint bags golden docs clean
+.PHONY: demo test test-matrix test-wheels lint bags golden docs clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
@@ -38,9 +38,15 @@ test-matrix: test
 	@$(MAKE) --no-print-directory test VENV=$(JAZZY) PYTHON=$(PYTHON312) \
 		CONSTRAINTS=$(JAZZY)/constraints.txt
 
+# Wheel and sdist in a fresh environment of each Python. `WITHOUT=torch` saves gigabytes.
+PYTHONS ?= python3.10 python3.11 python3.12 python3.13
+test-wheels:
+	@$(PYTHON) test/wheels.py $(PYTHONS) --without $(WITHOUT)
+
 lint: $(INSTALLED)
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
+	@$(BIN)/hadolint Containerfile
 	@$(BIN)/mypy
 
 # The recipe of the bundled bags is the one their README shows: from each line that starts
@@ -57,6 +63,7 @@ golden: $(INSTALLED)
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
 	@$(BIN)/python docs/eco_speed.py
+	@$(BIN)/python docs/live_view.py
 	@$(BIN)/python docs/generate.py
 	@$(BIN)/python docs/report.py
 

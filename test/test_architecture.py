@@ -32,7 +32,7 @@ LAYERS = [
     {"bags"},
     {"simulation"},
     {"replay"},
-    {"reproduction"},
+    {"reproduction", "fleet"},
     {"report", "bench"},
     {"nodes"},
     {"cli"},

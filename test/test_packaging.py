@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from zipfile import ZipFile
 
 import pytest
+import yaml
 
 import evpinn_ros
 
@@ -30,11 +31,14 @@ NAMES = {
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
     "deepxde": ("deepxde", None),
+    "distributed": ("dask", None),
+    "foxglove": ("foxglove-sdk", None),
     "isotp": ("can-isotp", None),
     "lz4": ("lz4", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", None),
     "numpy": ("numpy", "python3-numpy"),
+    "pyarrow": ("pyarrow", None),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
@@ -44,6 +48,15 @@ NAMES = {
     "udsoncan": ("udsoncan", None),
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", None),
+}
+
+# Seen in rosdep/python.yaml of rosdistro, in its fork InvincibleRMC/rosdistro at commit 30d139d7
+# (numpy and msgpack: ros/rosdistro at 000730dc).
+ROSDEP_KEYS = {
+    *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-matplotlib"),
+    *("python3-msgpack", "python3-numpy", "python3-pytest", "python3-pytest-timeout"),
+    *("python3-rich", "python3-rosbags-pip", "python3-scipy", "python3-serial"),
+    *("python3-torch", "python3-typer", "python3-yaml"),
 }
 
 
@@ -126,6 +139,11 @@ def test_manifest_declares_what_is_imported() -> None:
     assert keys <= DEPENDS
 
 
+def test_every_key_is_one_that_rosdep_knows() -> None:
+    named = {tag.text for kind in ("exec", "test") for tag in MANIFEST.iter(f"{kind}_depend")}
+    assert {key for key in named if key.startswith("python3-")} <= ROSDEP_KEYS
+
+
 def test_wheel_declares_what_is_imported(wheel: ZipFile) -> None:
     imported = third_party_imports("evpinn_ros") | third_party_imports("examples")
     needed = {NAMES[name][0] for name in imported - ROS_PACKAGES}
@@ -197,3 +215,29 @@ def test_installed_nodes_load(installed: Path) -> None:
     loaded = in_workspace(installed, sys.executable, "-c", code).split()
     assert len(loaded) == len(EXECUTABLES)
     assert all(Path(path).is_relative_to(installed) for path in loaded)
+
+
+def test_colcon_test_runs_the_tests(installed: Path, source: Path) -> None:
+    """As far as one file of them; all would start this one again."""
+    space = installed.parent
+    colcon = (sys.executable, "-m", "colcon", "--log-base", space / "log")
+    bases = ("--build-base", space / "build", "--install-base", space / "install")
+    which = ("--return-code-on-test-failure", "--pytest-args", "test/test_errors.py")
+    home = os.environ | {"COLCON_HOME": str(space)}
+    run(*colcon, "test", "--paths", source, *bases, *which, cwd=space, env=home)
+    found = run(*colcon, "test-result", "--all", "--test-result-base", space / "build", env=home)
+    assert re.search(r"Summary: [1-9]\d* tests, 0 errors, 0 failures", found)
+
+
+def test_citation_names_no_version_of_its_own() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["license"] == "Apache-2.0" and "version" not in citation
+    (paper,) = citation["references"]
+    assert paper["title"].startswith("EV-PINN: ")
+
+
+def test_container_file_copies_what_is_there() -> None:
+    """`make lint` looks at the rest of it."""
+    copied = re.findall(r"^COPY (.+) \S+$", (ROOT / "Containerfile").read_text(), re.M)
+    assert copied
+    assert all((ROOT / name).exists() for line in copied for name in line.split())

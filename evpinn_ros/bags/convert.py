@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 import math
 from typing import Any
 
@@ -16,6 +16,7 @@ from evpinn_ros.nodes.messages import BadMessage, scalar
 from evpinn_ros.nodes.reading_messages import reading_message, to_reading
 from evpinn_ros.nodes.topics import NAMESPACE, Topic
 from evpinn_ros.signals.readings import (
+    NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
@@ -72,6 +73,21 @@ def write_readings(
         for topic, message in messages:
             writer.write(topic.under(namespace), message, reading.stamp_ns)
     return dropped
+
+
+def reported(
+    readings: Iterable[Reading], progress: Callable[[float], None] | None
+) -> Iterator[Reading]:
+    """The same readings, `progress` told of the seconds since the first, about every second."""
+    first_ns: int | None = None
+    told = -math.inf
+    for reading in readings:
+        first_ns = reading.stamp_ns if first_ns is None else first_ns
+        done = (reading.stamp_ns - first_ns) / NANOSECONDS
+        if progress is not None and done - told >= 1.0:
+            progress(done)
+            told = done
+        yield reading
 
 
 class BagReadings:

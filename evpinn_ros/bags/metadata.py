@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+import math
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.topics import SPEED, topic_of
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.yaml_section import load_plain
 
 METADATA = "metadata.yaml"
 INFORMATION = "rosbag2_bagfile_information"
 VERSION = 9
+MOST_METADATA = 1_000_000  # bytes; 500 topics take half of it
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -126,3 +131,13 @@ class _Dumper(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         """Always."""
         return True
+
+
+def told_seconds(bag: Path) -> float | None:
+    """Length of a bag as its metadata.yaml tells it, s; None where nothing is told."""
+    try:
+        found = load_plain(bag / METADATA, "metadata", MOST_METADATA)
+        seconds = float(found[INFORMATION]["duration"]["nanoseconds"]) / NANOSECONDS
+    except (InputError, KeyError, TypeError, ValueError, OverflowError):
+        return None
+    return seconds if 0 < seconds < math.inf else None

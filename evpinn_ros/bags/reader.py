@@ -13,13 +13,12 @@ from typing import Any
 from evpinn_ros.bags.compressed import BagFile, CompressedMessages, UnpackedFile
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.mcap_index import Channel
-from evpinn_ros.bags.metadata import INFORMATION, METADATA
+from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
 from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.errors import InputError
 from evpinn_ros.yaml_section import load_plain
 
-MOST_METADATA = 1_000_000  # bytes of metadata.yaml; 500 topics take half of it
 LARGEST_MESSAGE = 16 << 20  # bytes; ours have at most 8 MB, a plan of 50 000 points
 
 
@@ -39,6 +38,16 @@ class Record:
     type_name: str
     log_time_ns: int
     message: Any
+
+
+@dataclass(frozen=True, slots=True)
+class RawRecord:
+    """A message of a bag as its CDR bytes."""
+
+    topic: str
+    type_name: str
+    log_time_ns: int
+    data: bytes
 
 
 class BagReader:
@@ -94,18 +103,23 @@ class BagReader:
         Args:
             topics: full names of the topics to read; None for all.
         """
+        for raw in self.raw_records(topics):
+            try:
+                message = decode(raw.type_name, raw.data)
+            except ValueError:
+                self.dropped["undecodable"] += 1
+                continue
+            yield Record(raw.topic, raw.type_name, raw.log_time_ns, message)
+
+    def raw_records(self, topics: Collection[str] | None = None) -> Iterator[RawRecord]:
+        """The same before they are decoded, those that cannot be too."""
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
             if len(data) > LARGEST_MESSAGE:
                 self.dropped["too_large"] += 1
                 continue
-            try:
-                message = decode(channel.type_name, data)
-            except ValueError:
-                self.dropped["undecodable"] += 1
-                continue
-            yield Record(channel.topic, channel.type_name, log_time_ns, message)
+            yield RawRecord(channel.topic, channel.type_name, log_time_ns, data)
 
     def log_times(self) -> Iterator[tuple[str, int]]:
         """Topic and log time, ns, of every message in that order, also of types not known."""

@@ -6,13 +6,11 @@ no bag is searched for bags, CAN logs and CSV drives, however deep.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from evpinn_ros.bags.can_frames import BAG_SUFFIXES
-from evpinn_ros.can.logs import LOG_SUFFIXES
 from evpinn_ros.errors import InputError
+from evpinn_ros.replay.recordings import recordings
 
 
 class Log(NamedTuple):
@@ -40,23 +38,7 @@ def find_logs(argument: str, vehicle: str) -> list[Log]:
         vehicle, _, profile = car.partition(",")
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    found = [Log(each, vehicle, profile or None) for each in sorted(_logs(path))]
+    found = [Log(each, vehicle, profile or None) for each in sorted(recordings(path))]
     if not found:
         raise InputError(f"{path}: holds no bag, CAN log or CSV")
     return found
-
-
-def _logs(path: Path) -> Iterator[Path]:
-    if path.is_file() or any(each.suffix in BAG_SUFFIXES for each in path.iterdir()):
-        yield path
-        return
-    for inner in path.iterdir():
-        if inner.is_dir():
-            yield from _logs(inner)
-        elif _suffix(inner) in LOG_SUFFIXES:
-            yield inner
-
-
-def _suffix(path: Path) -> str:
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    return "".join(suffixes[:-1][-1:] if suffixes[-1:] == [".gz"] else suffixes[-1:])

@@ -14,6 +14,7 @@ COMMANDS = (
     "can",
     "energy",
     "soak",
+    "fleet",
     "fuzz",
     "report",
     "recover",

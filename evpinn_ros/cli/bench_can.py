@@ -21,6 +21,7 @@ from evpinn_ros.bench.can_decoding import (
 )
 from evpinn_ros.bench.can_traffic import Idle, measure_idle
 from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import figures_table, titled_table
 
 BUSY = 0.3  # load of other programs from which the figures are not those of the bridge alone
@@ -33,9 +34,7 @@ def can(
     data: Annotated[
         Path | None, typer.Option(help="Folder of the captures with their tables.")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Load the CAN bridge with a full bus, time the decoder, compare with captures.
 
@@ -46,6 +45,14 @@ def can(
     Example: evpinn bench can --minutes 10 --data captures/ --json out/can.json
     """
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
+    try:
+        _measure(found, minutes, data)
+    finally:  # Ctrl-C leaves the figures so far
+        if json_file is not None:
+            write_json(json_file, found)
+
+
+def _measure(found: dict[str, Any], minutes: float, data: Path | None) -> None:
     if found["load_average"] > BUSY:
         note(f"other programs take {found['load_average']:.1f} cores: expect worse figures")
     throughput = measure_throughput()
@@ -59,8 +66,6 @@ def can(
         agreements = [(compare(each, data), equal_live(each, data)) for each in CAPTURES]
         found["captures"] = [asdict(each) | {"live_equal": live} for each, live in agreements]
         _show_captures(agreements)
-    if json_file is not None:
-        write_json(json_file, found)
 
 
 def _measure_live(seconds: float) -> dict[str, Any]:

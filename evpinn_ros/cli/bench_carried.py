@@ -12,7 +12,8 @@ import typer
 
 from evpinn_ros.bench.carried import CarriedBenchmark, Foretold, energy_errors
 from evpinn_ros.bench.logs import find_logs
-from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.sources import open_source
@@ -23,13 +24,16 @@ def carried(
     path: Annotated[
         str, typer.Argument(metavar="PATH", help="Folder of one car's drives, in order of names.")
     ],
-    vehicle: Annotated[str, typer.Option(help="Whose drives, or the path of its file.")],
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            help="Whose drives, or the path of its file.", autocompletion=complete_vehicle
+        ),
+    ],
     speed_only: Annotated[
         bool, typer.Option(help="Hide grade, temperature and auxiliary loads.")
     ] = False,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the scores as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Foretell each drive from its speed alone, the battery withheld, then learn from it.
 
@@ -42,17 +46,28 @@ def carried(
     car = load_vehicle(vehicle)
     benchmark = CarriedBenchmark(car, time.thread_time, speed_only=speed_only)
     found: dict[str, Foretold] = {}
-    for log in find_logs(path, vehicle):
-        source = open_source(log.path, car, log.can_profile)
-        try:
-            found[str(log.path)] = benchmark.drive(source.readings)
-        except InputError as error:
-            note(f"evpinn: {error}")
-            continue
-        if source.problem is not None:
-            note(f"evpinn: {source.problem}")
+    logs = find_logs(path, vehicle)
+    try:
+        with progress_bar("drives", len(logs), unit="drives") as progress:
+            for number, log in enumerate(logs, start=1):
+                source = open_source(log.path, car, log.can_profile)
+                try:
+                    found[str(log.path)] = benchmark.drive(source.readings)
+                except InputError as error:
+                    note(f"evpinn: {error}")
+                    continue
+                finally:
+                    progress(number)
+                if source.problem is not None:
+                    note(f"evpinn: {source.problem}")
+    finally:  # Ctrl-C leaves the drives so far
+        if found:
+            _report(found, json_file)
     if not found:
         raise InputError(f"{path}: nothing could be read")
+
+
+def _report(found: dict[str, Foretold], json_file: Path | None) -> None:
     results.print(_table(found))
     errors = energy_errors(found.values())
     if errors is not None:

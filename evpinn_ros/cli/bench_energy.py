@@ -26,6 +26,7 @@ from evpinn_ros.bench.fastsim_peer import fastsim_version
 from evpinn_ros.bench.logs import Log, find_logs
 from evpinn_ros.cli.bench_integration import EPOCHS, counting, integrators
 from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
@@ -51,7 +52,12 @@ def energy(
         list[str],
         typer.Argument(metavar="PATH...", help="Each one car's drives: PATH or PATH=VEHICLE."),
     ],
-    vehicle: Annotated[str, typer.Option(help="Whose drives, where PATH does not say.")] = CAR,
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            help="Whose drives, where PATH does not say.", autocompletion=complete_vehicle
+        ),
+    ] = CAR,
     cycles: Annotated[
         Path | None, typer.Option(help="Folder with udds.csv, hwfet.csv and us06.csv.")
     ] = None,
@@ -62,9 +68,7 @@ def energy(
         int, typer.Option(min=1, help="Of the networks trained to be compared as integrators.")
     ] = EPOCHS,
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Count the energy of drives, forecast each before it is driven, and time forecasts.
 
@@ -79,31 +83,40 @@ def energy(
     one_thread()
     cars = [find_logs(path, vehicle) for path in paths]
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
-    if Part.INTEGRATORS in parts:
-        found["integrators"] = integrators(cars, epochs)
-    if Part.COUNTING in parts:
-        found["counting"] = counting(cars)
-    if Part.FORECASTS in parts:
-        found["forecasts"] = [_forecasts(logs) for logs in cars]
-    if Part.LIBRARY in parts:
-        throughput = measure_throughput(load_vehicle(CAR))
-        found["library"] = throughput._asdict()
-        _show_throughput(throughput)
-        if cycles is not None:
-            found["cycles"] = _cycles(cycles)
-    if Part.PLANS in parts and find_spec("rclpy") is None:
-        note("rclpy is not installed: plans over DDS are left out")
-    elif Part.PLANS in parts:
-        found["plans"] = _plans(plans)
-    if json_file is not None:
-        write_json(json_file, found)
+    try:
+        if Part.INTEGRATORS in parts:
+            found["integrators"] = integrators(cars, epochs)
+        if Part.COUNTING in parts:
+            found["counting"] = counting(cars)
+        if Part.FORECASTS in parts:
+            found["forecasts"] = []
+            for logs in cars:
+                found["forecasts"].append(_forecasts(logs))
+        if Part.LIBRARY in parts:
+            found |= _library(cycles)
+        if Part.PLANS in parts and find_spec("rclpy") is None:
+            note("rclpy is not installed: plans over DDS are left out")
+        elif Part.PLANS in parts:
+            found["plans"] = _plans(plans)
+    finally:  # Ctrl-C leaves the parts so far
+        if json_file is not None:
+            write_json(json_file, found)
+
+
+def _library(cycles: Path | None) -> dict[str, Any]:
+    throughput = measure_throughput(load_vehicle(CAR))
+    _show_throughput(throughput)
+    found: dict[str, Any] = {"library": throughput._asdict()}
+    if cycles is not None:
+        found["cycles"] = _cycles(cycles)
+    return found
 
 
 def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
     car = load_vehicle(logs[0].vehicle)
     benchmark = ForecastBenchmark(car, time.thread_time)
     found: dict[str, Foretold] = {}
-    with progress_bar("drives", total=None) as progress:
+    with progress_bar("drives", len(logs), unit="drives") as progress:
         for number, log in enumerate(logs, start=1):
             try:
                 source = open_source(log.path, car, log.can_profile)
@@ -179,7 +192,7 @@ def _plans(plans: int) -> dict[str, Any]:
     # Imported here: the rest works where no ROS is.
     from evpinn_ros.nodes.plan_load import measure_plans
 
-    with progress_bar("plans", total=plans) as progress:
+    with progress_bar("plans", total=plans, unit="plans") as progress:
         load = measure_plans(plans, POINTS, progress)
     rows = [
         ("p50", f"{load.p50_ms:.1f} ms", ""),

@@ -6,12 +6,12 @@ from dataclasses import asdict
 from importlib.util import find_spec
 import math
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 
@@ -28,9 +28,7 @@ def faults(
     kills: Annotated[
         int, typer.Option(min=1, help="How often to kill at a random instant.")
     ] = 100,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the results as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Break what can break, one after the other, while the nodes run.
 
@@ -48,16 +46,18 @@ def faults(
     load = os.getloadavg()[0]
     if load > BUSY:
         note(f"other programs take {load:.1f} cores: expect longer times")
-    found = []
-    for result in run_campaign(only or [], kills, lambda name: note(f"{name}...")):
-        found.append(result)
-        if result.problem is not None:
-            note(f"{result.fault.name} failed: {result.problem} ({result.finding.lost})")
-    _show(found)
-    failed = sum(result.problem is not None for result in found)
-    results.print(f"{len(found)} faults, {failed} failed")
-    if json_file is not None:
-        write_json(json_file, {"load_average": load, "faults": [_row(each) for each in found]})
+    found: list[Result] = []
+    try:
+        for result in run_campaign(only or [], kills, lambda name: note(f"{name}...")):
+            found.append(result)
+            if result.problem is not None:
+                note(f"{result.fault.name} failed: {result.problem} ({result.finding.lost})")
+    finally:  # Ctrl-C leaves the faults so far
+        _show(found)
+        failed = sum(result.problem is not None for result in found)
+        results.print(f"{len(found)} faults, {failed} failed")
+        if json_file is not None:
+            write_json(json_file, {"load_average": load, "faults": [_row(each) for each in found]})
     if failed:
         raise typer.Exit(1)
 

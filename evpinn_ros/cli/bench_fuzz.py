@@ -14,6 +14,7 @@ from evpinn_ros.bench.fuzz import FuzzResult
 from evpinn_ros.bench.fuzz import fuzz as fuzz_target
 from evpinn_ros.bench.fuzz_targets import TARGETS
 from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.cli.options import MetricsOption
 from evpinn_ros.errors import InputError
 
 
@@ -24,7 +25,7 @@ def fuzz(
         list[str] | None, typer.Option(help="Only this one; may be given again.")
     ] = None,
     crashes: Annotated[Path, typer.Option(help="Folder for inputs that crash.")] = Path("crashes"),
-    metrics: Annotated[Path | None, typer.Option(help="Write the results as JSON.")] = None,
+    metrics: MetricsOption = None,
 ) -> None:
     """Feed every parser damaged inputs and look for crashes, hangs and memory that fills.
 
@@ -37,13 +38,16 @@ def fuzz(
         raise InputError(f"no target '{unknown[0]}'; known are {', '.join(known)}")
     chosen = [known[name] for name in target or known]
     found: list[FuzzResult] = []
-    for each in chosen:
-        found.append(fuzz_target(each, -(-inputs // len(chosen)), seconds, crashes))
-        last = found[-1]
-        note(f"{last.target}: {last.inputs} inputs, {last.said or 'no crash'}")
-    results.print(_table(found))
-    if metrics is not None:
-        write_json(metrics, [asdict(each) | {"crash": str(each.crash or "")} for each in found])
+    try:
+        for each in chosen:
+            found.append(fuzz_target(each, -(-inputs // len(chosen)), seconds, crashes))
+            last = found[-1]
+            note(f"{last.target}: {last.inputs} inputs, {last.said or 'no crash'}")
+    finally:  # Ctrl-C leaves the targets so far
+        results.print(_table(found))
+        if metrics is not None:
+            rows = [asdict(each) | {"crash": str(each.crash or "")} for each in found]
+            write_json(metrics, rows)
     if any(each.said for each in found):
         raise typer.Exit(1)
 

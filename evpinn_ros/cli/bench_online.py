@@ -16,6 +16,7 @@ from evpinn_ros.bench.logs import Log, find_logs
 from evpinn_ros.bench.online import METHODS, OnlineBenchmark, Run
 from evpinn_ros.bench.scores import Score, log_scores, total_scores
 from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.run import PROGRESS_STEP, WARM_UP, has_battery
@@ -39,15 +40,17 @@ def online(
         ),
     ],
     vehicle: Annotated[
-        str, typer.Option(help="Vehicle of the paths that name none, or the path of its file.")
+        str,
+        typer.Option(
+            help="Vehicle of the paths that name none, or the path of its file.",
+            autocompletion=complete_vehicle,
+        ),
     ] = "generic",
     methods: Annotated[
         str, typer.Option(help=f"Which to run, of {', '.join(METHODS)}.")
     ] = ",".join(METHODS),
     warm_up: Annotated[float, typer.Option(min=0.0, help="Not scored at the start, s.")] = WARM_UP,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the scores as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Tables as Markdown.")] = False,
 ) -> None:
     """Hold the learner against its peers: each sample is predicted, then learned from.
@@ -62,26 +65,34 @@ def online(
     one_thread()
     names = _chosen(methods)
     found: dict[str, list[dict[str, Any]]] = {"logs": [], "failed": []}
-    for log in _logs(paths, vehicle, found["failed"]):
-        try:
-            run, problem = _run(log, names)
-            _refuse_empty(log, run, warm_up)
-        except InputError as error:
-            _fail(found["failed"], str(log.path), str(error))
-            continue
-        if problem is not None:
-            _fail(found["failed"], str(log.path), problem)
-        scores = log_scores(run, names, warm_up)
-        found["logs"].append(_entry(log, run, scores))
-        _show(f"{log.path}: {run.drive.duration:.0f} s, {log.vehicle}", scores, markdown)
+    try:
+        for log in _logs(paths, vehicle, found["failed"]):
+            try:
+                run, problem = _run(log, names)
+                _refuse_empty(log, run, warm_up)
+            except InputError as error:
+                _fail(found["failed"], str(log.path), str(error))
+                continue
+            if problem is not None:
+                _fail(found["failed"], str(log.path), problem)
+            scores = log_scores(run, names, warm_up)
+            found["logs"].append(_entry(log, run, scores))
+            _show(f"{log.path}: {run.drive.duration:.0f} s, {log.vehicle}", scores, markdown)
+    finally:  # Ctrl-C leaves the logs so far
+        _report(found, warm_up, markdown, json_file)
+    if found["failed"]:
+        raise typer.Exit(1)
+
+
+def _report(
+    found: dict[str, list[dict[str, Any]]], warm_up: float, markdown: bool, json_file: Path | None
+) -> None:
     total = total_scores([log["methods"] for log in found["logs"]])
     if len(found["logs"]) > 1:
         title = f"All {len(found['logs'])} logs by samples; errors of energy without their sign"
         _show(title, total, markdown)
     if json_file is not None:
         write_json(json_file, {"warm_up_s": warm_up, **found, "total": total})
-    if found["failed"]:
-        raise typer.Exit(1)
 
 
 def _chosen(methods: str) -> list[str]:
@@ -157,7 +168,7 @@ def _show(title: str, scores: Mapping[str, Score], markdown: bool) -> None:
     for name, score in scores.items():
         table.add_row(name, *_row(score))
     # Markdown is for a file: no line of it is folded, however narrow the terminal.
-    (Console(width=MARKDOWN_WIDTH) if markdown else results).print(table)
+    (Console(width=MARKDOWN_WIDTH, stderr=results.stderr) if markdown else results).print(table)
 
 
 def _row(score: Score) -> list[str]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from evpinn_ros.bench.recovery import STORAGES, campaign, measure_speed
 from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import titled_table
 
 BAG_BYTES = 200_000
@@ -22,9 +22,7 @@ def recover(
     megabytes: Annotated[
         int, typer.Option(min=0, help="Of the bags that tell the speed; 0 leaves it out.")
     ] = 60,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Break bags in every way, save them, and compare with the original; measure the speed.
 
@@ -34,7 +32,7 @@ def recover(
     table = titled_table("Broken bags saved")
     for column in ("storage", "fault", "cases", "messages", "missing", "altered", "unread"):
         table.add_column(column, justify="left" if column in ("storage", "fault") else "right")
-    with progress_bar("bags broken and saved", total=cases) as progress:
+    with progress_bar("bags broken and saved", total=cases, unit="bags") as progress:
         for storage, fault, tally in campaign(cases, BAG_BYTES, seed, progress):
             found["campaign"].append({"storage": storage, "fault": fault, **asdict(tally)})
             unread = tally.unread + tally.miscounted

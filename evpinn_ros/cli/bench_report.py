@@ -11,7 +11,8 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.console import progress_bar, results
+from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
@@ -27,10 +28,9 @@ MEGABYTE = 1e6
 
 def report(
     drive: Annotated[Path, typer.Argument(help="Bag, CAN log or CSV; the goal is for an hour.")],
-    vehicle: Annotated[
-        str, typer.Option(help="Vehicle by name, or the path of its file.")
-    ] = "tesla_model_3_lr",
+    vehicle: VehicleOption = "tesla_model_3_lr",
     out: Annotated[Path, typer.Option(help="The report.")] = Path("out/report.html"),
+    json_file: JsonOption = None,
 ) -> None:
     """Time the report of a drive after its replay.
 
@@ -48,8 +48,11 @@ def report(
     reported = ReportedDrive(replayed.drive, replayed.metrics, car, options.warm_up)
     write_drives(out, [reported], shlex.join(["evpinn", *sys.argv[1:]]))
     seconds = time.perf_counter() - begin
-    rows = _rows(replayed.metrics, seconds, out.stat().st_size)
-    results.print(figures_table(f"Report of {drive.name}", rows))
+    size = out.stat().st_size
+    results.print(figures_table(f"Report of {drive.name}", _rows(replayed.metrics, seconds, size)))
+    if json_file is not None:
+        made = {"report_s": seconds, "report_bytes": size}
+        write_json(json_file, {**replayed.metrics["input"], **replayed.metrics["replay"], **made})
 
 
 def _rows(

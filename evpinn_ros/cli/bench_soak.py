@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
-from pathlib import Path
 import time
 from typing import Annotated, Any
 
@@ -14,6 +13,7 @@ import typer
 from evpinn_ros.bench.soak import HOUR, Hour, memory_growth, time_drift
 from evpinn_ros.bench.soak import soak as drive_for
 from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.one_thread import one_thread
 
@@ -23,9 +23,7 @@ def soak(
     seconds: Annotated[
         float, typer.Option(min=0.0, help="To watch the three nodes in real time; 0: not at all.")
     ] = 120.0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Drive for a day in one run: is memory flat, does each reading take what it took at first?
 
@@ -34,12 +32,23 @@ def soak(
     Example: evpinn bench soak --hours 24 --json out/soak.json
     """
     one_thread()
-    rows = []
-    with progress_bar("driving", total=hours * HOUR) as progress:
-        for hour in drive_for(hours, time.process_time, progress):
-            rows.append(hour)
-    _show(rows)
-    found: dict[str, Any] = {"hours": [row._asdict() for row in rows]}
+    found: dict[str, Any] = {"hours": []}
+    try:
+        _soak(hours, seconds, found)
+    finally:  # Ctrl-C leaves the hours so far
+        if json_file is not None:
+            write_json(json_file, found)
+
+
+def _soak(hours: int, seconds: float, found: dict[str, Any]) -> None:
+    rows: list[Hour] = []
+    try:
+        with progress_bar("driving", total=hours * HOUR) as progress:
+            for hour in drive_for(hours, time.process_time, progress):
+                rows.append(hour)
+                found["hours"].append(hour._asdict())
+    finally:
+        _show(rows)
     summary = list(_summary(rows))
     if seconds:
         if find_spec("rclpy") is None:
@@ -48,8 +57,6 @@ def soak(
             found["nodes"], lines = _watch_nodes(seconds)
             summary += lines
     results.print(figures_table("For years", summary))
-    if json_file is not None:
-        write_json(json_file, found)
 
 
 def _watch_nodes(seconds: float) -> tuple[dict[str, Any], list[tuple[str, str, str]]]:

@@ -11,6 +11,7 @@ import typer
 from evpinn_ros.bench.deepxde_peer import deepxde_version
 from evpinn_ros.bench.training import Timed, bench_training
 from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.reproduce import training_progress
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.one_thread import one_thread
@@ -20,12 +21,10 @@ from evpinn_ros.vehicle.files import load_vehicle
 
 def training(
     log: Annotated[Path, typer.Argument(help="CSV, bag or CAN log of one drive.")],
-    vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
+    vehicle: VehicleOption,
     epochs: Annotated[int, typer.Option(min=1, help="Of Adam as published.")] = 10_000,
     seed: Annotated[int, typer.Option(min=0, help="Of split, networks and batches.")] = 0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the times as JSON.")
-    ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Time every optimiser to the validation loss that Adam as published ends with.
 
@@ -39,11 +38,16 @@ def training(
     drive = read_drive_log(log, car).drive
     if deepxde_version() is None:
         note("DeepXDE is not installed and takes no part: pip install 'evpinn_ros[bench]'")
-    with training_progress() as on_epoch:
-        timed = list(bench_training(drive, car, epochs, seed, on_epoch))
-    _show(timed)
-    if json_file is not None:
-        write_json(json_file, [asdict(one) for one in timed])
+    timed: list[Timed] = []
+    try:
+        with training_progress() as on_epoch:
+            for one in bench_training(drive, car, epochs, seed, on_epoch):
+                timed.append(one)
+    finally:  # Ctrl-C leaves the trainings so far
+        if timed:
+            _show(timed)
+        if json_file is not None:
+            write_json(json_file, [asdict(one) for one in timed])
 
 
 def _show(timed: list[Timed]) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Annotated
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Annotated, Any
 
 import numpy as np
 from rich.table import Table
@@ -14,13 +15,15 @@ from evpinn_ros.bench.floor import ASKED, floors
 from evpinn_ros.bench.truth import (
     VEHICLES,
     Comparison,
+    Step,
     Summary,
     compare,
     false_alarms,
     load_steps,
     summaries,
 )
-from evpinn_ros.cli.console import results
+from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
@@ -50,40 +53,56 @@ def truth(
     hours: Annotated[
         int, typer.Option(min=0, help="Hours without a change of load, to count false alarms.")
     ] = 0,
+    json_file: JsonOption = None,
 ) -> None:
     """Hold the published parameters against the truth of simulated cars.
 
     Example: evpinn bench truth --drives 50 --from-priors
     """
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
-    if alone:
-        results.print(_table(summaries(filter_alone(VEHICLES, seeds))))
-        return
-    compared = compare(
-        kind,
-        VEHICLES,
-        seeds,
-        from_priors=from_priors,
-        rms_grade=rms_grade,
-        altitude=altitude,
-    )
-    found = list(compared)
-    results.print(_table(summaries(found)))
-    results.print(_unobservable(found))
-    if floor:
-        _print_floor(kind, seeds, rms_grade, altitude)
-    if load:
-        steps = list(load_steps(VEHICLES, seeds))
-        in_time = sum(step.detected_after <= IN_TIME for step in steps)
-        near = sum(abs(step.error) <= NEAR for step in steps)
-        results.print(
-            f"Load: {in_time} of {len(steps)} found within {IN_TIME:.0f} s of motion, "
-            f"{near} within {NEAR:.0f} kg"
+    figures: dict[str, Any] = {}
+    try:
+        if alone:
+            _show(figures, summaries(filter_alone(VEHICLES, seeds)))
+            return
+        compared = compare(
+            kind,
+            VEHICLES,
+            seeds,
+            from_priors=from_priors,
+            rms_grade=rms_grade,
+            altitude=altitude,
         )
-    if hours:
-        quiet = list(false_alarms(kind, VEHICLES, range(FIRST_SEED, FIRST_SEED + hours)))
-        alarms, withdrawn = sum(one[1] for one in quiet), sum(one[2] for one in quiet)
-        results.print(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
+        _compare(figures, compared, drives)
+        if floor:
+            least = floors(kind, VEHICLES, seeds, rms_grade=rms_grade, altitude=altitude)
+            _show_floor(figures, list(least))
+        if load:
+            _show_loads(figures, list(load_steps(VEHICLES, seeds)))
+        if hours:
+            _show_alarms(figures, kind, hours)
+    finally:  # Ctrl-C leaves the figures so far
+        if json_file is not None:
+            write_json(json_file, figures)
+
+
+def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: int) -> None:
+    found: list[Comparison] = []
+    try:
+        with progress_bar("drives", drives, unit="drives") as progress:
+            for one in compared:
+                found.append(one)
+                progress(one.seed - FIRST_SEED)
+    finally:  # and the drives so far
+        if found:
+            _show(figures, summaries(found))
+            figures["unobservable"] = _unobservable(found)
+            results.print(figures["unobservable"])
+
+
+def _show(figures: dict[str, Any], rows: list[Summary]) -> None:
+    figures["summaries"] = [asdict(row) for row in rows]
+    results.print(_table(rows))
 
 
 def _unobservable(found: Sequence[Comparison]) -> str:
@@ -94,10 +113,28 @@ def _unobservable(found: Sequence[Comparison]) -> str:
     return f"C_d flagged as unobservable: {flagged} of {len(shares)} drives"
 
 
-def _print_floor(kind: DriveKind, seeds: Iterable[int], rms_grade: float, altitude: bool) -> None:
-    rows = list(floors(kind, VEHICLES, seeds, rms_grade=rms_grade, altitude=altitude))
-    least = (f"{name} {np.median([row[name] for row in rows]):.2f} %" for name in ASKED)
-    results.print(f"Floor of the median after 120 s: {', '.join(least)}")
+def _show_floor(figures: dict[str, Any], rows: Sequence[Mapping[str, float]]) -> None:
+    least = {name: float(np.median([row[name] for row in rows])) for name in ASKED}
+    figures["floor_median_percent"] = least
+    told = ", ".join(f"{name} {percent:.2f} %" for name, percent in least.items())
+    results.print(f"Floor of the median after 120 s: {told}")
+
+
+def _show_loads(figures: dict[str, Any], steps: Sequence[Step]) -> None:
+    in_time = sum(step.detected_after <= IN_TIME for step in steps)
+    near = sum(abs(step.error) <= NEAR for step in steps)
+    figures["load"] = {"steps": len(steps), "in_time": in_time, "near": near}
+    results.print(
+        f"Load: {in_time} of {len(steps)} found within {IN_TIME:.0f} s of motion, "
+        f"{near} within {NEAR:.0f} kg"
+    )
+
+
+def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
+    quiet = list(false_alarms(kind, VEHICLES, range(FIRST_SEED, FIRST_SEED + hours)))
+    alarms, withdrawn = sum(one[1] for one in quiet), sum(one[2] for one in quiet)
+    figures["false_alarms"] = {"hours": hours, "alarms": alarms, "withdrawn": withdrawn}
+    results.print(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
 
 
 def _table(rows: list[Summary]) -> Table:

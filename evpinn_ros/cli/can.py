@@ -17,6 +17,7 @@ from evpinn_ros.can.inspection import BusReport, Inspection
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.cli.can_tables import as_json, show
 from evpinn_ros.cli.console import note
+from evpinn_ros.cli.options import complete_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.parameter_table import bus_options
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -26,12 +27,15 @@ LISTEN = 10.0  # s, if not told otherwise
 LONGEST = 1e6  # s
 LONGEST_STOP = 5.0  # s to wait for the driver
 
-can = typer.Typer(no_args_is_help=True, help="Look at a CAN bus: inspect.")
+can = typer.Typer(no_args_is_help=True)
 
 
 @can.callback()
 def group() -> None:
-    """Look at a CAN bus."""
+    """Look at a CAN bus.
+
+    Example: evpinn can inspect drive.log
+    """
 
 
 @can.command()
@@ -59,7 +63,11 @@ def inspect(
         typer.Option(help=f"Look no longer; {LISTEN:g} for a live bus, all of a recorded one."),
     ] = None,
     can_profile: Annotated[
-        str | None, typer.Option(help="A profile of your own, to be ranked with the others.")
+        str | None,
+        typer.Option(
+            help="A profile of your own, to be ranked with the others.",
+            autocompletion=complete_profile,
+        ),
     ] = None,
     as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:

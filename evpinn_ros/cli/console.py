@@ -13,15 +13,21 @@ from rich.progress import (
     BarColumn,
     DownloadColumn,
     Progress,
+    ProgressColumn,
+    Task,
     TaskProgressColumn,
     TextColumn,
     TimeRemainingColumn,
     TransferSpeedColumn,
 )
+from rich.text import Text
 
 from evpinn_ros.errors import InputError, printable
 
-Report = Callable[[float], None]  # takes seconds of the drive done
+Report = Callable[[float], None]  # takes what is done, seconds of the drive if not told otherwise
+
+STDOUT = "-"  # as the path of a file
+DRIVE = "s of the drive"
 
 results = Console(highlight=False)
 notes = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -32,13 +38,21 @@ def note(text: str) -> None:
     notes.print(printable(text), markup=False)
 
 
+def tables_beside(json_file: Path | None) -> None:
+    """Leave stdout to the JSON where that goes there: what is for people goes to stderr."""
+    results.stderr = json_file is not None and str(json_file) == STDOUT
+
+
 def write_json(path: Path, found: Any) -> None:
-    """Write results for scripts, the folder too if need be.
+    """Write results for scripts, to stdout or a file, the folder too if need be.
 
     Raises:
         InputError: it cannot be written.
     """
     text = json.dumps(found, indent=1, allow_nan=False)
+    if str(path) == STDOUT:
+        print(text, flush=True)
+        return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text + "\n", encoding="utf-8")
@@ -46,14 +60,38 @@ def write_json(path: Path, found: Any) -> None:
         raise InputError(f"{path}: {error.strerror}") from error
 
 
+class RateColumn(ProgressColumn):
+    """How fast it goes: times real time for seconds of a drive, else so many a second."""
+
+    def __init__(self, unit: str) -> None:
+        """Of what is counted."""
+        super().__init__()
+        self._unit = unit
+
+    def render(self, task: Task) -> Text:
+        """The rate of late; nothing before there is one."""
+        speed = task.finished_speed or task.speed
+        if speed is None:
+            return Text()
+        told = f"{speed:.0f}" if speed >= 100 else f"{speed:.3g}"
+        return Text(told + (" x real time" if self._unit == DRIVE else " a second"))
+
+
 @contextmanager
-def progress_bar(title: str, total: float | None) -> Iterator[Report]:
-    """Show progress on a terminal and nothing in a pipe; takes seconds of the drive done."""
+def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator[Report]:
+    """Show progress, rate and time left on a terminal, and nothing in a pipe.
+
+    Args:
+        title: of the bar.
+        total: how much there is to do, None if nobody knows.
+        unit: of what is done.
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TaskProgressColumn(),
-        TextColumn("{task.completed:.0f} s of the drive"),
+        TextColumn(f"{{task.completed:.0f}} {unit}"),
+        RateColumn(unit),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from itertools import chain, islice
+from itertools import chain, islice, takewhile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from evpinn_ros.bags.convert import write_readings
+from evpinn_ros.bags.convert import reported, write_readings
 from evpinn_ros.bags.csv_columns import QUANTITIES
+from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import Report, note, progress_bar, results, writing
+from evpinn_ros.cli.console import note, progress_bar, results, writing
 from evpinn_ros.cli.csv_columns import explain_columns
+from evpinn_ros.cli.interruption import Interruption
+from evpinn_ros.cli.options import CanProfileOption, complete_vehicle
 from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import CsvSource, open_source
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.replay.sources import CsvSource, Source, open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
 
@@ -31,11 +32,12 @@ def convert(
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     vehicle: Annotated[
-        str, typer.Option(help="Vehicle by name or path; CAN logs need it.")
+        str,
+        typer.Option(
+            help="Vehicle by name or path; CAN logs need it.", autocompletion=complete_vehicle
+        ),
     ] = "generic",
-    can_profile: Annotated[
-        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
-    ] = None,
+    can_profile: CanProfileOption = None,
     trust_profile: Annotated[
         bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
     ] = False,
@@ -69,23 +71,30 @@ def convert(
         source_path, car, can_profile, trust_profile=trust_profile, columns=column or ()
     )
     explain_columns(source)
-    with progress_bar(source_path.name, total=None) as progress:
-        readings = _reported(source.readings(), progress)
+    with Interruption() as interruption:
+        dropped = _write(source, out, interruption)
+        dropped.update(source.dropped)
+        if isinstance(source, CsvSource):
+            _explain_csv(source, car.nominal_voltage)
+        for reason, count in sorted(dropped.items()):
+            note(f"{source_path}: {count} readings dropped: {reason}")
+        if source.problem:
+            raise InputError(f"{source.problem}; what could be read is in {out}")
+        results.print(f"{out}", markup=False, soft_wrap=True)
+
+
+def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str]:
+    """Write the readings up to an interruption; gives those left out, by reason."""
+    with progress_bar(source.path.name, told_seconds(source.path)) as progress:
+        readings = reported(source.readings(), progress)
         # What gives no reading at all is refused here, before there is an empty bag of it.
         begun = list(islice(readings, 1))
         if not begun:
             reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(source.dropped.items()))
-            raise InputError(f"{source_path}: no reading in it; dropped: {reasons or 'nothing'}")
+            raise InputError(f"{source.path}: no reading in it; dropped: {reasons or 'nothing'}")
+        kept = takewhile(lambda _: not interruption.asked, chain(begun, readings))
         with writing(out), BagWriter(out) as writer:
-            dropped: Counter[str] = write_readings(chain(begun, readings), writer)
-    dropped.update(source.dropped)
-    if isinstance(source, CsvSource):
-        _explain_csv(source, car.nominal_voltage)
-    for reason, count in sorted(dropped.items()):
-        note(f"{source_path}: {count} readings dropped: {reason}")
-    if source.problem:
-        raise InputError(f"{source.problem}; what could be read is in {out}")
-    results.print(f"{out}", markup=False, soft_wrap=True)
+            return write_readings(kept, writer)
 
 
 def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:
@@ -100,18 +109,6 @@ def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:
 
 
 def _change_storage(source: Path, out: Path, storage: Storage) -> None:
-    with writing(out), progress_bar(source.name, total=None) as progress:
+    with writing(out), progress_bar(source.name, told_seconds(source)) as progress:
         change_storage(source, out, storage, progress)
     results.print(f"{out}", markup=False, soft_wrap=True)
-
-
-def _reported(readings: Iterator[Reading], progress: Report) -> Iterator[Reading]:
-    first_ns: int | None = None
-    told = 0.0
-    for reading in readings:
-        first_ns = reading.stamp_ns if first_ns is None else first_ns
-        done = (reading.stamp_ns - first_ns) / NANOSECONDS
-        if done - told >= 1.0:
-            progress(done)
-            told = done
-        yield reading

@@ -14,7 +14,8 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import live_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.parameter_table import Value
@@ -37,6 +38,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder of the bag and the picture.")] = Path(
         "out/demo"
     ),
+    json_file: JsonOption = None,
 ) -> None:
     """Replay a bundled drive through the three nodes over DDS, and show what they learned.
 
@@ -75,6 +77,8 @@ def demo(
         results.print(line, markup=False, soft_wrap=True)
     results.print(live_table(drive, truth))
     results.print(f"Picture  {picture}\nBag      {bag}", markup=False, soft_wrap=True)
+    if json_file is not None:
+        write_json(json_file, found)
 
 
 def _frames(source: Path) -> list[CanFrame]:

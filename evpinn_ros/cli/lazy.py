@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any, ClassVar
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 
 class LazyCommands(TyperGroup):
@@ -20,6 +20,7 @@ class LazyCommands(TyperGroup):
 
     names: ClassVar[tuple[str, ...]] = ()
     prefix: ClassVar[str] = ""
+    _completing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in the order of the help."""
@@ -30,9 +31,19 @@ class LazyCommands(TyperGroup):
         name = cmd_name.replace("-", "_")
         if name not in self.names:
             return None
+        if self._completing:
+            return TyperCommand(cmd_name)
         found = getattr(import_module(f"evpinn_ros.cli.{self.prefix}{name}"), name)
         if isinstance(found, typer.Typer):
             return typer.main.get_group(found)
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         alone.command(cmd_name)(found)
         return typer.main.get_command(alone)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+        """What a shell offers: names and options, without importing each for a line of help."""
+        self._completing = True
+        try:
+            return super().shell_complete(ctx, incomplete)
+        finally:
+            self._completing = False

@@ -8,6 +8,7 @@ import sys
 import typer
 
 from evpinn_ros import __version__
+from evpinn_ros.cli.interruption import INTERRUPTED
 from evpinn_ros.cli.lazy import LazyCommands
 from evpinn_ros.errors import InputError
 
@@ -18,16 +19,15 @@ class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
     names = (
-        *("replay", "run", "convert", "simulate", "reproduce", "bench", "demo"),
+        *("replay", "run", "watch", "view", "convert", "simulate", "reproduce", "fleet"),
+        *("bench", "demo"),
         *("info", "recover"),
         "can",
         "check_params",
     )
 
 
-app = typer.Typer(
-    cls=Commands, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
-)
+app = typer.Typer(cls=Commands, no_args_is_help=True, pretty_exceptions_enable=False)
 
 
 def _print_version(wanted: bool) -> None:
@@ -42,7 +42,10 @@ def evpinn(
         False, "--version", is_eager=True, callback=_print_version, help="Print the version."
     ),
 ) -> None:
-    """Learn an electric car's parameters, power and energy from its CAN bus, while it drives."""
+    """Learn an electric car's parameters, power and energy from its CAN bus, while it drives.
+
+    Example: evpinn replay bags/urban --vehicle tesla_model_3_lr
+    """
 
 
 def main() -> None:
@@ -53,7 +56,7 @@ def main() -> None:
         print(f"evpinn: {error}", file=sys.stderr)
         sys.exit(FAILED)
     except KeyboardInterrupt:
-        sys.exit(FAILED)
+        sys.exit(INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has gone, as `head` does; there is nobody left to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

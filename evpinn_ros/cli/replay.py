@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 import itertools
-import json
 from pathlib import Path
 import shlex
 import sys
@@ -15,9 +14,12 @@ from typing import Annotated, Any
 
 import typer
 
+from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, progress_bar, results, writing
+from evpinn_ros.cli.console import note, progress_bar, results, write_json, writing
 from evpinn_ros.cli.csv_columns import explain_columns
+from evpinn_ros.cli.interruption import Interruption
+from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
 from evpinn_ros.cli.tables import parameter_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import Mode
@@ -47,9 +49,7 @@ def replay(
     inputs: Annotated[
         list[Path], typer.Argument(help="Bags, CAN logs or CSV files of one car, in order.")
     ],
-    vehicle: Annotated[
-        str, typer.Option(help="Vehicle by name, or the path of its file.")
-    ] = "generic",
+    vehicle: VehicleOption = "generic",
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
     params: Annotated[
         Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
@@ -61,7 +61,7 @@ def replay(
     report: Annotated[
         Path | None, typer.Option(help="Write a report: one HTML file, for a browser.")
     ] = None,
-    metrics: Annotated[Path | None, typer.Option(help="Write the scores as JSON.")] = None,
+    metrics: MetricsOption = None,
     withhold_battery_after: Annotated[
         float | None,
         typer.Option(min=0.0, help="Hide the battery from here on, s: what is speed worth alone?"),
@@ -85,9 +85,7 @@ def replay(
         list[str] | None,
         typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
     ] = None,
-    can_profile: Annotated[
-        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
-    ] = None,
+    can_profile: CanProfileOption = None,
     trust_profile: Annotated[
         bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
     ] = False,
@@ -118,18 +116,27 @@ def replay(
     _restore(chain, state)
     options = ReplayOptions(withhold_battery_after, warm_up, rate, start, duration)
     done: list[Replayed] = []
-    try:
-        folders = output_folders(out, inputs * loop)
-        for source, folder in zip(itertools.chain(first, again), folders, strict=True):
-            if done:
-                chain.begin_next_drive()
-            done.append(
-                _one(source, chain, options, folder, vehicle=car.key, mode=settings.mode.value)
-            )
-            _show(done[-1], source, warm_up)
-    finally:
-        # Whatever ends a later drive, the results of those before it are kept.
-        written = _write(done, chain, car, options, (metrics, report, state))
+    with Interruption() as interruption:
+        replay_one = partial(
+            _one,
+            chain=chain,
+            options=options,
+            vehicle=car.key,
+            mode=settings.mode.value,
+            stopped=lambda: interruption.asked,
+        )
+        try:
+            folders = output_folders(out, inputs * loop)
+            for source, folder in zip(itertools.chain(first, again), folders, strict=True):
+                if interruption.asked:
+                    break
+                if done:
+                    chain.begin_next_drive()
+                done.append(replay_one(source, folder))
+                _show(done[-1], source, warm_up)
+        finally:
+            # Whatever ends a later drive, the results of those before it are kept.
+            written = _write(done, chain, car, options, (metrics, report, state))
     if not written or any(result.problem for result in done):
         raise typer.Exit(1)
 
@@ -157,12 +164,13 @@ def _restore(chain: Chain, state: Path | None) -> None:
 
 def _one(
     source: Source,
-    chain: Chain,
-    options: ReplayOptions,
     folder: Path | None,
     *,
+    chain: Chain,
+    options: ReplayOptions,
     vehicle: str,
     mode: str,
+    stopped: Callable[[], bool],
 ) -> Replayed:
     """Replay one drive, into a bag if there is a folder for it."""
     with ExitStack() as stack:
@@ -170,7 +178,8 @@ def _one(
         if folder is not None:
             stack.enter_context(writing(folder))
             writer = stack.enter_context(BagWriter(folder))
-        progress = stack.enter_context(progress_bar(source.path.name, total=options.duration))
+        seconds = options.duration or told_seconds(source.path)
+        progress = stack.enter_context(progress_bar(source.path.name, total=seconds))
         return replay_drive(
             source,
             chain,
@@ -179,6 +188,7 @@ def _one(
             mode=mode,
             writer=writer,
             progress=progress,
+            stopped=stopped,
         )
 
 
@@ -225,7 +235,10 @@ def _write(
         try:
             if path is not None:
                 write(path)
-        except (OSError, ValueError, InputError) as error:
+        except InputError as error:
+            problems += 1
+            note(f"evpinn: {error}")
+        except (OSError, ValueError) as error:
             problems += 1
             note(f"evpinn: {path}: {getattr(error, 'strerror', None) or error}")
     return problems == 0
@@ -233,9 +246,7 @@ def _write(
 
 def _write_metrics(path: Path, done: list[Replayed]) -> None:
     found: list[dict[str, Any]] = [result.metrics for result in done]
-    text = json.dumps(found if len(found) > 1 else found[0], indent=1, allow_nan=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_json(path, found if len(found) > 1 else found[0])
 
 
 def _write_report(path: Path, done: list[Replayed], car: Vehicle, options: ReplayOptions) -> None:

@@ -17,7 +17,8 @@ from rich.table import Table as RichTable
 import torch
 import typer
 
-from evpinn_ros.cli.console import note, notes, results
+from evpinn_ros.cli.console import RateColumn, note, notes, results
+from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
@@ -49,7 +50,7 @@ class Device(str, Enum):
 
 def reproduce(
     log: Annotated[Path, typer.Argument(help="CSV, bag or CAN log of one drive.")],
-    vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
+    vehicle: VehicleOption,
     optimizer: Annotated[
         OptimizerName, typer.Option(help="As published, or another to the same loss.")
     ] = OptimizerName.ADAM,
@@ -67,9 +68,7 @@ def reproduce(
         Path | None,
         typer.Option(help="Folder for report, results and trainings; out/reproduce/LOG if none."),
     ] = None,
-    can_profile: Annotated[
-        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
-    ] = None,
+    can_profile: CanProfileOption = None,
 ) -> None:
     """Run the experiment of the EV-PINN paper on a drive, every claim checked beside it.
 
@@ -140,6 +139,7 @@ def training_progress() -> Iterator[OnProgress]:
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("epoch {task.completed:.0f} of {task.total:.0f}, loss {task.fields[loss]}"),
+        RateColumn("epochs"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+import sys
 from typing import Annotated
 
 import typer
 
 from evpinn_ros.bags.writer import Split
+from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_table import Value
+from evpinn_ros.report.foxglove import LOOPBACK, PORT
 
 MEGABYTE = 1e6
 
 
 def run(
-    vehicle: Annotated[str, typer.Option(help="Vehicle by name, or the path of its file.")],
+    vehicle: VehicleOption,
     can_interface: Annotated[
         str | None,
         typer.Option(help="Driver of the adapter, in python-can; socketcan if not given."),
@@ -33,9 +36,7 @@ def run(
             "--bus-options", help="More for the driver, as 'name=value ...': listen_only=true..."
         ),
     ] = None,
-    can_profile: Annotated[
-        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
-    ] = None,
+    can_profile: CanProfileOption = None,
     trust_profile: Annotated[
         bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
     ] = False,
@@ -64,15 +65,28 @@ def run(
     state: Annotated[
         Path | None, typer.Option(help="Where what was learned is kept between drives.")
     ] = None,
+    view: Annotated[
+        bool, typer.Option("--view/--no-view", help="On a terminal, show what `watch` shows.")
+    ] = True,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Serve every topic to Foxglove (extra `foxglove`).")
+    ] = False,
+    foxglove_host: Annotated[
+        str, typer.Option(help="For Foxglove to connect to; this machine alone if not given.")
+    ] = LOOPBACK,
+    foxglove_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Likewise; 0 for any.")
+    ] = PORT,
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
-    Listens only: nothing is sent to the car without --poll.
+    Listens only: nothing is sent to the car without --poll. On a terminal shows what is learned.
 
     Example: evpinn run --vehicle nissan_leaf --can-channel can0 --record out/today
     """
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.all_in_one import run as run_nodes
+    from evpinn_ros.nodes.live_view import live_view
 
     given: dict[str, Value | None] = {
         "vehicle": vehicle,
@@ -92,4 +106,12 @@ def run(
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
-    raise typer.Exit(run_nodes(parameters, record=record, split=split, ros_args=ros_args))
+    code = run_nodes(
+        parameters,
+        record=record,
+        split=split,
+        foxglove=(foxglove_host, foxglove_port) if foxglove else None,
+        beside=live_view() if view and sys.stdout.isatty() else None,
+        ros_args=ros_args,
+    )
+    raise typer.Exit(code)

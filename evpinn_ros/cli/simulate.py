@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from evpinn_ros.cli.console import progress_bar, writing
+from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
@@ -24,9 +26,7 @@ START = datetime.fromtimestamp(EPOCH_NS / NANOSECONDS, timezone.utc).replace(tzi
 
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
-    vehicle: Annotated[
-        str, typer.Option(help="Vehicle by name, or the path of its file.")
-    ] = "tesla_model_3_lr",
+    vehicle: VehicleOption = "tesla_model_3_lr",
     kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
     duration: Annotated[float, typer.Option(help="Length of the drive, s.")] = 600.0,
     seed: Annotated[int, typer.Option(min=0, help="Of everything left to chance.")] = 1,
@@ -50,9 +50,7 @@ def simulate(
         RegenForm | None,
         typer.Option(help="A car that obeys eq. 21 in this form to the letter, on a flat road."),
     ] = None,
-    can_profile: Annotated[
-        str | None, typer.Option(help="CAN profile, if not the vehicle's own.")
-    ] = None,
+    can_profile: CanProfileOption = None,
     can_log: Annotated[
         Path | None, typer.Option(help="Write the CAN bus too, as a candump .log.")
     ] = None,
@@ -67,20 +65,21 @@ def simulate(
     """
     if equation is not None and hills != 100 * RMS_GRADE and hills != 0:
         raise InputError("--hills: a car that obeys eq. 21 drives on a flat road")
-    drive = simulate_drive(
-        kind,
-        load_vehicle(vehicle),
-        duration,
-        seed,
-        car=_parameters(true or []),
-        rms_grade=hills / 100,
-        can_profile=can_profile,
-        altitude=altitude,
-        temperature=temperature,
-        start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
-        equation=equation,
-    )
-    write(drive, out, can_log)
+    with writing(out), progress_bar(out.name, total=duration) as progress:
+        drive = simulate_drive(
+            kind,
+            load_vehicle(vehicle),
+            duration,
+            seed,
+            car=_parameters(true or []),
+            rms_grade=hills / 100,
+            can_profile=can_profile,
+            altitude=altitude,
+            temperature=temperature,
+            start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
+            equation=equation,
+        )
+        write(drive, out, can_log, progress)
     typer.echo(_summary(drive, out))
 
 

@@ -9,11 +9,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.parameter_text import MEANINGS, number
 from evpinn_ros.replay.run import WARM_UP
 from evpinn_ros.replay.tables import (
-    MEANINGS,
     SCORE_COLUMNS,
-    number,
     parameter_columns,
     parameter_rows,
     score_rows,

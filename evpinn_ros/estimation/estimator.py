@@ -100,6 +100,7 @@ class EstimatorStatus:
         durations: seconds each update took.
         report: changes of payload and suspicions.
         progress: percent told of each parameter.
+        states: how far each parameter can be believed.
         seen: samples learned from, by speed and acceleration.
         band_coverage: share of recent samples inside the 90 % band, by kind of prediction.
         newest_ns: stamp of the newest speed, None before the first.
@@ -118,6 +119,7 @@ class EstimatorStatus:
     unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
+    states: Mapping[str, State] = field(default_factory=dict)
     seen: Mapping[str, int] = field(default_factory=dict)
     band_coverage: Mapping[str, float] = field(default_factory=dict)
     stuck: str | None = None
@@ -206,6 +208,7 @@ class OnlineEstimator:
 
     def status(self) -> EstimatorStatus:
         """Counters and activity."""
+        parameters = self.parameters().parameters
         return EstimatorStatus(
             activity=self._activity(),
             dropped=dict(self._stream.dropped),
@@ -217,7 +220,8 @@ class OnlineEstimator:
             newest_ns=self._stream.newest_ns,
             unknown=self._stream.unknown,
             report=self._learner.report(),
-            progress={name: p.progress for name, p in self.parameters().parameters.items()},
+            progress={name: p.progress for name, p in parameters.items()},
+            states={name: p.state for name, p in parameters.items()},
             seen=self._seen.counts(),
             band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
             stuck=self._stuck.suspected,

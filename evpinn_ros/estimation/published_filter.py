@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.estimation.evidence import Evidence, evidence
 from evpinn_ros.estimation.parameter_filter import (
     COPPER,
     ETA,
@@ -136,8 +137,25 @@ class PublishedFilter(ParameterFilter):
         super().restore(state)
         self._energy, self._lost = energy, lost
 
+    def evidence(self) -> Evidence:
+        """What the data alone said of the values that are told, without the prior."""
+        mean, change = self._told_as()
+        scale = np.sqrt(self._prior_variance)
+        prior = self._prior_mean
+        offset = (mean - prior - change @ (self.mean - prior)) / scale
+        return evidence(
+            (self.mean - prior) / scale,
+            self.covariance / np.outer(scale, scale),
+            np.column_stack((change * scale / scale[:, None], offset)),
+        )
+
     def _published(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean, shape (8,), and covariance, shape (8, 8), of the values that are told."""
+        mean, change = self._told_as()
+        return mean, change @ self.covariance @ change.T
+
+    def _told_as(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean of the values that are told, shape (8,), and how they follow the states, (8, 8)."""
         loss = self.mean[COPPER]
         (driven, force), (braked, braking_force) = self._energy
         driving = force / max(driven, ENERGY_FLOOR)
@@ -150,7 +168,7 @@ class PublishedFilter(ParameterFilter):
         mean[MU] += math.log(back)
         change[ETA, COPPER] = -driving / more
         change[MU, COPPER] = -braking / back
-        return mean, change @ self.covariance @ change.T
+        return mean, change
 
     def count(self, sample: Sample, power: float, step: float) -> None:
         """Add one moving sample to the sums of energy; `update` does so."""

@@ -102,5 +102,5 @@ class ThreadWorker:
         self._future = None
 
     def close(self) -> None:
-        """Stop the thread after the work under way."""
-        self._executor.shutdown(wait=True, cancel_futures=True)
+        """Begin nothing more; the work under way, whose result nobody wants, holds nobody up."""
+        self._executor.shutdown(wait=False, cancel_futures=True)

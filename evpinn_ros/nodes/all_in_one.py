@@ -1,9 +1,10 @@
-"""The three nodes, and a recorder if wanted, in one process: what `evpinn run` starts."""
+"""The three nodes in one process, with what else is wanted: what `evpinn run` starts."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,14 @@ from evpinn_ros.nodes import running
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.foxglove import FoxgloveNode
 from evpinn_ros.nodes.parameter_table import TABLES, Value
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
 from evpinn_ros.nodes.topics import NAMESPACE
 
-NODES = {"can_bridge": CanBridgeNode, "estimator": EstimatorNode, "energy": EnergyNode}
+NODES = {"estimator": EstimatorNode, "energy": EnergyNode, "can_bridge": CanBridgeNode}
+"""The bridge last, for it speaks at once, and those who listen take seconds to load."""
 
 
 def run(
@@ -26,6 +29,8 @@ def run(
     *,
     record: Path | None = None,
     split: Split | None = None,
+    foxglove: tuple[str, int] | None = None,
+    beside: AbstractContextManager[None] | None = None,
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
 ) -> int:
@@ -35,6 +40,8 @@ def run(
         parameters: values by name; each node takes those of its table, over any file's.
         record: folder of a bag to write, raw CAN frames beside the topics.
         split: when that goes on in another file; None for never.
+        foxglove: host and port to serve all topics at.
+        beside: entered before the nodes start and left when they have ended.
         namespace: of all topics.
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
 
@@ -43,13 +50,17 @@ def run(
     """
     args = ["--ros-args", *ros_args] if ros_args else []
     options = {name: _options(name, namespace, parameters) for name in NODES}
+    servers: list[running.MakeNode] = []
+    if foxglove is not None:
+        servers.append(partial(FoxgloveNode, *foxglove, namespace=namespace))
     recorder: list[running.MakeNode] = []
     if record is not None:
         frames: RawFrames = deque()
         options["can_bridge"]["record"] = frames
         recorder.append(partial(RecorderNode, record, frames, split, namespace=namespace))
     makers = [partial(make, **options[name]) for name, make in NODES.items()]
-    return running.run(*makers, *recorder, args=args)
+    # What can fail for want of a port comes first, before a bus is opened.
+    return running.run(*servers, *recorder, *makers, args=args, beside=beside)
 
 
 def _options(name: str, namespace: str, parameters: Mapping[str, Value]) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
+from evpinn_ros.nodes.diagnosis import LATELY
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_PUBLISHERS = 16  # of one topic, followed at a time
@@ -14,24 +16,55 @@ LEAP = (
 )
 
 
-class Losses:
-    """Messages that a full queue or the network lost, told by the numbers of those that came.
+class Told(NamedTuple):
+    """What the number of a message tells.
+
+    Attributes:
+        lost: messages of its publisher, right before it.
+        by_turns: another publisher of the topic may speak in between.
+    """
+
+    lost: int
+    by_turns: bool
+
+
+class MessageNumbers:
+    """Messages lost, and publishers that speak by turns, told by the numbers of messages.
 
     The middleware drops the oldest of a full queue without a word, but it numbers the messages of
-    each publisher. Where it does not tell the numbers (rclpy of Jazzy), nothing is counted.
+    each publisher. Those of a topic fall back once when its publisher is started anew, and again
+    and again when there are two. Counting publishers does not tell that: one that was killed is
+    counted until its lease ends, after 20 s. In Jazzy rclpy does not say whose a message is; then
+    nothing is counted as lost for `LATELY` after numbers fell back.
     """
 
     def __init__(self) -> None:
         """No message yet."""
         self._numbers: dict[Hashable, dict[bytes, int]] = {}
+        self._newest: dict[Hashable, int] = {}
+        self._fell: dict[Hashable, float] = {}
 
-    def push(self, topic: Hashable, info: Mapping[str, Any]) -> int:
-        """Take what rclpy tells of a message; give how many were lost right before it."""
-        gid, number = info.get("publisher_gid"), info.get("publication_sequence_number")
-        if not gid or not number:
-            return 0
+    def push(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> Told:
+        """Take what rclpy tells of a message.
+
+        Args:
+            topic: of the message.
+            info: of rclpy; where it tells no number nothing is known, and nothing excluded.
+            steady: s of a clock that never jumps.
+        """
+        number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
+        if not number:
+            return Told(0, by_turns=True)
+        falls = number <= self._newest.get(topic, 0)
+        fell_lately = steady - self._fell.get(topic, -math.inf) < LATELY
+        self._newest[topic] = number
+        if falls:
+            self._fell[topic] = steady
+        lost = self._lost(topic, bytes(gid["data"]) if gid else b"", number)
+        return Told(lost if gid or not fell_lately else 0, falls and fell_lately)
+
+    def _lost(self, topic: Hashable, publisher: bytes, number: int) -> int:
         numbers = self._numbers.setdefault(topic, {})
-        publisher, number = bytes(gid["data"]), int(number)
         if publisher not in numbers and len(numbers) >= MOST_PUBLISHERS:
             numbers.clear()
         before = numbers.get(publisher, number - 1)

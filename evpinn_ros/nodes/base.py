@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 import math
 from typing import Any
@@ -13,7 +13,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from evpinn_ros.nodes import factory, topics
-from evpinn_ros.nodes.arrivals import Losses
+from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import BadMessage, diagnostics
@@ -48,11 +48,13 @@ class GuardedNode(Node):
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
+        self._usual: set[str] = set()  # of them, those that nobody need be told of
         self._faults: Counter[str] = Counter()
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, int] = {}
         self._inputs: dict[Topic, str] = {}
-        self._losses = Losses()
+        self._numbers = MessageNumbers()
+        self._by_turns: dict[Topic, float] = {}
         self._lately = Lately()
         self._mismatched: dict[Topic, str] = {}
         self._notices: dict[str, tuple[str, float]] = {}
@@ -76,13 +78,16 @@ class GuardedNode(Node):
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe, with `raw` to bytes; what the callback raises is counted.
 
-        An input that is not raw is a stream of one publisher: a second one is told.
+        An input that is not raw is a stream of one publisher: a second one that speaks is told.
         """
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             self.received[topic] += 1
-            if lost := self._losses.push(topic, info):
+            lost, by_turns = self._numbers.push(topic, info, self.steady_s())
+            if lost:
                 self.bad[f"{topic.name}: lost"] += lost
+            if by_turns:
+                self._by_turns[topic] = self.steady_s()
             self._mismatched.pop(topic, None)
             callback(message)
             self._arrivals[topic] = self.now_ns()
@@ -144,16 +149,19 @@ class GuardedNode(Node):
         self,
         dropped: Mapping[str, int] | None = None,
         told_elsewhere: Mapping[str, int] | None = None,
+        usual: Collection[str] = (),
     ) -> Health:
         """What went wrong so far.
 
         Args:
             dropped: messages that were not used, by reason.
             told_elsewhere: likewise, where the status has them among its values already.
+            usual: reasons of which nobody need be told now; they are counted all the same.
         """
         bad = {**self.bad, **(dropped or {})}
         lately = self._lately.push(self.steady_s(), {**bad, **(told_elsewhere or {})})
-        return Health(bad, dict(self._faults), tuple(self._noticed(lately)))
+        told = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
+        return Health(bad, dict(self._faults), tuple(self._noticed(told)))
 
     def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
@@ -161,7 +169,8 @@ class GuardedNode(Node):
         for topic, policy in self._mismatched.items():
             yield f"incompatible QoS of {topic.name}: {policy}"
         for topic, name in self._inputs.items():
-            if (publishers := self.count_publishers(name)) > 1:
+            by_turns = self._by_turns.get(topic, -math.inf) > since
+            if by_turns and (publishers := self.count_publishers(name)) > 1:
                 yield f"{publishers} publishers of {topic.name}"
         if self.get_clock().ros_time_is_active and self.now_ns() == 0:
             yield NO_CLOCK
@@ -194,7 +203,9 @@ class GuardedNode(Node):
             try:
                 callback(*arguments)
             except BadMessage as error:
-                self.bad[f"{name}: {error.reason}"] += 1
+                self.bad[why := f"{name}: {error.reason}"] += 1
+                if error.usual:
+                    self._usual.add(why)
             except Exception as error:
                 # A car drives on: whatever this is, the next message deserves its chance.
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))

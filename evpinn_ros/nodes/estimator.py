@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import partial
 from pathlib import Path
 import time
@@ -82,7 +81,7 @@ class EstimatorNode(GuardedNode):
         status = self.estimator.status()
         report = EstimatorReport(
             status=status,
-            health=self.health(self._guard.dropped, _unexpected(status)),
+            health=self.health(self._guard.dropped, status.dropped, _usual(status)),
             speed_age=self.age(topics.SPEED),
             jumps=self._guard.jumps,
             state_problem=self._keeper.problem,
@@ -159,15 +158,12 @@ class EstimatorNode(GuardedNode):
         return response
 
 
-def _unexpected(status: EstimatorStatus) -> Counter[str]:
-    """Readings dropped that a person should know of.
+def _usual(status: EstimatorStatus) -> tuple[str, ...]:
+    """Why readings are dropped that nobody need be told of.
 
-    A battery that tells its state of charge alone is none of them, as long as others tell power.
+    A battery may tell its state of charge alone, as long as others tell power.
     """
-    dropped = Counter(status.dropped)
-    if status.activity is not Activity.PREDICTING:
-        del dropped["battery_unmeasured"]
-    return dropped
+    return () if status.activity is Activity.PREDICTING else ("battery_unmeasured",)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -65,6 +65,7 @@ def estimator_status(report: EstimatorReport) -> Status:
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),
         **flat("progress", {name: round(p) for name, p in status.progress.items()}),
+        **flat("state", {name: state.value for name, state in status.states.items()}),
         **flat("seen", status.seen),
         **flat("in_90_band", bands),
         **_noticed(status.report),

@@ -40,11 +40,16 @@ class NewMessage(Protocol):
 
 
 class BadMessage(ValueError):  # noqa: N818  (it is the message that is bad)
-    """A message holds no usable value; `reason` is a short snake_case key for counters."""
+    """A message holds no usable value.
 
-    def __init__(self, reason: str) -> None:
+    Attributes:
+        reason: a short snake_case key for counters.
+        usual: it says that there is no value now, with nothing wrong, as GNSS does in a garage.
+    """
+
+    def __init__(self, reason: str, *, usual: bool = False) -> None:
         super().__init__(reason)
-        self.reason = reason
+        self.reason, self.usual = reason, usual
 
 
 class Level(IntEnum):

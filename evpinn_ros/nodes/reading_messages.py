@@ -155,7 +155,7 @@ def grade_reading(message: Any) -> GradeReading:
 def altitude_reading(message: Any) -> AltitudeReading:
     """Altitude of a NavSatFix, which is valid from STATUS_FIX on."""
     if message.status.status < STATUS_FIX:
-        raise BadMessage("no_fix")
+        raise BadMessage("no_fix", usual=True)
     return AltitudeReading(stamp_ns(message), usable(message.altitude))
 
 

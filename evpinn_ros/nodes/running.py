@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 import os
 import signal
 import sys
@@ -22,16 +23,29 @@ frame in a hundred came 12 ms late, now 4."""
 MakeNode = Callable[[], GuardedNode]
 
 
-def run(*makers: MakeNode, args: list[str] | None = None) -> int:
+def run(
+    *makers: MakeNode,
+    args: list[str] | None = None,
+    beside: AbstractContextManager[None] | None = None,
+) -> int:
     """Make nodes and spin them until SIGINT, SIGTERM or a shutdown; this ends the process with 0.
 
     Args:
-        makers: of the nodes, called once ROS is up.
+        makers: of the nodes, called once ROS is up; those who listen before those who speak.
         args: of the command line, None for those of the process.
+        beside: entered before the nodes start and left when they have ended.
 
     Returns:
         The exit code 1, with one line on stderr, when input is wrong.
     """
+    with beside or nullcontext():
+        code = _run(makers, args)
+    if code == 0:
+        _end_process()
+    return code
+
+
+def _run(makers: Sequence[MakeNode], args: list[str] | None) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
     # rclpy shuts down at SIGINT by itself. A KeyboardInterrupt beside that would strike anywhere,
     # also in the middle of its C++, which turns it into some other error.
@@ -55,12 +69,12 @@ def run(*makers: MakeNode, args: list[str] | None = None) -> int:
             raise
         # The shutdown came in the middle of a call into rclpy.
     finally:
-        for node in nodes:
+        for node in reversed(nodes):  # those who listen hear the last words of the others
             node.close()
         for node in nodes:
             node.destroy_node()  # tells the others that it is gone
         rclpy.try_shutdown()
-    _end_process()
+    return 0
 
 
 def _spin(nodes: list[GuardedNode]) -> None:
@@ -72,8 +86,10 @@ def _spin(nodes: list[GuardedNode]) -> None:
 
 def _end_process() -> NoReturn:
     """End without taking torch to pieces, which would be 0.6 s of the processor for nothing."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # whoever started us may have closed it
+            with suppress(OSError):
+                stream.flush()
     os._exit(0)
 
 

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-import math
 from pathlib import Path
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag, open_can_log
+from evpinn_ros.bags.convert import reported
 from evpinn_ros.bags.csv_columns import Column
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.inspection import Inspection
@@ -17,7 +17,6 @@ from evpinn_ros.can.profile import bundled_profiles
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import CsvSource, is_drive_table, open_source
 from evpinn_ros.replay.usable import Flow, Usable, usable
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 
 BITRATE = 500_000  # bit/s; the load of the bus is not told here
@@ -133,7 +132,7 @@ def _with_drive(
     own = None if found.kind == "bag" and _has_readings(found.path) else profile
     try:
         source = open_source(found.path, load_vehicle(GENERIC), own, columns=columns)
-        drive = usable(_reported(source.readings(), progress))
+        drive = usable(reported(source.readings(), progress))
     except InputError as error:
         if found.kind != "bag":
             raise
@@ -158,15 +157,3 @@ def _has_readings(path: Path) -> bool:
 
 def _vehicles() -> Iterator[Vehicle]:
     yield from map(load_vehicle, vehicle_names())
-
-
-def _reported(readings: Iterator[Reading], progress: Progress | None) -> Iterator[Reading]:
-    first_ns: int | None = None
-    told = -math.inf
-    for reading in readings:
-        first_ns = reading.stamp_ns if first_ns is None else first_ns
-        done = (reading.stamp_ns - first_ns) / NANOSECONDS
-        if progress is not None and done - told >= 1.0:
-            progress(done)
-            told = done
-        yield reading

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 import math
 from pathlib import Path
 import time
@@ -69,8 +70,11 @@ def replay(
     mode: str,
     writer: BagWriter | None = None,
     progress: Progress | None = None,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> Replayed:
     """Run one drive through the chain, which keeps what it learned.
+
+    `stopped` is asked at each reading whether the drive shall end there.
 
     Raises:
         InputError: the source holds no speed at all.
@@ -79,7 +83,8 @@ def replay(
     history.add_noticed(chain.estimator.noticed())  # what earlier drives left is no event of this
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
-    readings = span(source.readings(), options.start, options.duration)
+    whole = takewhile(lambda _: not stopped(), source.readings())
+    readings = span(whole, options.start, options.duration)
     for reading in _paced(readings, history, options.rate, progress):
         outputs = _outputs(reading, history, chain, options)
         if writer is not None:

@@ -6,19 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.parameter_text import MEANINGS, number
 from evpinn_ros.replay.scoring import Span, null_scores
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
 
-DECIMALS = {"eta": 3, "mu": 3, "mass": 0, "c_rr": 5, "c_d": 4, "p_aux": 0}
-UNITS = {"mass": " kg", "p_aux": " W"}
-MEANINGS = {
-    "eta": "motor efficiency",
-    "mu": "regeneration",
-    "mass": "all aboard",
-    "c_rr": "rolling",
-    "c_d": "drag",
-    "p_aux": "auxiliary",
-}
 SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")
 
 
@@ -68,11 +59,6 @@ def energy_lines(found: Mapping[str, Any]) -> list[str]:
     if "withheld" in found:
         lines.append(_energy_line("Energy while withheld", found["withheld"]["energy"]))
     return lines
-
-
-def number(name: str, value: float) -> str:
-    """A parameter with its digits and unit."""
-    return f"{value:.{DECIMALS[name]}f}{UNITS.get(name, '')}"
 
 
 def watts(value: float | None) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replay.foretold import Foretold
 from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.parameter_text import DECIMALS
 from evpinn_ros.replay.scoring import MAX_MEASURED_STEP, measured_at
-from evpinn_ros.replay.tables import DECIMALS
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 from evpinn_ros.vehicle.parameters import Parameters
 

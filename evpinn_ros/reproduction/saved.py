@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-import yaml
 
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.estimation.network import PowerNetwork
@@ -18,9 +18,9 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem
-from evpinn_ros.vehicle.files import CONSTANTS, OPTIONAL_CONSTANTS, load_vehicle
-from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
 from evpinn_ros.vehicle.physics import RegenForm
+from evpinn_ros.vehicle.written import write_vehicle
 
 LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one day to the next
 
@@ -92,26 +92,17 @@ def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
     variance = np.diag(outcome.covariance).copy()
     variance[LEARNED.index("mu")] = np.diag(fit.covariance)[LEARNED.index("mu")]
     relative = dict(zip(LEARNED, np.sqrt(variance).tolist(), strict=True))
-    document: dict[str, Any] = {"name": vehicle.name}
-    if vehicle.can_profile is not None:
-        document["can_profile"] = vehicle.can_profile
-    for name in CONSTANTS:
-        value = getattr(vehicle, name)
-        if name not in OPTIONAL_CONSTANTS or np.isfinite(value):
-            document[name] = {"value": value, "source": f"vehicle file {vehicle.key}"}
-    document["parameters"] = {
-        name: {
-            "value": float(getattr(values, name)),
-            "std": float(getattr(values, name)) * max(relative[name], LEAST_RELATIVE_STD)
+    priors = {
+        name: Prior(
+            float(getattr(values, name)),
+            float(getattr(values, name)) * max(relative[name], LEAST_RELATIVE_STD)
             if name in relative
             else vehicle.priors[name].std,
-            "source": source,
-        }
+            source,
+        )
         for name in PARAMETER_NAMES
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    load_vehicle(path)
+    write_vehicle(path, replace(vehicle, priors=priors))
 
 
 def possible(values: Parameters, form: RegenForm) -> Parameters:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from evpinn_ros.bags.convert import write_readings
+from evpinn_ros.bags.convert import reported, write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.simulation.simulate import SimulatedDrive
@@ -17,19 +17,25 @@ from evpinn_ros.simulation.truth import DEFINITIONS
 from evpinn_ros.simulation.truth_file import TRUTH_FILE
 
 
-def write(drive: SimulatedDrive, folder: Path, can_log: Path | None = None) -> None:
+def write(
+    drive: SimulatedDrive,
+    folder: Path,
+    can_log: Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> None:
     """Write a drive as the bag `folder` with `truth.yaml` in it.
 
     Args:
         drive: what to write.
         folder: of the new bag.
         can_log: a candump log to write too, from which the bag's readings were decoded.
+        progress: takes the seconds of the drive that are in the bag.
 
     Raises:
         InputError: a file cannot be written.
     """
     with BagWriter(folder) as bag:
-        write_readings(drive.readings, bag)
+        write_readings(reported(drive.readings, progress), bag)
     text = yaml.safe_dump(truth_document(drive), sort_keys=False, width=99)
     (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
     if can_log is not None:

@@ -33,6 +33,15 @@ def write(folder: Path, count: int = COUNT) -> Path:
     return folder
 
 
+def test_raw_records_are_the_bytes_of_the_records(tmp_path):
+    with BagReader(write(tmp_path / "bag", 3)) as bag:
+        raw, whole = list(bag.raw_records()), list(bag.records())
+    assert [r.data for r in raw] == [encode(r.message) for r in whole]
+    assert [(r.topic, r.type_name, r.log_time_ns) for r in raw] == [
+        (r.topic, r.type_name, r.log_time_ns) for r in whole
+    ]
+
+
 def write_rosbags(folder: Path, plugin: StoragePlugin, *compression: object) -> Path:
     writer = RosbagsWriter(folder, version=9, storage_plugin=plugin)
     if compression:

@@ -49,7 +49,9 @@ def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> 
         assert word in line
 
 
-@pytest.mark.parametrize("name", ["replay", "run", "convert", "simulate", "demo", "check-params"])
+@pytest.mark.parametrize(
+    "name", ["replay", "run", "watch", "convert", "simulate", "demo", "check-params"]
+)
 def test_help_has_an_example(name, tmp_path):
     done = evpinn(name, "--help", cwd=tmp_path)
     assert done.returncode == 0

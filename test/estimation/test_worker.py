@@ -43,6 +43,15 @@ def test_inline_gives_its_result_once_and_counts_its_time():
     worker.close()
 
 
+def test_a_stop_does_not_wait_for_the_update_under_way(thread_worker):
+    worker, go, ran = thread_worker(), threading.Event(), threading.Event()
+    worker.submit(lambda: (go.wait(10.0), ran.set()))
+    worker.close()
+    assert not ran.is_set()
+    go.set()
+    assert ran.wait(10.0)
+
+
 def test_a_thread_never_makes_the_caller_wait(thread_worker):
     worker, go, ran = thread_worker(), threading.Event(), threading.Event()
 

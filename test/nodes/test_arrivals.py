@@ -1,31 +1,53 @@
 """Messages that were lost, stamps that leap: told from what arrives."""
 
-from evpinn_ros.nodes.arrivals import MOST_PUBLISHERS, Losses, StampWatch
+import pytest
+
+from evpinn_ros.nodes.arrivals import MOST_PUBLISHERS, MessageNumbers, StampWatch
 from evpinn_ros.nodes.diagnosis import LATELY, Lately, unused_notice
 from evpinn_ros.signals.readings import NANOSECONDS
 
 
 def info(number, publisher=b"a"):
-    return {"publication_sequence_number": number, "publisher_gid": {"data": publisher}}
+    gid = {"publisher_gid": {"data": publisher}} if publisher else {}
+    return {"publication_sequence_number": number, **gid}
 
 
 def test_a_gap_in_the_numbers_of_a_publisher_is_what_was_lost():
-    losses = Losses()
-    assert [losses.push("speed", info(n)) for n in (301, 302, 305, 306)] == [0, 0, 2, 0]
-    assert losses.push("battery", info(900)) == losses.push("speed", info(1, b"b")) == 0
+    for name in (b"a", None):  # None as in Jazzy
+        numbers = MessageNumbers()
+        found = [numbers.push("speed", info(n, name), 0.0).lost for n in (301, 302, 305, 306)]
+        assert found == [0, 0, 2, 0]
+        assert numbers.push("battery", info(900, name), 0.0).lost == 0
+        assert numbers.push("speed", info(1, name and b"b"), 0.0).lost == 0
 
 
-def test_a_middleware_that_tells_no_numbers_counts_nothing():
-    losses = Losses()
-    assert losses.push("speed", {}) == losses.push("speed", info(None)) == 0
-    assert losses.push("speed", {"publication_sequence_number": 9}) == 0
+def test_a_middleware_that_tells_no_numbers_counts_nothing_and_excludes_nothing():
+    numbers = MessageNumbers()
+    assert numbers.push("speed", {}, 0.0) == numbers.push("speed", info(None), 0.0) == (0, True)
 
 
 def test_publishers_that_come_and_go_for_years_are_not_kept():
-    losses = Losses()
+    numbers = MessageNumbers()
     for publisher in range(1000):
-        losses.push("speed", info(1, publisher.to_bytes(4, "big")))
-    assert len(losses._numbers["speed"]) <= MOST_PUBLISHERS
+        numbers.push("speed", info(1, publisher.to_bytes(4, "big")), 0.0)
+    assert len(numbers._numbers["speed"]) <= MOST_PUBLISHERS
+
+
+@pytest.mark.parametrize("names", [(b"a", b"b"), (None, None)])
+def test_two_publishers_are_told_from_one_that_was_started_anew(names):
+    def told(*messages):
+        numbers = MessageNumbers()
+        return [
+            numbers.push("speed", info(n, names[who]), step / 10)
+            for step, (who, n) in enumerate(messages)
+        ]
+
+    anew = told((0, 301), (0, 302), (1, 1), (1, 2), (1, 3))
+    assert set(anew) == {(0, False)}
+    two = told((0, 301), (1, 1), (0, 302), (1, 2), (0, 303))
+    assert [each.by_turns for each in two] == [False, False, False, True, False]
+    assert told((0, 7), (1, 7), (0, 8), (1, 8))[-1].by_turns  # both began at once
+    assert {each.lost for each in two} == {0}
 
 
 def watch(*moments):

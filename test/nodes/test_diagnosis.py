@@ -11,6 +11,7 @@ from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
 from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.estimation.estimate import State
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.load_change import LoadChange
@@ -158,13 +159,19 @@ def test_what_was_noticed_of_the_car_is_told():
         STATUS,
         report=noticed,
         progress={"mass": 73.4},
+        states={"mass": State.ESTIMATING},
         seen={"30_60_kmh_steady": 12},
         band_coverage={"smoothed": 0.9},
     )
     found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
     assert found.level == Level.WARN and "sign of current" in found.text
-    told = {key: found.values[key] for key in ("load_change_kg", "load_changes", "progress.mass")}
-    assert told == {"load_change_kg": 151.235, "load_changes": 2, "progress.mass": 73}
+    told = {
+        "load_change_kg": 151.235,
+        "load_changes": 2,
+        "progress.mass": 73,
+        "state.mass": "estimating",
+    }
+    assert {key: found.values[key] for key in told} == told
     assert found.values["seen.30_60_kmh_steady"] == 12
     assert found.values["in_90_band.smoothed"] == 0.9
     assert found.values["suspicion"] == "current_sign"

@@ -58,8 +58,8 @@ def test_a_log_that_is_cut_or_is_none_is_told(log):
 
 def test_a_stamp_beyond_all_time_ends_it(log):
     with log.open("a") as file:
-        file.write("(99999999999999.0) can0 132#00\n")
-    player = LogPlayer(log, 1000.0, 0.0, lambda frame: None)
+        file.write("(8500000000.0) can0 132#00\n")
+    player = LogPlayer(log, 0.5, 0.0, lambda frame: None)
     player.run()
     assert player.problem == f"{log}: a stamp beyond all time, frame 21"
 

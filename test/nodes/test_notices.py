@@ -7,8 +7,14 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import Level, speed_message
+from evpinn_ros.nodes.reading_messages import altitude_message
 from evpinn_ros.nodes.topics import SUBSCRIBER_DEPTH
-from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    SpeedReading,
+)
 
 START = 1_700_000_000 * NANOSECONDS
 
@@ -32,6 +38,36 @@ def test_values_that_are_no_numbers_are_named_and_are_no_arrival(bench):
     assert node._arrivals[topics.SPEED] == arrived
 
 
+def test_a_receiver_without_a_fix_is_counted_and_is_no_news(bench):
+    """As in a garage, once a second for a night."""
+    node = bench.start(EstimatorNode)
+    message = altitude_message(new_message, AltitudeReading(START, 100.0))
+    message.status.status = message.status.STATUS_NO_FIX
+    for _ in range(5):
+        bench.deliver(node, topics.FIX, message)
+    _, text, values = bench.diagnosis(node)["estimate"]
+    assert values["bad.vehicle/fix: no_fix"] == "5"
+    assert "no_fix" not in text
+
+
+def test_a_battery_that_falls_silent_brings_no_news_of_long_ago(bench, monkeypatch):
+    """A topic of the state of charge alone, beside one that told power until now."""
+    node = bench.start(EstimatorNode)
+    for step in range(100):
+        stamp_ns = START + step * NANOSECONDS // 10
+        battery = BatteryReading(stamp_ns, 350.0, -20.0)
+        charge = BatteryReading(stamp_ns, math.nan, math.nan, 0.5)
+        for reading in (SpeedReading(stamp_ns, 10.0), battery, charge):
+            list(node.estimator.push(reading))
+    for later in (0.0, 20.0, 21.0):
+        monkeypatch.setattr(node, "steady_s", lambda later=later: later)
+        list(node.estimator.push(SpeedReading(START + round((10 + later) * NANOSECONDS), 10.0)))
+        (status,) = node.statuses()
+    assert status.values["activity"] == "predicting"
+    assert status.values["dropped.battery_unmeasured"] == 100
+    assert "battery_unmeasured" not in status.text
+
+
 def test_what_a_full_queue_dropped_is_counted_and_named(bench):
     node = bench.start(EstimatorNode)
     bench.deliver(node, topics.SPEED, speed(0.0))
@@ -45,12 +81,31 @@ def test_what_a_full_queue_dropped_is_counted_and_named(bench):
 
 def test_a_second_publisher_is_named_until_it_goes(bench):
     node = bench.start(EnergyNode)
-    bench.publisher(topics.SPEED)
     second = factory.advertise(bench.node, topics.SPEED)
     wanted = "2 publishers of vehicle/speed"
-    bench.pump(lambda: wanted in bench.diagnosis(node)["meter"][1])
+
+    def named():
+        second.publish(speed(0.0))
+        bench.deliver(node, topics.SPEED, speed(0.0))
+        return wanted in bench.diagnosis(node)["meter"][1]
+
+    bench.pump(named)
     bench.node.destroy_publisher(second)
     bench.pump(lambda: wanted not in bench.diagnosis(node)["meter"][1])
+
+
+def test_a_publisher_in_the_place_of_one_that_is_still_counted_is_no_second(bench):
+    """As after a kill: until its lease ends the dead one is a publisher that says nothing."""
+    node = bench.start(EnergyNode)
+    dead = factory.advertise(bench.node, topics.SPEED)
+    bench.pump(lambda: dead.get_subscription_count() > 0)
+    for step in range(3):
+        dead.publish(speed(step / 10))
+        bench.pump(lambda step=step: node.received[topics.SPEED] > step)
+    for step in range(3, 6):
+        bench.deliver(node, topics.SPEED, speed(step / 10))
+    assert node.count_publishers(topics.SPEED.under()) == 2
+    assert "publishers of" not in bench.diagnosis(node)["meter"][1]
 
 
 def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(bench):

@@ -73,6 +73,20 @@ def test_a_signal_ends_the_node_well_and_saves_the_state(bench, tmp_path, stop):
     assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
 
 
+def test_a_node_whose_output_was_closed_ends_well(bench):
+    command = ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, *node("energy")]
+    running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    try:
+        bench.listen(topics.DIAGNOSTICS)
+        bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
+        running.terminate()
+        _, said = running.communicate(timeout=20)
+        assert running.returncode == 0, said
+    finally:
+        running.kill()
+        running.communicate()
+
+
 @pytest.mark.parametrize(
     ("name", "options", "reason"),
     [

@@ -20,8 +20,11 @@ LISTENS = {
         topics.PLAN,
         topics.POWER_MEASURED,
         topics.POWER_SMOOTHED,
+        topics.PRESSURE,
         topics.SPEED,
         topics.SPEED_PROFILE,
+        topics.TEMPERATURE,
+        topics.WIND,
     },
 }
 # No CAN profile knows an auxiliary load yet.

@@ -56,6 +56,26 @@ def test_a_car_that_does_one_thing_is_not_suspected(speed, current):
     assert judge(25, speed, current) is None
 
 
+def test_a_speed_in_whole_kilometres_per_hour_repeats_by_itself():
+    """As OBD tells it, on a motorway; the same hang is told where speeds are finer."""
+
+    def held(step):
+        def speed(t):
+            return 27.0 if 12 <= t < 15 else 28.0 + step * math.floor(t)
+
+        return judge(14.9, speed, lambda t: -20 - 60 * math.cos(2 * t))
+
+    assert held(1 / 3.6) is None
+    assert held(0.05) == SPEED_STUCK
+
+
+def test_a_coarse_speed_that_hangs_for_long_is_suspected():
+    def speed(t):
+        return round(min(t, 15.0)) / 3.6
+
+    assert judge(30, speed, waves(-50, 120)) == SPEED_STUCK
+
+
 def test_long_cruising_over_hills_is_not_suspected():
     assert judge(600, lambda _: 30.0, lambda t: -60 + 60 * math.sin(t / 60)) is None
 

@@ -1,0 +1,99 @@
+"""The picture of the README: the live view, late in a bundled drive.
+
+Run: python docs/live_view.py (`make docs` does)
+"""
+
+from collections.abc import Iterator
+import io
+from pathlib import Path
+import time
+from typing import Any
+
+from rich.console import Console
+from rich.terminal_theme import MONOKAI
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.energy.account import AccountSummary
+from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.nodes.diagnosis import Health
+from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
+from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
+from evpinn_ros.nodes.messages import diagnostics
+from evpinn_ros.nodes.reading_messages import to_reading
+from evpinn_ros.nodes.topics import BATTERY, DIAGNOSTICS, SPEED, Topic, topic_of
+from evpinn_ros.one_thread import one_thread
+from evpinn_ros.replay.chain import Chain, ChainOutput
+from evpinn_ros.report.live_screen import screen
+from evpinn_ros.report.live_state import WATCHED, LiveState
+from evpinn_ros.share import share_directory
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.vehicle.files import load_vehicle
+
+ROOT = Path(__file__).resolve().parents[1]
+VEHICLE, DRIVE = "tesla_model_3_lr", "urban"
+SECONDS = 330.0  # of the drive
+WIDTH, HEIGHT = 80, 24
+# The frame of a terminal, without fonts from the network.
+FRAME = """<svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg">
+<style>
+.{unique_id}-matrix {{ font-family: monospace; font-size: {char_height}px;
+    line-height: {line_height}px; white-space: pre }}
+{styles}
+</style>
+<defs>{lines}</defs>
+<rect fill="#1e1e1e" width="100%" height="100%" rx="8"/>
+<g transform="translate(9, 9)">{backgrounds}<g class="{unique_id}-matrix">{matrix}</g></g>
+</svg>
+"""
+
+
+def as_messages(output: ChainOutput) -> Iterator[tuple[Topic, Any]]:
+    """What the nodes publish of one output of the chain."""
+    if isinstance(output, EnergyState):
+        return energy_messages(new_message, output)
+    if isinstance(output, AccountSummary):
+        return summary_messages(new_message, output)
+    return output_messages(new_message, output)
+
+
+def drive(state: LiveState) -> float:
+    """Let the view hear the drive; gives the time at its end, s."""
+    chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(time.perf_counter))
+    now = begin = 0.0
+    with BagReader(share_directory() / "bags" / DRIVE) as bag:
+        for record in bag.records():
+            topic, now = topic_of(record.topic), record.log_time_ns / NANOSECONDS
+            begin = begin or now
+            if topic not in (SPEED, BATTERY) or now - begin > SECONDS:
+                continue
+            state.take(topic, record.message, now)
+            for output in chain.push(to_reading(topic.type_name, record.message)):
+                for said, message in as_messages(output):
+                    if said in WATCHED:
+                        state.take(said, message, now)
+    now = begin + SECONDS
+    report = EstimatorReport(chain.estimator.status(), Health({}, {}), 0.0, 0, None)
+    name, level, text, values = estimator_status(report)
+    status = (f"estimator: {name}", level, text, values)
+    state.take(DIAGNOSTICS, diagnostics(new_message, int(now * NANOSECONDS), [status]), now)
+    return now
+
+
+def main() -> None:
+    """Write docs/live_view.svg."""
+    one_thread()
+    state = LiveState()
+    now = drive(state)
+    console = Console(
+        record=True, width=WIDTH, height=HEIGHT, file=io.StringIO(), force_terminal=True
+    )
+    console.print(screen(state, now, WIDTH, HEIGHT))
+    svg = console.export_svg(title="", theme=MONOKAI, code_format=FRAME, unique_id="live")
+    (ROOT / "docs" / "live_view.svg").write_text(svg, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""`evpinn fleet`: many drives of many cars, and what the cars have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import shlex
+import signal
+import sys
+from typing import Annotated
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+import typer
+
+from evpinn_ros.cli.console import note, notes, results
+from evpinn_ros.cli.options import VehicleOption
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
+from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
+from evpinn_ros.fleet.run import claimed, learn_fleet
+from evpinn_ros.fleet.tables import Summary, require_parquet, write_tables
+from evpinn_ros.report.fleet_page import POPULATION_HEAD, population_cells, write_fleet_page
+from evpinn_ros.vehicle.written import write_vehicle
+
+REPORT = "report.html"
+TOLD = 20  # problems printed; the tables hold all
+
+
+def fleet(
+    bags: Annotated[
+        list[str] | None,
+        typer.Argument(help="Files, folders or patterns; one car for each top folder."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; a later run goes on from there.")
+    ] = Path("fleet"),
+    vehicle: VehicleOption = "generic",
+    manifest: Annotated[
+        Path | None, typer.Option(help="fleet.yaml or CSV: which drive is of which car and model.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes, one for each core if not given.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler of a cluster.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML report, report.html in OUT if not given.")
+    ] = None,
+    write_vehicle_to: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-vehicle",
+            metavar="OUT.yaml",
+            help="Vehicle file with what the cars taught of the next one; "
+            "for several models a folder of them.",
+        ),
+    ] = None,
+) -> None:
+    """Learn each car over all its drives in order of time, and the priors of the model.
+
+    What is done is kept: a run that was stopped goes on, and a drive that fails stops no other.
+
+    Example: evpinn fleet drives/ --vehicle bmw_i3 --out fleet --write-vehicle i3_fleet.yaml
+    """
+    require_parquet()
+    cars = _cars(bags or [], vehicle, manifest)
+    _refuse_one_file_for_many(write_vehicle_to, cars)
+    executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(workers)
+    with claimed(out):
+        failed: dict[str, str] = {}
+        stopped = not _learn(cars, out, executor, failed)
+        summary = write_tables(out, cars, failed)
+        _write(summary, report or out / REPORT, write_vehicle_to)
+    _show(summary, out)
+    if stopped:
+        note("evpinn: stopped; the same command goes on from here")
+    if stopped or failed or not summary.counts["learned"]:
+        raise typer.Exit(1)
+
+
+def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrives]:
+    if manifest is not None:
+        if bags:
+            raise InputError(f"{manifest}: says which drives there are; give no others beside it")
+        return cars_by_manifest(manifest)
+    if not bags:
+        raise InputError("give bags, folders of bags, or a --manifest")
+    return cars_by_folder(bags, load_model(vehicle, Path()))
+
+
+def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
+    models = sorted({car.vehicle.key for car in cars})
+    if path is not None and path.suffix in (".yaml", ".yml") and len(models) > 1:
+        raise InputError(f"{path}: one file for {', '.join(models)}; give the name of a folder")
+
+
+def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
+    """Learn all; False when a person stopped it."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    columns = (TextColumn("cars"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    try:
+        with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
+            work = bar.add_task("cars", total=len(cars))
+            for outcome in learn_fleet(cars, out.resolve(), executor):
+                bar.advance(work)
+                if outcome.problem is not None:
+                    failed[outcome.task.drives.car] = outcome.problem
+    except KeyboardInterrupt:
+        return False
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return True
+
+
+def _write(summary: Summary, report: Path, vehicles: Path | None) -> None:
+    try:
+        write_fleet_page(report, summary, shlex.join(["evpinn", *sys.argv[1:]]))
+        for key, population in summary.populations.items():
+            if vehicles is not None:
+                one = vehicles.suffix in (".yaml", ".yml")
+                path = vehicles if one else vehicles / f"{key}.yaml"
+                write_vehicle(path, population.priors("evpinn fleet"))
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}") from error
+
+
+def _show(summary: Summary, out: Path) -> None:
+    for what, why in summary.problems[:TOLD]:
+        note(f"evpinn: {why}" if what in why else f"evpinn: {what}: {why}")
+    counts = summary.counts
+    if counts["problems"] > TOLD:
+        note(f"evpinn: and {counts['problems'] - TOLD} more problems, in the tables")
+    for key, population in summary.populations.items():
+        table = titled_table(f"Cars of model {key}")
+        name, _, *rest = POPULATION_HEAD  # the vehicle file beside it is for the report
+        table.add_column(name)
+        for column in rest:
+            table.add_column(column, justify="right", no_wrap=True)
+        for name, _, *cells in population_cells(population):
+            table.add_row(name, *cells)
+        results.print(table)
+    results.print(
+        f"{out}: {counts['cars']} cars, {counts['learned']} of {counts['drives']} drives learned",
+        markup=False,
+        soft_wrap=True,
+    )

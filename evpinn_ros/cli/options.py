@@ -1,0 +1,47 @@
+"""Options that several commands have: said once, so that they mean and complete the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.can.profile import profile_names
+from evpinn_ros.cli.console import STDOUT, tables_beside
+from evpinn_ros.vehicle.files import vehicle_names
+
+
+def complete_vehicle(incomplete: str) -> list[str]:
+    """Bundled vehicles that begin so; the shell offers paths where there is none."""
+    return [name for name in vehicle_names() if name.startswith(incomplete)]
+
+
+def complete_profile(incomplete: str) -> list[str]:
+    """Bundled CAN profiles that begin so; the shell offers paths where there is none."""
+    return [name for name in profile_names() if name.startswith(incomplete)]
+
+
+def _tables_beside_json(path: Path | None) -> Path | None:
+    tables_beside(path)
+    return path
+
+
+VehicleOption = Annotated[
+    str,
+    typer.Option(
+        help="Vehicle by name, or the path of its file.", autocompletion=complete_vehicle
+    ),
+]
+CanProfileOption = Annotated[
+    str | None,
+    typer.Option(help="CAN profile, if not the vehicle's own.", autocompletion=complete_profile),
+]
+_JSON_HELP = f"Write what was found as JSON; {STDOUT} for stdout, and the tables to stderr."
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help=_JSON_HELP, callback=_tables_beside_json)
+]
+MetricsOption = Annotated[
+    Path | None,
+    typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_tables_beside_json),
+]

@@ -1,0 +1,90 @@
+"""`evpinn view`: a bag in Foxglove."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import time
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import typestore
+from evpinn_ros.cli.console import note
+from evpinn_ros.errors import InputError
+from evpinn_ros.report.foxglove import LOOPBACK, PORT, FoxgloveServer, is_loopback
+from evpinn_ros.signals.readings import NANOSECONDS
+
+LONGEST_PAUSE = 10.0  # s of the bag: a stretch without messages takes no longer
+POLL = 0.1  # s
+
+
+def view(
+    bag: Annotated[Path, typer.Argument(help="Bag: a folder, .mcap or .db3.")],
+    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Of real time.")] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
+    host: Annotated[str, typer.Option(help="To listen on.")] = LOOPBACK,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 for any.")] = PORT,
+) -> None:
+    """Serve a bag to Foxglove at the pace it was recorded, from when somebody looks until Ctrl-C.
+
+    In Foxglove open the connection `ws://localhost:8765` and import config/views/foxglove.json.
+    Stretches without messages are cut to ten seconds. Wants the extra `foxglove`.
+
+    Example: evpinn view bags/urban --rate 4 --loop
+    """
+    _warn_if_public(host)
+    with BagReader(bag) as reader:
+        known = typestore().fielddefs
+        offered = {
+            topic: info.type_name
+            for topic, info in reader.topics.items()
+            if info.count and info.type_name in known
+        }
+        if not offered:
+            raise InputError(f"{bag}: holds no messages that can be shown")
+        with FoxgloveServer(host, port, offered, replay=True) as server:
+            _serve(reader, server, rate, loop)
+        if reader.problem is not None:
+            note(reader.problem)
+
+
+def _serve(reader: BagReader, server: FoxgloveServer, rate: float, loop: bool) -> None:
+    """Play, once somebody looks, and stay until Ctrl-C: Foxglove shows what it has meanwhile."""
+    note(f"{reader.path}: waiting for Foxglove at {server.address}; Ctrl-C ends")
+    try:
+        while not server.watched:
+            time.sleep(POLL)
+        _play(reader, server, rate)
+        while loop:
+            server.start_over()
+            _play(reader, server, rate)
+        note(f"{reader.path}: at its end")
+        while True:
+            time.sleep(POLL)
+    except KeyboardInterrupt:
+        pass
+
+
+def _warn_if_public(host: str) -> None:
+    """Say so when what is served can be read by others."""
+    if not is_loopback(host):
+        note(f"Warning: {host} is not loopback; whoever reaches it can read along.")
+
+
+def _play(reader: BagReader, server: FoxgloveServer, rate: float) -> None:
+    """Send every message of the bag at its time.
+
+    Raises:
+        InputError: there is none.
+    """
+    due, before_ns = time.monotonic(), None
+    for record in reader.raw_records():
+        passed = 0.0 if before_ns is None else (record.log_time_ns - before_ns) / NANOSECONDS
+        due += min(max(passed, 0.0), LONGEST_PAUSE) / rate
+        before_ns = record.log_time_ns
+        time.sleep(max(due - time.monotonic(), 0.0))
+        server.tell_time(record.log_time_ns)
+        server.send(record.topic, record.type_name, record.data, record.log_time_ns)
+    if before_ns is None:
+        raise InputError(f"{reader.path}: no message that can be shown")

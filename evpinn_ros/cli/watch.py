@@ -1,0 +1,26 @@
+"""`evpinn watch`: the live view of a running system."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.nodes.topics import NAMESPACE
+
+
+def watch(
+    namespace: Annotated[str, typer.Option(help="Of the topics.")] = NAMESPACE,
+    plain: Annotated[bool, typer.Option("--plain", help="Lines, as without a terminal.")] = False,
+) -> None:
+    """Show what a running system knows, until Ctrl-C: parameters, power, energy, what is missing.
+
+    Hears the topics of nodes started by `evpinn run` or a launch file, on this machine or, with
+    the same ROS_DOMAIN_ID, another; publishes nothing. Without a terminal: a line a second.
+
+    Example: evpinn watch --namespace /ev
+    """
+    # Imported here: all other commands work where no ROS is.
+    from evpinn_ros.nodes.live_view import watch as watch_nodes
+
+    watch_nodes(namespace, plain=plain)

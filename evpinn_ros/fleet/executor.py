@@ -1,0 +1,198 @@
+"""Where tasks run: on this machine's cores, or on a cluster by Dask.
+
+Both take any number of tasks and hold few of them at a time, so memory does not grow with the
+fleet. Both give back each task with what came of it, as it is done; a task that fails, or whose
+worker dies of it, is a result with a reason and stops no other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from itertools import islice
+import multiprocessing
+import os
+import signal
+import threading
+from typing import Any, Generic, Protocol, TypeVar
+
+from evpinn_ros.errors import InputError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+PATIENCE = 10  # s for a cluster to answer and to have a worker
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome(Generic[Task, Result]):
+    """A task and what came of it: a result, or the problem in one line."""
+
+    task: Task
+    result: Result | None
+    problem: str | None
+
+
+class Executor(Protocol):
+    """Runs a function over tasks."""
+
+    def outcomes(
+        self, work: Callable[[Task], Result], tasks: Iterable[Task]
+    ) -> Iterator[Outcome[Task, Result]]:
+        """What came of each task, in order of their ends."""
+
+    def close(self) -> None:
+        """Begin nothing more, and wait for what has begun."""
+
+
+class LocalExecutor:
+    """Processes of this machine, each with one thread.
+
+    Every worker is a pool of its own: one that is killed, as by a bag that needs more memory than
+    there is, takes its own task with it and no other.
+    """
+
+    def __init__(self, workers: int | None = None) -> None:
+        """As many workers as there are cores for this process, if not told."""
+        self._count = workers or len(os.sched_getaffinity(0))
+        self._pools: set[ProcessPoolExecutor] = set()
+
+    def outcomes(
+        self, work: Callable[[Task], Result], tasks: Iterable[Task]
+    ) -> Iterator[Outcome[Task, Result]]:
+        """What came of each task, in order of their ends."""
+        left = iter(tasks)
+        running: dict[Future[Result], tuple[ProcessPoolExecutor, Task]] = {}
+        for task in islice(left, self._count):
+            pool = self._worker()
+            running[pool.submit(work, task)] = (pool, task)
+        while running:
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                pool, task = running.pop(future)
+                error = future.exception()
+                for following in islice(left, 1):
+                    if isinstance(error, BrokenProcessPool):
+                        pool = self._worker()
+                    running[pool.submit(work, following)] = (pool, following)
+                yield _outcome(task, future, error)
+
+    def close(self) -> None:
+        """Begin nothing more, and wait for what has begun."""
+        for pool in self._pools:
+            pool.shutdown()
+
+    def _worker(self) -> ProcessPoolExecutor:
+        """A process, begun now: deaf to Ctrl-C, which is for us to answer, but not to our end."""
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent)
+        self._pools.add(pool)
+        with _interrupts_ignored():
+            pool.submit(int)
+        return pool
+
+
+class DaskExecutor:
+    """The workers of a Dask scheduler, which must see the same files under the same paths."""
+
+    def __init__(self, address: str) -> None:
+        """Connect.
+
+        Raises:
+            InputError: Dask is not installed, nothing answers, or there is no worker.
+        """
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise InputError("--scheduler needs Dask: pip install 'evpinn_ros[fleet]'") from error
+        self._running: dict[Any, Any] = {}
+        try:
+            self._client = Client(address, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError, TypeError, asyncio.TimeoutError) as error:
+            raise InputError(f"--scheduler {address}: nothing answers: {error}") from error
+        try:
+            self._client.wait_for_workers(1, timeout=PATIENCE)
+        except asyncio.TimeoutError as error:
+            self._client.close()
+            raise InputError(
+                f"--scheduler {address}: has no worker; start some with "
+                f"`dask worker {address} --nthreads 1`"
+            ) from error
+
+    def outcomes(
+        self, work: Callable[[Task], Result], tasks: Iterable[Task]
+    ) -> Iterator[Outcome[Task, Result]]:
+        """What came of each task, in order of their ends."""
+        from distributed import as_completed
+
+        left = iter(tasks)
+        window = 2 * sum(self._client.nthreads().values())
+        self._running = {self._begin(work, task): task for task in islice(left, window)}
+        done = as_completed(list(self._running), loop=self._client.loop)
+        for future in done:
+            task = self._running.pop(future)
+            for following in islice(left, 1):
+                begun = self._begin(work, following)
+                self._running[begun] = following
+                done.add(begun)
+            error = None if future.status == "finished" else _dask_error(future)
+            yield _outcome(task, future, error)
+
+    def close(self) -> None:
+        """Begin nothing more, and wait for what has begun: the next run must not meet it."""
+        from distributed import wait as wait_for
+
+        begun = list(self._running)
+        if begun:
+            with suppress(Exception, asyncio.CancelledError), self._client.as_current():
+                wait_for(begun, timeout=PATIENCE)
+        self._client.cancel(begun)
+        self._client.close()
+
+    def _begin(self, work: Callable[[Task], Any], task: Task) -> Any:
+        return self._client.submit(work, task, pure=False)
+
+
+def _outcome(task: Task, future: Any, error: BaseException | None) -> Outcome[Task, Any]:
+    if error is None:
+        return Outcome(task, future.result(), None)
+    if isinstance(error, BrokenProcessPool):
+        return Outcome(task, None, "the worker died; is there enough memory?")
+    text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+    return Outcome(task, None, " ".join(text.split()))
+
+
+def _dask_error(future: Any) -> BaseException:
+    if future.status == "error":
+        error: BaseException = future.exception()
+        return error
+    return RuntimeError("the scheduler lost the task")
+
+
+def _end_with_parent() -> None:
+    """End this process with the one that began it, however that ends."""
+
+    def watch() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C for a moment, and in processes that are started in it for good."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,162 @@
+"""What cars of one model have in common: mean and spread of their parameters (empirical Bayes).
+
+Each car's parameters are a draw from N(mean, spread), in logarithms but for p_aux, which may be
+zero. Of each car only the likelihood counts (`estimation.evidence`), so a car that learned nothing
+changes nothing, and one that learned mass over eta alone tells of that alone.
+
+The vehicle file is the belief before: half of its variance is doubt of the model's mean, half is
+how cars of the model differ, and that half weighs as much as a quarter of a car. So without any
+evidence the priors of a new car are those of the file, and what no car can tell, as eta, mass and
+C_d scaled together, stays what the file says.
+
+Mean and its doubt are exact for a given spread; the spread is found by expectation maximisation,
+the doubt of the mean counted (Dempster, Laird and Rubin, 1977; restricted maximum likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+
+from evpinn_ros.estimation.evidence import SIZE, Evidence
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Prior
+
+FILE_SHARE = 0.5  # of the vehicle file's variance that is doubt of the mean, the rest spread
+FILE_CARS = 0.25  # cars that the file's word on the spread is worth
+MOST_STEPS, PRECISE = 3000, 1e-7  # of the expectation maximisation; of the prior's variance
+LINEAR = "p_aux"
+
+# Sums of logarithms that data determine (`vehicle.identifiable`).
+COMBINATIONS = {
+    "mass_over_eta": {"mass": 1.0, "eta": -1.0},
+    "c_d_over_eta": {"c_d": 1.0, "eta": -1.0},
+    "regeneration": {"eta": 1.0, "mu": 1.0},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One parameter, or combination, of a population; logarithms but for p_aux.
+
+    Attributes:
+        mean: of the cars.
+        mean_std: 1-sigma of the mean.
+        spread: standard deviation from car to car.
+        spread_std: 1-sigma of the spread; two of them hold the truth in about 90 %, for what a
+            car tells of several parameters together is counted as if told of each alone.
+        cars: how many fully known cars the evidence is worth.
+    """
+
+    mean: float
+    mean_std: float
+    spread: float
+    spread_std: float
+    cars: float
+
+    @property
+    def new_car_std(self) -> float:
+        """1-sigma of a car not yet seen: the spread, and the doubt of the mean."""
+        return math.hypot(self.spread, self.mean_std)
+
+
+class Population:
+    """Mean and spread of the cars of one model, from what each of them told."""
+
+    def __init__(self, vehicle: Vehicle, found: Sequence[Evidence]) -> None:
+        """Learn from the cars; their evidence is relative to this vehicle's priors."""
+        self.vehicle = vehicle
+        found = [one for one in found if one.precision.any()]
+        precision = np.array([one.precision for one in found]).reshape(-1, SIZE, SIZE)
+        information = np.array([one.information for one in found]).reshape(-1, SIZE)
+        self._prior, self._scale = _prior(vehicle)
+        self._spread = _spread(precision, information)
+        weight = _weight(precision, self._spread)
+        self._mean, self._doubt = _mean(precision, information, self._spread, weight)
+        self._left = self._spread @ weight  # of the spread in each car, once its data are known
+
+    def parameter(self, name: str) -> Told:
+        """One of `PARAMETER_NAMES`."""
+        return self._along(np.eye(SIZE)[PARAMETER_NAMES.index(name)])
+
+    def combination(self, name: str) -> Told:
+        """One of `COMBINATIONS`."""
+        parts = COMBINATIONS[name]
+        return self._along(np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES]))
+
+    def covariance(self) -> np.ndarray:
+        """From car to car, of the logarithms, and of p_aux, shape (6, 6)."""
+        return self._spread * np.outer(self._scale, self._scale)
+
+    def priors(self, source: str) -> Vehicle:
+        """The vehicle with what to believe of the next car of this model."""
+        priors = {name: self._new_prior(name, source) for name in PARAMETER_NAMES}
+        return replace(self.vehicle, priors=priors)
+
+    def _new_prior(self, name: str, source: str) -> Prior:
+        told, limits = self.parameter(name), LIMITS[name]
+        value = told.mean if name == LINEAR else math.exp(told.mean)
+        value = min(max(value, limits.lower), limits.upper)
+        std = told.new_car_std * (1.0 if name == LINEAR else value)
+        return Prior(value, std, f"{source}: worth {told.cars:.1f} cars")
+
+    def _along(self, direction: np.ndarray) -> Told:
+        """What is told of a sum of parameters, `direction` in their own units."""
+        scaled = direction * self._scale
+        variance = float(scaled @ self._spread @ scaled)
+        left = np.einsum("i,nij,j->n", scaled, self._left, scaled)
+        cars = float(np.sum((1.0 - left / variance) ** 2))
+        spread = math.sqrt(variance)
+        return Told(
+            mean=float(direction @ self._prior + scaled @ self._mean),
+            mean_std=math.sqrt(float(scaled @ self._doubt @ scaled)),
+            spread=spread,
+            spread_std=spread / math.sqrt(2.0 * (cars + FILE_CARS)),
+            cars=cars,
+        )
+
+
+def _prior(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and 1-sigma of the vehicle file, logarithms but for p_aux, shape (6,) each."""
+    value = np.array([vehicle.priors[name].value for name in PARAMETER_NAMES])
+    std = np.array([vehicle.priors[name].std for name in PARAMETER_NAMES])
+    logarithmic = np.array([name != LINEAR for name in PARAMETER_NAMES])
+    std[logarithmic] /= value[logarithmic]
+    value[logarithmic] = np.log(value[logarithmic])
+    return value, std
+
+
+def _weight(precision: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """(1 + precision spread)^-1 of each car, shape (n, 6, 6)."""
+    return np.linalg.inv(np.eye(SIZE) + precision @ spread)
+
+
+def _mean(
+    precision: np.ndarray, information: np.ndarray, spread: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of the population, shape (6,), and its covariance, for a given spread."""
+    doubt = np.linalg.inv(np.eye(SIZE) / FILE_SHARE + (weight @ precision).sum(axis=0))
+    return doubt @ np.einsum("nij,nj->i", weight, information), (doubt + doubt.T) / 2
+
+
+def _spread(precision: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Covariance from car to car, shape (6, 6)."""
+    start = np.eye(SIZE) * (1.0 - FILE_SHARE)
+    spread = start
+    for _ in range(MOST_STEPS):
+        weight = _weight(precision, spread)
+        mean, doubt = _mean(precision, information, spread, weight)
+        left = spread @ weight
+        away = np.einsum("nij,nj->ni", left, information - precision @ mean)
+        pulled = left @ precision
+        total = left.sum(axis=0) + away.T @ away
+        total += (pulled @ doubt @ pulled.transpose(0, 2, 1)).sum(axis=0)
+        fresh = (FILE_CARS * start + total) / (FILE_CARS + len(precision))
+        fresh = (fresh + fresh.T) / 2
+        if np.abs(fresh - spread).max() < PRECISE:
+            return np.asarray(fresh)
+        spread = fresh
+    return spread

@@ -1,0 +1,55 @@
+"""A whole fleet: every car a task, what came of them on disk, one run at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import fcntl
+from pathlib import Path
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.fleet.car import CarDone, CarTask, learn_car
+from evpinn_ros.fleet.executor import Executor, Outcome
+from evpinn_ros.fleet.manifest import CarDrives
+
+CARS, LOCK, STOP = "cars", ".lock", ".stop"
+
+
+@contextmanager
+def claimed(out: Path) -> Iterator[None]:
+    """Make the folder of the results, for this run alone.
+
+    Raises:
+        InputError: it cannot be made, or another run writes there.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = (out / LOCK).open("w")
+    except OSError as error:
+        raise InputError(f"{out}: {error.strerror}") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{out}: another evpinn fleet writes there") from error
+        (out / STOP).unlink(missing_ok=True)
+        yield
+
+
+def car_folder(out: Path, car: CarDrives) -> Path:
+    """Where the files of a car are."""
+    return out / CARS / car.folder_name
+
+
+def learn_fleet(
+    cars: Sequence[CarDrives], out: Path, executor: Executor
+) -> Iterator[Outcome[CarTask, CarDone]]:
+    """Learn every car; whatever ends the iteration, what was begun ends soon after, in order."""
+    tasks = (CarTask(car, car_folder(out, car), out / STOP) for car in cars)
+    try:
+        yield from executor.outcomes(learn_car, tasks)
+    except BaseException:
+        (out / STOP).touch()
+        raise
+    finally:
+        executor.close()

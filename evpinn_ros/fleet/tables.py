@@ -1,0 +1,222 @@
+"""Results of a fleet as Parquet, made from the cars' files one by one, so memory stays flat."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.evidence import Evidence
+from evpinn_ros.fleet.car import read_result
+from evpinn_ros.fleet.manifest import CarDrives
+from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, Told
+from evpinn_ros.fleet.row import NUMBERS, PARAMETER_NUMBERS, PARAMETER_STATES, impossible
+from evpinn_ros.fleet.run import car_folder
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+DRIVES, CARS, POPULATION = "drives.parquet", "cars.parquet", "population.parquet"
+ROWS = 2000  # written at a time
+SHOWN = 200  # cars and problems kept for people; the tables hold all
+
+PARAMETERS = {
+    **dict.fromkeys(PARAMETER_NUMBERS, "double"),
+    **dict.fromkeys(PARAMETER_STATES, "string"),
+}
+DRIVE_COLUMNS = {
+    **dict.fromkeys(("car", "vehicle", "path", "problem", "fingerprint"), "string"),
+    **dict.fromkeys(("start_ns", "samples"), "int64"),
+    **dict.fromkeys(NUMBERS, "double"),
+    **PARAMETERS,
+}
+CAR_COLUMNS = {
+    **dict.fromkeys(("car", "vehicle", "problem"), "string"),
+    **dict.fromkeys(("drives", "learned"), "int64"),
+    "duration_s": "double",
+    "in_population": "bool",
+    **PARAMETERS,
+}
+POPULATION_COLUMNS = {
+    **dict.fromkeys(("vehicle", "name"), "string"),
+    **dict.fromkeys(
+        ("value", "mean", "mean_std", "spread", "spread_std", "cars", "new_car_std"), "double"
+    ),
+    "covariance": "list",
+}
+
+
+@dataclass
+class Summary:
+    """What a person is told of a fleet.
+
+    Attributes:
+        populations: by vehicle model.
+        cars: the first `SHOWN` rows of the table of cars.
+        problems: the first `SHOWN` drives and cars that failed, and why.
+        counts: of cars, drives, drives learned and problems, all of them.
+    """
+
+    populations: dict[str, Population] = field(default_factory=dict)
+    cars: list[dict[str, Any]] = field(default_factory=list)
+    problems: list[tuple[str, str]] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+
+
+def require_parquet() -> None:
+    """Raise now, not after hours of work.
+
+    Raises:
+        InputError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        raise InputError("results are Parquet: pip install 'evpinn_ros[fleet]'") from error
+
+
+def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> Summary:
+    """Write the tables of drives, cars and populations from the cars' files.
+
+    Args:
+        out: folder of the results.
+        fleet: all cars; those not begun yet are left out.
+        failed: cars that failed as a whole, and why.
+
+    Raises:
+        InputError: a table cannot be written.
+    """
+    summary = Summary()
+    found: dict[str, list[Evidence]] = defaultdict(list)
+    vehicles: dict[str, Vehicle] = {}
+    with _table(out / DRIVES, DRIVE_COLUMNS) as drives, _table(out / CARS, CAR_COLUMNS) as cars:
+        for car in fleet:
+            result = read_result(car_folder(out, car), car.vehicle)
+            rows = [*result.get("drives", []), *result.get("unreadable", [])]
+            if not rows and car.car not in failed:
+                continue
+            for row in rows:
+                drives.add({"car": car.car, "vehicle": car.vehicle.key, **row})
+            row = _car_row(car, rows, failed.get(car.car))
+            cars.add(row)
+            _count(summary, row, rows)
+            vehicles[car.vehicle.key] = car.vehicle
+            if row["in_population"]:
+                found[car.vehicle.key].append(_evidence(result))
+    for key, vehicle in sorted(vehicles.items()):
+        summary.populations[key] = Population(vehicle, found[key])
+    with _table(out / POPULATION, POPULATION_COLUMNS) as table:
+        for key, population in summary.populations.items():
+            for row in population_rows(key, population):
+                table.add(row)
+    return summary
+
+
+def population_rows(key: str, population: Population) -> Iterator[dict[str, Any]]:
+    """A row for each parameter and each combination that data determine."""
+    covariance = population.covariance()
+    for name, line in zip(PARAMETER_NAMES, covariance, strict=True):
+        yield _told_row(key, name, population.parameter(name)) | {"covariance": line.tolist()}
+    for name in COMBINATIONS:
+        yield _told_row(key, name, population.combination(name)) | {"covariance": None}
+
+
+def _told_row(key: str, name: str, told: Told) -> dict[str, Any]:
+    return {
+        "vehicle": key,
+        "name": name,
+        "value": told.mean if name == LINEAR else math.exp(told.mean),
+        "mean": told.mean,
+        "mean_std": told.mean_std,
+        "spread": told.spread,
+        "spread_std": told.spread_std,
+        "cars": told.cars,
+        "new_car_std": told.new_car_std,
+    }
+
+
+def _car_row(
+    car: CarDrives, rows: Sequence[dict[str, Any]], problem: str | None
+) -> dict[str, Any]:
+    """A car after its last drive that taught something."""
+    learned = [row for row in rows if row["samples"]]
+    last = learned[-1] if learned else {}
+    wrong = impossible(last) if last else []
+    if wrong and problem is None:
+        problem = f"not in the population: {', '.join(wrong)} invalid"
+    return {
+        "car": car.car,
+        "vehicle": car.vehicle.key,
+        "problem": problem,
+        "drives": len(rows),
+        "learned": len(learned),
+        "duration_s": sum(row["duration_s"] for row in learned),
+        "in_population": bool(learned) and not wrong,
+        **{name: last.get(name) for name in PARAMETERS},
+    }
+
+
+def _count(summary: Summary, car: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+    problems = [(row["path"], row["problem"]) for row in rows if row["problem"]]
+    if car["problem"]:
+        problems.append((f"car {car['car']}", car["problem"]))
+    for name, number in (
+        ("cars", 1),
+        ("drives", len(rows)),
+        ("learned", car["learned"]),
+        ("problems", len(problems)),
+    ):
+        summary.counts[name] += number
+    summary.cars.extend([car][: max(0, SHOWN - len(summary.cars))])
+    summary.problems.extend(problems[: max(0, SHOWN - len(summary.problems))])
+
+
+def _evidence(result: Mapping[str, Any]) -> Evidence:
+    return Evidence(np.array(result["precision"]), np.array(result["information"]))
+
+
+class _Table:
+    """Rows on their way to a Parquet file."""
+
+    def __init__(self, columns: Mapping[str, str], writer: Any, schema: Any) -> None:
+        self._names, self._writer, self._schema = tuple(columns), writer, schema
+        self._rows: list[dict[str, Any]] = []
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Add one row, and write when there are many."""
+        self._rows.append({name: row[name] for name in self._names})
+        if len(self._rows) >= ROWS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what waits."""
+        import pyarrow
+
+        self._writer.write_table(pyarrow.Table.from_pylist(self._rows, schema=self._schema))
+        self._rows.clear()
+
+
+@contextmanager
+def _table(path: Path, columns: Mapping[str, str]) -> Iterator[_Table]:
+    """A new table that takes the place of the old once it is whole."""
+    import pyarrow
+    from pyarrow.parquet import ParquetWriter
+
+    types = {"list": pyarrow.list_(pyarrow.float64()), "bool": pyarrow.bool_()}
+    types |= {name: pyarrow.type_for_alias(name) for name in ("string", "int64", "double")}
+    schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    fresh = path.with_name(path.name + ".new")
+    try:
+        with ParquetWriter(fresh, schema) as writer:
+            table = _Table(columns, writer, schema)
+            yield table
+            table.flush()
+        fresh.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error

@@ -1,0 +1,85 @@
+"""The report of a fleet: one HTML file, printable, nothing to fetch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+import math
+from pathlib import Path
+from typing import Any
+
+from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, Told
+from evpinn_ros.fleet.tables import SHOWN, Summary
+from evpinn_ros.report.html import table, write_page
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+POPULATION_HEAD = ("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth")
+CAR_HEAD = ("car", "vehicle", "drives", "hours", *PARAMETER_NAMES)
+
+
+def write_fleet_page(path: Path, summary: Summary, command: str) -> None:
+    """Write the report.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    counts = summary.counts
+    sections = [
+        f"<p>{counts['cars']} cars, {counts['drives']} drives, {counts['learned']} learned, "
+        f"{counts['problems']} problems.</p>",
+        *(_population(key, one) for key, one in summary.populations.items()),
+        _section("Cars", CAR_HEAD, map(_car_cells, summary.cars), counts["cars"]),
+        _section("Problems", ("what", "why"), summary.problems, counts["problems"]),
+    ]
+    write_page(path, "evpinn fleet", command, sections)
+
+
+def population_cells(population: Population) -> list[tuple[str, ...]]:
+    """Rows under `POPULATION_HEAD`: the parameters, then what data determine."""
+    named = [(name, population.parameter(name)) for name in PARAMETER_NAMES]
+    priors = population.vehicle.priors
+    files = [f"{priors[name].value:.4g} +- {priors[name].std:.2g}" for name in PARAMETER_NAMES]
+    named += [(name, population.combination(name)) for name in COMBINATIONS]
+    files += [""] * len(COMBINATIONS)
+    return [
+        (name, file, *_told_cells(name, told))
+        for (name, told), file in zip(named, files, strict=True)
+    ]
+
+
+def _told_cells(name: str, told: Told) -> tuple[str, ...]:
+    """Value with 1-sigma, spread with 1-sigma, the next car's 1-sigma, and how many cars."""
+    if name == LINEAR:
+        value, scale, unit = told.mean, 1.0, " W"
+    else:
+        value, scale, unit = math.exp(told.mean), 100.0, " %"
+    return (
+        f"{value:.4g} +- {scale * told.mean_std:.2g}{unit}",
+        f"{scale * told.spread:.2g} +- {scale * told.spread_std:.2g}{unit}",
+        f"+- {scale * told.new_car_std:.2g}{unit}",
+        f"{told.cars:.1f} cars",
+    )
+
+
+def _population(key: str, population: Population) -> str:
+    return _section(f"Vehicle model {key}", POPULATION_HEAD, population_cells(population))
+
+
+def _car_cells(row: dict[str, Any]) -> Sequence[str]:
+    parameters = (
+        "-" if row[name] is None else f"{row[name]:.4g} +- {row[f'{name}_std']:.2g}"
+        for name in PARAMETER_NAMES
+    )
+    drives = f"{row['learned']} of {row['drives']}"
+    return (row["car"], row["vehicle"], drives, f"{row['duration_s'] / 3600:.2f}", *parameters)
+
+
+def _section(
+    title: str, head: Sequence[str], rows: Iterable[Sequence[str]], count: int | None = None
+) -> str:
+    """A table with its title; `count` are all rows there are."""
+    lines = list(rows)
+    if not lines:
+        return ""
+    more = "" if count is None or count <= SHOWN else f" (the first {SHOWN} of {count})"
+    return f"<h2>{escape(title)}{more}</h2>\n{table(head, lines)}"

@@ -1,0 +1,88 @@
+"""Every command's help: an example that the real command line takes, and options that mean one."""
+
+from collections.abc import Iterator
+import re
+import shlex
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from evpinn_ros.cli.main import app
+from evpinn_ros.cli.options import complete_profile, complete_vehicle
+
+ROOT = typer.main.get_command(app)
+FLAG_FOR_STDOUT = {"evpinn can inspect", "evpinn info", "evpinn recover"}  # what looks, prints
+
+
+def commands(command=ROOT, path: str = "evpinn") -> Iterator[tuple[str, object]]:
+    yield path, command
+    if hasattr(command, "list_commands"):
+        context = command.make_context(path, [], resilient_parsing=True)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None, f"{path} lists {name}"
+            yield from commands(found, f"{path} {name}")
+
+
+COMMANDS = dict(commands())
+
+
+def examples(command) -> list[str]:
+    """The commands after `Example:` in a docstring, each to the end of its paragraph."""
+    paragraphs = re.split(r"\n\s*\n", command.help or "")
+    texts = [" ".join(text.split()) for text in paragraphs]
+    return [text.removeprefix("Example: ") for text in texts if text.startswith("Example: ")]
+
+
+def parse(command, words: list[str], parent=None) -> str:
+    """The path of the command that the words are for; raises what the shell would show."""
+    context = command.make_context(words[0], words[1:], parent=parent)
+    if not hasattr(command, "resolve_command"):
+        return words[0]
+    name, found, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+    return f"{words[0]} {parse(found, [name, *rest], context)}"
+
+
+def test_all_commands_are_walked() -> None:
+    assert {"evpinn replay", "evpinn bench online", "evpinn can inspect"} <= COMMANDS.keys()
+
+
+@pytest.mark.parametrize("path", COMMANDS)
+def test_help_shows_an_example_that_the_command_line_takes(path: str) -> None:
+    found = examples(COMMANDS[path])
+    assert found, (
+        f"evpinn_ros/cli: the docstring of `{path}` has no paragraph `Example: {path} ...`"
+    )
+    used = [parse(ROOT, shlex.split(line)) for text in found for line in text.split(" && ")]
+    assert any(each == path or each.startswith(f"{path} ") for each in used)
+    shown = CliRunner().invoke(app, [*path.split()[1:], "--help"], terminal_width=300)
+    for text in found:
+        assert text in " ".join(shown.output.split())
+
+
+def test_a_wrong_example_is_found() -> None:
+    for wrong in ("evpinn replay bag --no-such 1", "evpinn replay bag --mode psychic", "evpinn x"):
+        with pytest.raises(Exception, match=r"[Nn]o such|psychic"):
+            parse(ROOT, shlex.split(wrong))
+
+
+@pytest.mark.parametrize("path", COMMANDS)
+def test_names_complete_wherever_they_are_asked_for(path: str) -> None:
+    """An option of another spelling than these: evpinn_ros.cli.options has them ready."""
+    offered = {"vehicle": complete_vehicle(""), "can_profile": complete_profile("")}
+    command = COMMANDS[path]
+    context = command.make_context(path, [], resilient_parsing=True)
+    for parameter in command.params:
+        if parameter.name in offered:
+            items = [item.value for item in parameter.shell_complete(context, "")]
+            assert items == offered[parameter.name], f"{path} --{parameter.name}"
+
+
+@pytest.mark.parametrize("path", COMMANDS)
+def test_json_means_one_of_two_things(path: str) -> None:
+    """A flag that prints it where a command looks at something; else a file, or - for stdout."""
+    for parameter in COMMANDS[path].params:
+        if "--json" in parameter.opts:
+            assert parameter.is_flag == (path in FLAG_FOR_STDOUT)
+            assert parameter.is_flag or "- for stdout" in parameter.help

@@ -1,0 +1,255 @@
+"""The command as a shell meets it: completion, colours, JSON on stdout, a stop by Ctrl-C."""
+
+import json
+import os
+from pathlib import Path
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from rosbags.rosbag2 import Reader
+
+ROOT = Path(__file__).parents[2]
+URBAN = ROOT / "bags" / "urban"
+VEHICLE = ("--vehicle", "tesla_model_3_lr")
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"}
+COLOUR = re.compile(r"\x1b\[(?:\d+;)*(?:3[0-7]|9[0-7]|38;[\d;]+)m")
+INTERRUPTED = 130
+
+
+@pytest.fixture(scope="module")
+def evpinn(tmp_path_factory) -> Path:
+    """The command as pip installs it, of this checkout."""
+    script = tmp_path_factory.mktemp("bin") / "evpinn"
+    script.write_text(
+        f"#!{sys.executable}\nfrom evpinn_ros.cli.main import main\nmain()\n", encoding="utf-8"
+    )
+    script.chmod(0o755)
+    return script
+
+
+def bash(script: str, evpinn: Path, home: Path) -> str:
+    done = subprocess.run(
+        ["bash", "--noprofile", "--norc", "-c", script],
+        env=ENVIRONMENT | {"PATH": f"{evpinn.parent}:{os.environ['PATH']}", "HOME": str(home)},
+        capture_output=True,
+        text=True,
+        timeout=150,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_completion_is_installed_and_completes_in_a_real_bash(evpinn, tmp_path):
+    completions = {
+        "evpinn re": {"replay", "reproduce", "recover"},
+        "evpinn bench t": {"training", "truth"},
+        "evpinn can ": {"inspect"},
+        "evpinn replay --withhold": {"--withhold-battery-after"},
+        "evpinn replay bag --vehicle bmw": {"bmw_i3", "bmw_i4"},
+        "evpinn replay bag --mode ": {"hybrid", "paper"},
+        "evpinn convert in out --can-profile renault": {"renault_zoe_ph1", "renault_zoe_ph2"},
+    }
+    lines = ["evpinn --install-completion bash >/dev/null", ". ~/.bashrc"]
+    for typed in completions:
+        words = typed.split(" ")
+        quoted = " ".join(f"'{word}'" for word in words)
+        lines += [
+            f"COMP_WORDS=({quoted}); COMP_CWORD={len(words) - 1}; COMPREPLY=()",
+            "_evpinn_completion evpinn; echo ${COMPREPLY[@]}",
+        ]
+    found = bash("\n".join(lines), evpinn, tmp_path).splitlines()
+    assert [set(line.split()) for line in found] == list(completions.values())
+
+
+def test_names_of_commands_complete_without_importing_them():
+    code = (
+        "import sys, os; sys.argv = ['evpinn']\n"
+        "from evpinn_ros.cli.main import main\n"
+        "try:\n    main()\nfinally:\n    assert 'torch' not in sys.modules"
+    )
+    asked = {"_EVPINN_COMPLETE": "complete_bash", "COMP_WORDS": "evpinn ", "COMP_CWORD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=ENVIRONMENT | asked, capture_output=True, text=True
+    )
+    assert "AssertionError" not in done.stderr
+    assert {"replay", "run", "check-params"} <= set(done.stdout.split())
+
+
+def on_terminal(*arguments: object, cwd: Path, **environment: str) -> str:
+    """All that a command writes to a terminal."""
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
+        cwd=cwd,
+        env={k: v for k, v in ENVIRONMENT.items() if k != "NO_COLOR"}
+        | {"TERM": "xterm-256color", **environment},
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+    )
+    os.close(slave)
+    written = b""
+    try:
+        while part := os.read(master, 65536):
+            written += part
+    except OSError:  # how Linux tells that the other end is closed
+        pass
+    os.close(master)
+    assert process.wait(timeout=60) == 0, written.decode()
+    return written.decode()
+
+
+@pytest.mark.parametrize(
+    "arguments", [("bench", "--help"), ("simulate", "out", "--duration", 60), ("info", URBAN)]
+)
+def test_no_color_is_honoured(arguments, tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    plain = on_terminal(*arguments, cwd=tmp_path / "a", NO_COLOR="1")
+    assert plain.strip() and not COLOUR.search(plain)
+    if arguments[0] != "info":  # which has no colours at all
+        assert COLOUR.search(on_terminal(*arguments, cwd=tmp_path / "b"))
+
+
+def test_progress_tells_rate_and_total(tmp_path):
+    shown = on_terminal("convert", URBAN, "out", *VEHICLE, cwd=tmp_path, NO_COLOR="1")
+    assert re.search(r"\d+ s of the drive +[\d.]+ x real time", shown)
+    assert "100%" in shown  # for metadata.yaml tells how long the bag is
+
+
+def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=150
+    )
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Path:
+    """A CSV drive of two hours, more than any test here waits for."""
+    path = tmp_path_factory.mktemp("long") / "long.csv"
+    rows = (
+        f"{0.1 * i:.1f},{10 + i % 100 / 20:.2f},{900 + 300 * (i % 100)}\n" for i in range(72_000)
+    )
+    path.write_text("t_s,speed_mps,power_w\n" + "".join(rows))
+    return path
+
+
+@pytest.fixture(scope="module")
+def short(drive) -> Path:
+    """The first minute of it."""
+    path = drive.with_name("short.csv")
+    path.write_text("".join(drive.read_text().splitlines(keepends=True)[:600]))
+    return path
+
+
+def test_json_goes_to_stdout_alone(short, tmp_path):
+    replayed = run("replay", short, "--metrics", "-", "--warm-up", 5, cwd=tmp_path)
+    assert json.loads(replayed.stdout)["input"]["samples"] > 500
+    assert "Parameters of the car" in replayed.stderr
+    bench = run(
+        *("bench", "online", short, "--methods", "null", "--warm-up", 5, "--json", "-"),
+        cwd=tmp_path,
+    )
+    assert json.loads(bench.stdout)["total"].keys() == {"null"}
+    assert "RMSE" in bench.stderr
+    assert not (tmp_path / "-").exists()
+
+
+def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProcess:
+    """A command that is sent Ctrl-C as soon as `once` says so."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
+        cwd=cwd,
+        env=ENVIRONMENT,
+        stdout=(cwd / "stdout").open("w"),
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell in the background ignores it, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    deadline = time.monotonic() + 120
+    while not once() and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=120)
+    return subprocess.CompletedProcess(
+        process.args, process.returncode, (cwd / "stdout").read_text(), stderr
+    )
+
+
+def has_data(folder: Path) -> bool:
+    return any(path.stat().st_size > 50_000 for path in folder.glob("*.mcap"))
+
+
+def read_bag(folder: Path) -> int:
+    with Reader(folder) as reader:
+        count = sum(1 for _ in reader.messages())
+        assert count == reader.message_count
+    return count
+
+
+def assert_stopped(done: subprocess.CompletedProcess) -> None:
+    assert done.returncode == INTERRUPTED, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.strip().splitlines()[-1].startswith("evpinn: stopped: ")
+
+
+def test_ctrl_c_leaves_what_was_replayed(drive, tmp_path):
+    out = tmp_path / "out"
+    done = interrupted(
+        *("replay", drive, "--out", out, "--metrics", "m.json", "--state", "s.json"),
+        cwd=tmp_path,
+        once=lambda: has_data(out),
+    )
+    assert_stopped(done)
+    found = json.loads((tmp_path / "m.json").read_text())
+    assert 10 < found["input"]["duration_s"] < 7000
+    assert json.loads((tmp_path / "s.json").read_text())["vehicle"] == "generic"
+    assert read_bag(out) > 1000
+
+
+def test_ctrl_c_leaves_what_was_converted(drive, tmp_path):
+    done = interrupted(
+        "convert", drive, "out", cwd=tmp_path, once=lambda: has_data(tmp_path / "out")
+    )
+    assert_stopped(done)
+    assert 1000 < read_bag(tmp_path / "out") < 4 * 72_000 - 1000
+
+
+def test_ctrl_c_leaves_the_rows_of_a_bench(drive, short, tmp_path):
+    stdout = tmp_path / "stdout"
+    done = interrupted(
+        *("bench", "online", short, drive, "--methods", "null,hybrid", "--warm-up", 5),
+        *("--json", "rows.json"),
+        cwd=tmp_path,
+        once=lambda: stdout.exists() and "short.csv" in stdout.read_text(),
+    )
+    assert done.returncode == INTERRUPTED and "Traceback" not in done.stderr
+    (log,) = json.loads((tmp_path / "rows.json").read_text())["logs"]
+    assert Path(log["path"]) == short
+
+
+def test_a_full_disk_is_one_line(short, tmp_path):
+    """A limit of the size of a file stands for the end of the disk."""
+    for arguments in ("simulate full_1 --duration 60", f"replay {short} --out full_2"):
+        command = f"ulimit -f 8; exec {sys.executable} -m evpinn_ros {arguments}"
+        done = subprocess.run(
+            ["bash", "-c", f"{command} {' '.join(VEHICLE)}"],
+            cwd=tmp_path,
+            env=ENVIRONMENT,
+            capture_output=True,
+            text=True,
+            timeout=150,
+        )
+        assert done.returncode == 1
+        (line,) = done.stderr.strip().splitlines()
+        assert re.search(r"full_\d: File too large; the bag is cut there", line)
+    no_room = run("replay", short, *VEHICLE, "--metrics", "/dev/full", cwd=tmp_path)
+    assert no_room.returncode == 1
+    assert no_room.stderr.strip() == "evpinn: /dev/full: No space left on device"

@@ -1,0 +1,71 @@
+"""Where tasks run: real processes, and a real Dask cluster of one worker."""
+
+from functools import partial
+from itertools import count
+import math
+import operator
+import os
+
+import pytest
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.fleet.executor import DaskExecutor, LocalExecutor
+
+
+@pytest.fixture(scope="module")
+def dask():
+    """The address of a scheduler with one worker in a process of its own."""
+    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(params=["local", "dask"])
+def executor(request):
+    if request.param == "local":
+        found = LocalExecutor(1)
+    else:
+        found = DaskExecutor(request.getfixturevalue("dask"))
+    yield found
+    found.close()
+
+
+def test_every_task_has_its_outcome(executor):
+    found = {one.task: one for one in executor.outcomes(math.sqrt, [4.0, -1.0, 9.0])}
+    assert found[4.0].result == 2.0 and found[9.0].result == 3.0
+    assert found[-1.0].result is None and "ValueError" in found[-1.0].problem
+
+
+def test_few_tasks_are_held_at_a_time(executor):
+    taken = []
+    endless = (taken.append(i) or float(i) for i in count())
+    outcomes = executor.outcomes(math.sqrt, endless)
+    for _ in range(20):
+        next(outcomes)
+    assert len(taken) < 30
+
+
+def test_no_tasks_no_outcomes(executor):
+    assert list(executor.outcomes(math.sqrt, [])) == []
+
+
+def test_a_worker_that_dies_costs_its_own_task_alone():
+    end, roots = partial(os._exit, 1), [partial(math.sqrt, x) for x in (4.0, 9.0, 16.0)]
+    executor = LocalExecutor(2)
+    call = operator.methodcaller("__call__")
+    found = list(executor.outcomes(call, [end, roots[0], end, *roots[1:]]))
+    executor.close()
+    assert [one.task for one in found if one.problem].count(end) == 2
+    assert sorted(one.result for one in found if one.problem is None) == [2.0, 3.0, 4.0]
+
+
+def test_no_worker_at_the_address(monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    monkeypatch.setattr("evpinn_ros.fleet.executor.PATIENCE", 1)
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as cluster,
+        pytest.raises(InputError, match="has no worker"),
+    ):
+        DaskExecutor(cluster.scheduler_address)

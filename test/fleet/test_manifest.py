@@ -1,0 +1,142 @@
+"""Which drives are of which car."""
+
+import pytest
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.fleet.manifest import cars_by_folder, cars_by_manifest
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.written import write_vehicle
+
+LEAF = load_vehicle("nissan_leaf")
+
+
+@pytest.fixture
+def data(tmp_path):
+    """Bags, loose bag files and CSV files of three cars."""
+    for name in (
+        "data/ann/2025/monday/monday_0.mcap",
+        "data/ann/2025/tuesday/metadata.yaml",
+        "data/ann/2025/tuesday/part.mcap",
+        "data/bob/first.mcap",
+        "data/bob/second.mcap",
+        "data/bob/notes.txt",
+        "data/loose.csv",
+        "other/bob/third.mcap",
+    ):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("")
+    return tmp_path
+
+
+def told(cars, data):
+    return {car.car: [str(path.relative_to(data)) for path in car.drives] for car in cars}
+
+
+ALL = {
+    "ann": ["data/ann/2025/monday", "data/ann/2025/tuesday"],
+    "bob": ["data/bob/first.mcap", "data/bob/second.mcap"],
+    "data": ["data/loose.csv"],
+}
+
+
+def test_a_top_folder_is_a_car(data):
+    assert told(cars_by_folder([str(data / "data")], LEAF), data) == ALL
+
+
+def test_folders_of_cars_may_be_given_themselves(data):
+    found = cars_by_folder([str(data / "data" / "bob"), str(data / "data" / "loose.csv")], LEAF)
+    assert told(found, data) == {"bob": ALL["bob"], "data": ALL["data"]}
+
+
+def test_a_folder_of_one_level_more_is_not_that_car(data):
+    """Given ann herself, her drives lie in 2025: that is the folder below the given one."""
+    assert list(told(cars_by_folder([str(data / "data" / "ann")], LEAF), data)) == ["2025"]
+
+
+def test_patterns_and_the_same_drive_twice(data):
+    found = cars_by_folder([str(data / "data/b*/*.mcap"), str(data / "data/bob")], LEAF)
+    assert told(found, data) == {"bob": ALL["bob"]}
+
+
+def test_two_folders_of_one_name_are_not_mixed(data):
+    with pytest.raises(InputError, match="would both be car 'bob'"):
+        cars_by_folder([str(data / "data"), str(data / "other")], LEAF)
+
+
+@pytest.mark.parametrize("given", ["nowhere", "data/*.db3", "empty"])
+def test_nothing_there_is_said(data, given):
+    (data / "empty").mkdir()
+    with pytest.raises(InputError, match=r"nothing there|no bag"):
+        cars_by_folder([str(data / given)], LEAF)
+
+
+def test_yaml(data):
+    manifest = data / "fleet.yaml"
+    manifest.write_text(
+        "cars:\n"
+        "  ann's: {vehicle: bmw_i3, drives: data/ann}\n"
+        "  ../bob: {vehicle: nissan_leaf, drives: 'data/bob/*.mcap'}\n"
+    )
+    found = cars_by_manifest(manifest)
+    assert told(found, data) == {"ann's": ALL["ann"], "../bob": ALL["bob"]}
+    assert [car.vehicle.key for car in found] == ["nissan_leaf", "bmw_i3"]
+    assert all("/" not in car.folder_name for car in found)
+
+
+def test_csv(data):
+    manifest = data / "fleet.csv"
+    manifest.write_text(
+        "drive,car,vehicle\n"
+        "data/bob/first.mcap,b,nissan_leaf\n"
+        "other/bob,b,nissan_leaf\n"
+        "data/ann,a,bmw_i3\n"
+    )
+    assert told(cars_by_manifest(manifest), data) == {
+        "a": ALL["ann"],
+        "b": ["data/bob/first.mcap", "other/bob/third.mcap"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("drive,car\n", ":1: the columns must be drive, car, vehicle"),
+        ("drive,car,vehicle\ndata/bob,b\n", ":2: expected drive, car, vehicle"),
+        ("drive,car,vehicle\ndata/bob,b,bmw_i3,more\n", ":2: expected"),
+        ("drive,car,vehicle\ngone,b,bmw_i3\n", ":2: gone: nothing there"),
+        ("drive,car,vehicle\ndata/bob,b,no_car\n", ":2: no vehicle named"),
+        ("drive,car,vehicle\ndata/bob,b,bmw_i3\ndata/bob,c,bmw_i3\n", ":3: .* of car 'b' already"),
+        ("drive,car,vehicle\ndata/bob,b,bmw_i3\ndata/ann,b,bmw_i4\n", ":3: car 'b' is a bmw_i4"),
+        ("drive,car,vehicle\ndata/bob,..,bmw_i3\n", "cannot be named '..'"),
+        ("drive,car,vehicle\n", "no bag"),
+        ("", ":1: the columns"),
+        ("drive,car,vehicle\n\xff", "utf-8"),
+    ],
+)
+def test_a_wrong_csv_is_refused(data, text, reason):
+    manifest = data / "fleet.csv"
+    manifest.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=reason):
+        cars_by_manifest(manifest)
+
+
+def test_a_wrong_yaml_is_refused(data):
+    manifest = data / "fleet.yaml"
+    for text, reason in (
+        ("cars: {a: {drives: data}}", "'vehicle' is missing"),
+        ("cars: {a: {vehicle: bmw_i3, drives: [x]}}", "'drives' must be text"),
+        ("fleet: {}", "unknown key 'fleet'"),
+    ):
+        manifest.write_text(text)
+        with pytest.raises(InputError, match=reason):
+            cars_by_manifest(manifest)
+
+
+def test_vehicle_files_of_one_name_are_not_mixed(data):
+    write_vehicle(data / "car.yaml", load_vehicle("bmw_i3"))
+    write_vehicle(data / "copy" / "car.yaml", LEAF)
+    manifest = data / "fleet.csv"
+    manifest.write_text("drive,car,vehicle\ndata/bob,b,car.yaml\ndata/ann,a,copy/car.yaml\n")
+    with pytest.raises(InputError, match="both named car"):
+        cars_by_manifest(manifest)

@@ -1,0 +1,212 @@
+"""Foxglove's side of the wire: a real server, a real WebSocket, of a bag and of live nodes.
+
+The protocol: github.com/foxglove/ws-protocol, docs/spec.md.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+import json
+from pathlib import Path
+import re
+import signal
+import struct
+import subprocess
+import sys
+from typing import Any, NamedTuple
+
+import pytest
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import decode, new_message, typestore
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.foxglove import FoxgloveNode
+from evpinn_ros.nodes.messages import Level, scalar
+from evpinn_ros.report.foxglove import LOOPBACK, FoxgloveServer, is_loopback
+from evpinn_ros.report.live_state import NODES
+
+pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
+websockets = pytest.importorskip("websockets.sync.client", reason="no WebSocket client")
+
+ROOT = Path(__file__).resolve().parents[2]
+URBAN = ROOT / "bags" / "urban"
+SECOND = 10**9
+
+MESSAGE, TIME = 1, 2  # opcodes of binary frames from the server
+PATIENCE = 30.0  # s
+
+
+class Received(NamedTuple):
+    """A message of a subscribed channel."""
+
+    topic: str
+    time_ns: int
+    data: bytes
+
+
+class Client:
+    """One connection.
+
+    Attributes:
+        info: what the server says of itself.
+        channels: offered so far, by topic.
+        times: of the server's clock so far, ns.
+        sessions: ids of all sessions so far.
+    """
+
+    def __init__(self, connection: Any) -> None:
+        self._connection = connection
+        self._subscribed: dict[int, str] = {}
+        self.info: dict[str, Any] = {}
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.times: list[int] = []
+        self.sessions: list[str] = []
+
+    def await_channels(self, *topics: str) -> None:
+        while not self.info or not set(topics) <= self.channels.keys():
+            self._take(self._connection.recv(timeout=PATIENCE))
+
+    def subscribe(self, *topics: str) -> None:
+        self.await_channels(*topics)
+        wanted = [{"id": n, "channelId": self.channels[t]["id"]} for n, t in enumerate(topics)]
+        self._subscribed = dict(enumerate(topics))
+        self._connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def messages(self) -> Iterator[Received]:
+        while True:
+            received = self._take(self._connection.recv(timeout=PATIENCE))
+            if received is not None:
+                yield received
+
+    def _take(self, frame: str | bytes) -> Received | None:
+        if isinstance(frame, str):
+            said = json.loads(frame)
+            if said["op"] == "serverInfo":
+                self.info = said
+                self.sessions.append(said["sessionId"])
+            elif said["op"] == "advertise":
+                self.channels |= {each["topic"]: each for each in said["channels"]}
+        elif frame[0] == MESSAGE:
+            subscription, time_ns = struct.unpack_from("<IQ", frame, 1)
+            return Received(self._subscribed[subscription], time_ns, frame[13:])
+        elif frame[0] == TIME:
+            self.times.append(struct.unpack_from("<Q", frame, 1)[0])
+        return None
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Client]:
+    with websockets.connect(address, subprotocols=["foxglove.sdk.v1"]) as connection:
+        yield Client(connection)
+
+
+@contextmanager
+def evpinn(*arguments: object) -> Iterator[tuple[subprocess.Popen, str]]:
+    """A command that serves, and its address; it must end well at Ctrl-C."""
+    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
+    running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    try:
+        line, said = "", []
+        while not (found := re.search(r"ws://[\d.]+:\d+", line)):
+            line = running.stderr.readline()
+            said.append(line)
+            assert line, "".join(said)
+        yield running, found[0]
+        running.send_signal(signal.SIGINT)
+        _, rest = running.communicate(timeout=30)
+        assert running.returncode == 0 and "Traceback" not in rest, rest
+    finally:
+        running.kill()
+        running.communicate()
+
+
+def test_a_bag_comes_as_it_was_recorded():
+    with BagReader(URBAN) as bag:
+        recorded = list(islice(bag.raw_records(["/ev/vehicle/speed"]), 20))
+    with (
+        evpinn("view", URBAN, "--port", 0, "--rate", 20) as (_, address),
+        connected(address) as app,
+    ):
+        app.subscribe("/ev/vehicle/speed")
+        received = list(islice(app.messages(), 20))
+    assert [(m.topic, m.time_ns, m.data) for m in received] == [
+        (r.topic, r.log_time_ns, r.data) for r in recorded
+    ]
+    assert app.info["name"] == "evpinn" and "time" in app.info["capabilities"]
+    assert app.times[0] <= received[0].time_ns and app.times == sorted(app.times)
+
+
+def test_channels_say_how_to_read_them():
+    offered = {"/ev/vehicle/speed": topics.SPEED_TYPE}
+    with FoxgloveServer(LOOPBACK, 0, offered) as server, connected(server.address) as app:
+        app.await_channels("/ev/vehicle/speed")
+    channel = app.channels["/ev/vehicle/speed"]
+    definition, _ = typestore().generate_msgdef(topics.SPEED_TYPE, ros_version=2)
+    assert channel["encoding"] == "cdr" and channel["schemaEncoding"] == "ros2msg"
+    assert channel["schemaName"] == topics.SPEED_TYPE and channel["schema"] == definition
+    assert "time" not in app.info["capabilities"]  # what is live comes now
+
+
+def test_a_bag_in_a_loop_starts_over_as_a_new_session(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        for second in (0, 1, 100_000):  # a night in between takes ten seconds
+            bag.write("/ev/estimate/eta", scalar(new_message, 1.0), (second + 9) * SECOND)
+    options = ("--port", 0, "--rate", 100, "--loop")
+    with evpinn("view", tmp_path / "bag", *options) as (_, address), connected(address) as app:
+        app.subscribe("/ev/estimate/eta")
+        stamps = [message.time_ns // SECOND for message in islice(app.messages(), 6)]
+    assert stamps == 2 * [9, 10, 100_009]
+    assert len(set(app.sessions)) >= 2
+
+
+def test_live_topics_come_as_they_are_published(bench, urban):
+    node = bench.start(lambda **rest: FoxgloveNode(LOOPBACK, 0, namespace=rest["namespace"]))
+    level, text, values = bench.diagnosis(node)["server"]
+    assert level is Level.OK and values["watched"] == "False"
+    with connected(text.removeprefix("serving ")) as app:
+        app.subscribe("/ev/vehicle/speed", "/diagnostics")
+        assert {t.under() for t in topics.TOPICS} <= app.channels.keys()
+        bench.pump(lambda: bench.diagnosis(node)["server"][2]["watched"] == "True")
+        _, sent, message = next(each for each in urban(1.0) if each[0] == topics.SPEED)
+        bench.deliver(node, topics.SPEED, message)
+        found = next(m for m in app.messages() if m.topic == "/ev/vehicle/speed")
+    assert decode(topics.SPEED_TYPE, found.data).twist.twist.linear == sent.twist.twist.linear
+    assert found.time_ns == pytest.approx(node.now_ns(), abs=60 * SECOND)
+
+
+def test_run_serves_what_its_nodes_say():
+    options = ("--vehicle", "tesla_model_3_lr", "--foxglove", "--foxglove-port", 0)
+    with evpinn("run", *options) as (_, address), connected(address) as app:
+        app.subscribe("/diagnostics")
+        message = decode(topics.DIAGNOSTICS_TYPE, next(app.messages()).data)
+    assert address.startswith("ws://127.0.0.1:")
+    assert message.status[0].name.partition(":")[0] in NODES
+
+
+def test_beyond_loopback_it_warns(bench):
+    node = bench.start(lambda **rest: FoxgloveNode("0.0.0.0", 0, namespace=rest["namespace"]))
+    level, text, _ = bench.diagnosis(node)["server"]
+    assert level is Level.WARN and "whole network" in text
+    assert is_loopback("::1") and is_loopback("localhost") and not is_loopback("192.168.1.2")
+    assert not is_loopback("my-laptop.example")
+
+
+def test_a_port_in_use_and_a_bag_without_messages_are_one_line(tmp_path):
+    with FoxgloveServer(LOOPBACK, 0, {}) as server:
+        port = int(server.address.rpartition(":")[2])
+        with pytest.raises(InputError, match=rf"127\.0\.0\.1:{port}: .*in use"):
+            FoxgloveServer(LOOPBACK, port, {})
+        done = subprocess.run(
+            [sys.executable, "-m", "evpinn_ros", "view", str(URBAN), "--port", str(port)],
+            cwd=ROOT, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+    assert done.returncode == 1 and "in use" in done.stderr.splitlines()[-1]
+    with BagWriter(tmp_path / "bag"):
+        pass
+    done = subprocess.run(
+        [sys.executable, "-m", "evpinn_ros", "view", str(tmp_path / "bag"), "--port", "0"],
+        cwd=ROOT, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 1 and "holds no messages" in done.stderr.splitlines()[-1]

@@ -1,0 +1,234 @@
+"""The live view on a real terminal (a pty) and in a pipe, of real nodes over DDS."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import fcntl
+from functools import partial
+import json
+import os
+from pathlib import Path
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.live_view import LiveListener
+from evpinn_ros.nodes.reading_messages import to_reading
+from evpinn_ros.report.live_state import WATCHED
+from evpinn_ros.signals.readings import SpeedReading
+
+ROOT = Path(__file__).resolve().parents[2]
+EVPINN = (sys.executable, "-m", "evpinn_ros")
+ALTERNATE, BACK = b"\x1b[?1049h", b"\x1b[?1049l"  # xterm: to the alternate screen and back
+CTRL_C = b"\x03"
+PROFILE = load_profile("tesla_model_3")
+
+
+class Terminal:
+    """A process with a terminal of its own, and all that it wrote."""
+
+    def __init__(self, *command: str, **environment: str) -> None:
+        self._master, slave = os.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        # Names of variables that would make rich doubt the terminal are not inherited.
+        kept = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "COLUMNS", "LINES")}
+        self.process = subprocess.Popen(
+            command,
+            cwd=ROOT,
+            env={**kept, "TERM": "xterm", **environment},
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        os.close(slave)
+        self.written = b""
+
+    def read_until(self, condition: Callable[[bytes], bool]) -> None:
+        end = time.monotonic() + 60.0
+        while not condition(self.written):
+            assert time.monotonic() < end, self.written[-3000:].decode(errors="replace")
+            assert self._read(), self.written[-3000:].decode(errors="replace")
+
+    def _read(self) -> bool:
+        """Whether there may be more to read."""
+        if select.select([self._master], [], [], 0.2)[0]:
+            try:
+                self.written += os.read(self._master, 65536)
+            except OSError:  # nobody has the other end any more
+                return False
+        return True
+
+    def type(self, keys: bytes) -> None:
+        os.write(self._master, keys)
+
+    def end(self) -> int:
+        """The exit code, once everything was read."""
+        end = time.monotonic() + 60.0
+        while self._read():
+            assert time.monotonic() < end, self.written[-3000:].decode(errors="replace")
+        return self.process.wait(10)
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+        os.close(self._master)
+
+
+@contextmanager
+def terminal(*command: str, **environment: str) -> Iterator[Terminal]:
+    running = Terminal(*command, **environment)
+    try:
+        yield running
+    finally:
+        running.close()
+
+
+@pytest.fixture
+def drive(urban, tmp_path) -> tuple[str, ...]:
+    """The options of `evpinn run` that play a minute of a drive as if from a bus."""
+    encoder, frames = Encoder(PROFILE), []
+    for topic, message, _ in urban(60.0):
+        reading = to_reading(topic.type_name, message)
+        encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
+        frames.append(encode(reading))
+    log, params = tmp_path / "drive.log", tmp_path / "params.yaml"
+    write_log(log, frames)
+    values = {"/**/can_bridge": {"ros__parameters": {"log_file": str(log), "log_rate": 4.0}}}
+    params.write_text(json.dumps(values))  # which is YAML too
+    return "run", "--vehicle", "tesla_model_3_lr", "--params", str(params)
+
+
+def learned(written: bytes) -> bool:
+    """Whether the newest whole picture has a value of eta and a rate of speed messages."""
+    picture = written.rpartition(b"evpinn ")[0].rpartition(b"evpinn ")[2].decode(errors="ignore")
+    row = next((line for line in picture.splitlines() if line.startswith("eta ")), "- - -")
+    return "parameters" in picture and row.split()[2] != "-" and "speed 0.0/s" not in picture
+
+
+def test_run_on_a_terminal_shows_parameters_and_leaves_it_as_it_was(drive):
+    with terminal(*EVPINN, *drive, NO_COLOR="1") as screen:
+        screen.read_until(lambda written: ALTERNATE in written)
+        screen.read_until(learned)
+        screen.type(CTRL_C)
+        assert screen.end() == 0
+    before, _, shown = screen.written.partition(ALTERNATE)
+    shown, _, after = shown.rpartition(BACK)
+    assert before.strip() == b""
+    assert b"\x1b[3" not in shown  # no colour, but a line of power
+    # The terminal echoes Ctrl-C anywhere, also within a character.
+    assert re.search("[⠁-⣿]", shown.decode(errors="ignore"))
+    assert b"Traceback" not in after and b"playing" in after  # what was logged comes last
+
+
+def test_a_mistake_is_told_on_the_terminal_and_not_on_the_view():
+    with terminal(*EVPINN, "run", "--vehicle", "nope") as screen:
+        assert screen.end() == 1
+    said = screen.written.rpartition(BACK)[2]
+    assert b"no vehicle named 'nope'" in said and b"Traceback" not in screen.written
+
+
+def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
+    running = subprocess.Popen(
+        [*EVPINN, *drive], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert b"playing" in running.stderr.readline()
+    running.send_signal(signal.SIGINT)
+    out, _ = running.communicate(timeout=30)
+    assert (running.returncode, out) == (0, b"")
+    with terminal(*EVPINN, *drive, "--no-view") as screen:
+        screen.read_until(lambda written: b"playing" in written)
+        screen.type(CTRL_C)
+        assert screen.end() == 0
+    assert ALTERNATE not in screen.written
+
+
+def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
+    running = subprocess.Popen(
+        [*EVPINN, "watch"],
+        cwd=ROOT,
+        env={**os.environ, "FORCE_COLOR": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert "nothing heard yet" in running.stdout.readline()
+        messages = [message for topic, _, message in urban(1.0) if topic == topics.SPEED]
+        bench.publisher(topics.SPEED)
+        line = ""
+        while "- km/h" in line or "km/h" not in line:
+            bench.send(topics.SPEED, messages[0])
+            line = running.stdout.readline()
+        speed = messages[0].twist.twist.linear.x
+        assert line.startswith(f"{3.6 * speed:.1f} km/h; measured - kW")
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=20)
+        assert (running.returncode, said) == (0, "")
+    finally:
+        running.kill()
+
+
+def test_watch_publishes_nothing(bench):
+    running = subprocess.Popen([*EVPINN, "watch"], cwd=ROOT, stdout=subprocess.DEVNULL)
+    try:
+        known = bench.node.get_node_names
+        bench.pump(lambda: any(name.startswith("live_view") for name in known()))
+        watcher = next(name for name in known() if name.startswith("live_view"))
+        subscribed = partial(bench.node.get_subscriber_names_and_types_by_node, watcher, "/ev")
+        bench.pump(lambda: len(subscribed()) == len(WATCHED))
+        published = bench.node.get_publisher_names_and_types_by_node(watcher, "/ev")
+        assert {name for name, _ in published} <= {"/parameter_events"}  # of every rclpy node
+    finally:
+        running.send_signal(signal.SIGTERM)
+        assert running.wait(20) == 0
+
+
+def test_a_listener_takes_all_that_has_come_at_once(bench, urban):
+    """It must not fall behind a topic that is faster than the picture."""
+    listener = LiveListener(topics.NAMESPACE)
+    _, _, message = next(each for each in urban(1.0) if each[0] == topics.SPEED)
+    bench.publisher(topics.SPEED)
+    listener.take_all()
+    for _ in range(50):
+        bench.send(topics.SPEED, message)
+        time.sleep(0.004)
+    time.sleep(0.5)
+    listener.take_all()
+    assert listener.state.rate(topics.SPEED, time.monotonic()) >= 40  # in the first second
+    assert listener.state.speed == message.twist.twist.linear.x
+    listener.destroy_node()
+
+
+def test_a_namespace_that_is_none_is_one_line(tmp_path):
+    done = subprocess.run(
+        [*EVPINN, "watch", "--namespace", "a b"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 1 and done.stdout == ""
+    assert "a b" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_a_terminal_that_knows_neither_cursor_nor_braille_gets_lines():
+    environment = {"TERM": "dumb", "PYTHONIOENCODING": "ascii"}
+    with terminal(*EVPINN, "watch", **environment) as screen:
+        screen.read_until(lambda written: written.count(b"km/h") > 1)
+        screen.type(CTRL_C)
+        assert screen.end() == 0
+    assert b"\x1b" not in screen.written
+    with terminal(*EVPINN, "watch", PYTHONIOENCODING="ascii") as screen:
+        screen.read_until(lambda written: written.count(b"samples km/h") > 1)
+        screen.type(CTRL_C)
+        assert screen.end() == 0
+    assert b"Traceback" not in screen.written

@@ -1,0 +1,155 @@
+import math
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+import pytest
+from rich.cells import cell_len
+
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.messages import Level, diagnostics, named_vector
+from evpinn_ros.report.live_screen import plain_line, problem_lines, screen
+from evpinn_ros.report.live_state import LiveState
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+
+def lines(state, now, width, height):
+    return [line.rstrip() for line in screen(state, now, width, height).plain.splitlines()]
+
+
+def without_dots(found):
+    """The screen but for the lines of power."""
+    return [line for line in found if not any("⠀" <= char <= "⣿" for char in line)]
+
+
+def test_80_by_24_shows_everything(well):
+    found = lines(well(160.0), 160.0, 80, 24)
+    assert len(found) == 24
+    assert without_dots(found) == [
+        " evpinn  learning: 3 of 4 updates adopted             352 V  -41.5 A  45.0 km/h",
+        "      meaning          value  1-sigma             bounds prior  told state",
+        "eta   motor            0.912    0.046     0.456 .. 1.824  25 %  87 % valid",
+        "mu    regeneration     0.640    0.032     0.320 .. 1.280  25 %     - -",
+        "mass  all aboard     1847 kg    92 kg        924 .. 3694  25 %     - -",
+        "c_rr  rolling        0.00920  0.00046 0.00460 .. 0.01840  25 %     - -",
+        "c_d   drag            0.2312   0.0116   0.1156 .. 0.4624  25 %     - -",
+        "p_aux auxiliary        412 W     21 W         206 .. 824  25 %     - -",
+        "power kW  measured 14.6  predicted 13.9 +- 1.2  89 % in band  74 s",
+        "energy Wh  consumed 1100  predicted 1000  163 Wh/km  range 245 km (210-290)  re…",
+        "samples km/h     <30     <60     <90    <120    >120    speed 10.0/s",
+        "braking          ▁12       -       -       -       -    battery 10.0/s",
+        "steady             -       -       -       -   █3.4k    predicted 10.0/s",
+        "accelerating       -       -       -       -       -    parameters 10.0/s",
+    ]
+
+
+def test_60_by_20_leaves_out_what_can_be_missed(well):
+    state = well(160.0)
+    warning = ("energy: meter", Level.WARN, "predicting: no power/measured", {})
+    state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [warning]), 160.0)
+    found = lines(state, 160.0, 60, 20)
+    assert len(found) == 19  # a row that both lines of power cannot share
+    assert without_dots(found) == [
+        " evpinn  learning: 3 of 4 updates 352 V  -41.5 A  45.0 km/h",
+        "          value  1-sigma prior  told state",
+        "eta       0.912    0.046  25 %  87 % valid",
+        "mu        0.640    0.032  25 %     - -",
+        "mass    1847 kg    92 kg  25 %     - -",
+        "c_rr    0.00920  0.00046  25 %     - -",
+        "c_d      0.2312   0.0116  25 %     - -",
+        "p_aux     412 W     21 W  25 %     - -",
+        "power kW  measured 14.6  predicted 13.9 +- 1.2  89 % in ban…",
+        "energy Wh  consumed 1100  predicted 1000  163 Wh/km  range …",
+        "samples km/h   <30   <60   <90  <120  >120 speed 10.0/s",
+        "braking        ▁12     -     -     -     - battery 10.0/s",
+        "steady           -     -     -     - █3.4k predicted 10.0/s",
+        "accelerating     -     -     -     -     - parameters 10.0/s",
+        "! energy: meter: predicting: no power/measured",
+    ]
+
+
+def test_nothing_heard_is_a_screen_too():
+    found = lines(LiveState(), 0.0, 80, 24)
+    assert found[0] == f" evpinn  estimator silent{'- km/h':>54}"
+    assert found[-1] == "! nothing heard yet: are the nodes up, with this ROS_DOMAIN_ID?"
+    assert "eta   motor                -        -                  -     -     - -" in found
+
+
+@pytest.mark.parametrize(
+    ("height", "kept"),
+    [(1, "evpinn"), (2, "! nothing"), (9, "p_aux"), (12, "power"), (13, "energy"), (17, "steady")],
+)
+def test_the_weightiest_is_kept_when_there_is_little_room(height, kept):
+    assert any(kept in line for line in lines(LiveState(), 0.0, 80, height))
+    assert not any(kept in line for line in lines(LiveState(), 0.0, 80, height - 1))
+
+
+TEXT = st.text(max_size=60)
+NUMBER = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    width=st.integers(1, 130),
+    height=st.integers(0, 40),
+    values=st.lists(NUMBER, min_size=6, max_size=6),
+    power=NUMBER,
+    statuses=st.lists(st.tuples(st.sampled_from(Level), TEXT, TEXT, TEXT), max_size=6),
+)
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+def test_never_wider_or_higher_than_asked(width, height, values, power, statuses):
+    state = LiveState()
+    for topic, names, numbers in (
+        (topics.PARAMETERS, PARAMETER_NAMES, values),
+        (topics.BOUNDS, [f"{name}_lower" for name in PARAMETER_NAMES], values),
+        (topics.BOUNDS, [f"{name}_prior_share" for name in PARAMETER_NAMES], values),
+        (topics.POWER_MEASURED, ["power"], [power]),
+        (topics.ENERGY_STATE, ["consumed"], [power]),
+        (topics.ENERGY_RANGE, ["distance_to_empty"], [power]),
+    ):
+        state.take(topic, named_vector(new_message, 10**9, list(names), numbers), 1.0)
+    found = [
+        (f"estimator: {name}", level, text, {"state.eta": state_, "seen.0_30_kmh_steady": state_})
+        for level, name, text, state_ in statuses
+    ]
+    found += [
+        ("estimator: estimate", Level.OK, text, {"state.mu": text}) for _, _, text, _ in statuses
+    ]
+    message = diagnostics(new_message, 10**9, found)
+    state.take(topics.DIAGNOSTICS, message, 1.0)
+    drawn = screen(state, 1.0, width, height).plain
+    rows = drawn.split("\n") if drawn else []
+    assert len(rows) <= height
+    assert all(cell_len(row) <= width for row in rows)
+    assert all(char.isprintable() or char == "\n" for char in drawn)
+    assert "\n" not in plain_line(state, 1.0)
+    assert all(line.isprintable() for line in problem_lines(state, 1.0))
+
+
+def test_a_plain_line_says_the_same(well):
+    assert plain_line(well(110.0), 110.0) == (
+        "45.0 km/h; measured 14.6 kW; predicted 13.9 +- 1.2 kW; energy Wh  consumed 1100"
+        "  predicted 1000  163 Wh/km  range 245 km (210-290)  regenerated -;"
+        " eta 0.912 +- 0.046 valid; mu 0.640 +- 0.032; mass 1847 kg +- 92 kg;"
+        " c_rr 0.00920 +- 0.00046; c_d 0.2312 +- 0.0116; p_aux 412 W +- 21 W"
+    )
+
+
+def test_a_plain_line_knows_what_is_not_known():
+    assert plain_line(LiveState(), 0.0).startswith("- km/h; measured - kW; predicted - kW;")
+
+
+def test_what_others_write_cannot_move_the_cursor(well):
+    state = well(110.0)
+    evil = ("estimator: x", Level.ERROR, "\x1b[2J\x1b]0;owned\a\r\nhello", {})
+    state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [evil]), 110.0)
+    for text in (*lines(state, 110.0, 80, 24), *problem_lines(state, 110.0)):
+        assert text.isprintable()
+
+
+def test_values_beyond_reason_stay_in_their_columns():
+    state = LiveState()
+    names, huge = list(PARAMETER_NAMES), 6 * [-1.7e308]
+    state.take(topics.PARAMETERS, named_vector(new_message, 10**9, names, huge), 1.0)
+    assert math.isclose(state.parameters()[0].value, -1.7e308)
+    row = next(line for line in lines(state, 1.0, 80, 24) if line.startswith("eta"))
+    assert row == "eta   motor        -1.7e+308        -                  -     -     - -"

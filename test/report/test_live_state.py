@@ -1,0 +1,90 @@
+import math
+
+import pytest
+
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.messages import Level, diagnostics, named_vector
+from evpinn_ros.report.live_state import RATE_WINDOW, STALE_AFTER, LiveState
+
+
+def said(name, level, text, **values):
+    return diagnostics(new_message, 10**9, [(name, level, text, values)])
+
+
+def test_before_anything_was_heard_it_says_so_and_knows_nothing():
+    state = LiveState()
+    ((level, text),) = state.problems(5.0)
+    assert level is Level.WARN and "ROS_DOMAIN_ID" in text
+    assert all(math.isnan(row.value) and row.state == "" for row in state.parameters())
+    assert math.isnan(state.power(topics.POWER_MEASURED, 5.0).value)
+    assert state.rate(topics.SPEED, 5.0) == 0.0
+
+
+def test_what_is_heard_is_known(well):
+    state = well(110.0)
+    eta, mu = state.parameters()[:2]
+    assert eta == ("eta", 0.912, pytest.approx(0.0456), 0.456, 1.824, 0.25, 87.0, "valid")
+    assert math.isnan(mu.progress) and mu.state == ""
+    assert state.power(topics.POWER_PREDICTED, 110.0) == (13900.0, 1200.0)
+    assert math.isnan(state.power(topics.POWER_MEASURED, 110.0).sigma)
+    assert state.fresh_battery(110.0).current == pytest.approx(-41.5)
+    assert state.seen()[0][0] == 12 and state.seen()[1][4] == 3400
+    assert math.isnan(state.seen()[2][0])
+    assert state.band_coverage() == 0.893
+    assert state.problems(110.0) == []
+
+
+def test_rates_are_those_of_late(well):
+    state = well(110.0)
+    assert state.rate(topics.SPEED, 110.0) == pytest.approx(10.0, rel=0.03)
+    assert state.rate(topics.SPEED, 110.0 + RATE_WINDOW / 2) == pytest.approx(5.0, rel=0.05)
+    assert state.rate(topics.SPEED, 110.0 + RATE_WINDOW) == 0.0
+
+
+def test_a_rate_is_right_from_the_beginning(well):
+    assert well(102.0).rate(topics.SPEED, 102.0) == pytest.approx(10.0, rel=0.06)
+
+
+def test_silence_is_shown_and_named(well):
+    state, late = well(110.0), 110.0 + STALE_AFTER
+    assert math.isnan(state.fresh_speed(late)) and state.fresh_battery(late) is None
+    assert math.isnan(state.power(topics.POWER_MEASURED, late).value)
+    assert state.activity(late) == ""
+    assert state.problems(late) == [(Level.ERROR, "estimator: has said nothing for 3 s")]
+    assert state.parameters()[0].value == 0.912  # what was learned holds
+
+
+def test_reasons_come_from_diagnostics_the_worst_first(well):
+    state = well(110.0)
+    state.take(topics.DIAGNOSTICS, said("energy: meter", Level.WARN, "predicting"), 110.0)
+    state.take(topics.DIAGNOSTICS, said("can_bridge: bus", Level.ERROR, "lost"), 110.0)
+    assert state.problems(110.0) == [
+        (Level.ERROR, "can_bridge: bus: lost"),
+        (Level.WARN, "energy: meter: predicting"),
+    ]
+    state.take(topics.DIAGNOSTICS, said("can_bridge: bus", Level.OK, "receiving"), 110.5)
+    assert state.problems(110.5) == [(Level.WARN, "energy: meter: predicting")]
+
+
+def test_diagnostics_of_others_are_none_of_ours():
+    state = LiveState()
+    state.take(topics.DIAGNOSTICS, said("camera: driver", Level.ERROR, "hot"), 1.0)
+    assert state.statuses == {}
+    assert state.problems(1.0) == [(Level.WARN, "no /diagnostics of our nodes yet")]
+
+
+def test_values_that_are_no_numbers_are_unknown():
+    state = LiveState()
+    message = said("estimator: estimate", Level.OK, "", **{"progress.eta": "much"})
+    state.take(topics.DIAGNOSTICS, message, 1.0)
+    assert math.isnan(state.parameters()[0].progress)
+
+
+def test_a_message_with_nan_is_counted_and_changes_nothing(well):
+    state = well(110.0)
+    bad = named_vector(new_message, 10**9, ["power"], [1.0])
+    bad.position[0] = math.nan
+    state.take(topics.POWER_MEASURED, bad, 110.1)
+    assert state.power(topics.POWER_MEASURED, 110.1).value == 14600.0
+    assert state.problems(110.1) == [(Level.WARN, "power/measured: 1 messages were not usable")]

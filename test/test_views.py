@@ -1,0 +1,156 @@
+"""The ready layouts for Foxglove and PlotJuggler show topics and fields that exist."""
+
+import json
+from pathlib import Path
+import re
+from xml.etree import ElementTree
+
+import pytest
+from rosbags.interfaces import Nodetype
+
+from evpinn_ros.bags.types import new_message, typestore
+from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
+from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
+from evpinn_ros.nodes.topics import NAMESPACE, TOPICS, Topic
+from evpinn_ros.vehicle.identifiable import Identifiable
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+VIEWS = Path(__file__).parents[1] / "config" / "views"
+FOXGLOVE = json.loads((VIEWS / "foxglove.json").read_text())
+PLOTJUGGLER = ElementTree.parse(VIEWS / "plotjuggler.xml").getroot()
+BY_NAME = {topic.under(NAMESPACE): topic for topic in TOPICS}
+# Which fields of a named vector PlotJuggler makes series of, by name of the quantity.
+VECTOR_FIELDS = {"position", "velocity", "effort"}
+
+
+def panels(node) -> list[str]:
+    """The ids of all panels in a layout's tree."""
+    if isinstance(node, str):
+        return [node]
+    assert node["direction"] in ("row", "column") and 0 < node["splitPercentage"] < 100
+    return [*panels(node["first"]), *panels(node["second"])]
+
+
+def paths() -> list[dict]:
+    return [p for config in FOXGLOVE["configById"].values() for p in config.get("paths", ())]
+
+
+def field(type_name: str, path: list[str]) -> str:
+    """The base type that a path of fields leads to, an index into an array if there is one."""
+    _, fields = typestore().fielddefs[type_name]
+    name, index = re.fullmatch(r"(\w+)(\[\d+\])?", path[0]).groups()
+    kind, detail = dict(fields)[name]
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        assert index, f"{name} is an array"
+        kind, detail = detail[0]
+    else:
+        assert index is None, f"{name} is no array"
+    if kind == Nodetype.NAME:
+        return field(detail, path[1:])
+    assert path[1:] == []
+    return detail[0]
+
+
+def vector_names() -> dict[Topic, list[str]]:
+    """The names in each named vector that the nodes publish when all is known."""
+    estimate = ParameterEstimate(0.5, 0.1, 0.5, 0.0, 1.0, State.VALID)
+    fives = Identifiable(1.0, 1.0, 1.0, 1.0, 1.0)
+    found = ParameterSet(1, dict.fromkeys(PARAMETER_NAMES, estimate), fives, fives, True)
+    flow = Flow(1.0, 1.0, 1.0)
+    state = EnergyState(1, flow, flow, flow, flow, 1.0, 0.0, 0, 0, 0.0, 0.0, True)
+    account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
+    messages = [
+        *output_messages(new_message, found),
+        *energy_messages(new_message, state),
+        *summary_messages(new_message, account.summary()),
+    ]
+    names = {t: m.name for t, m in messages if t.type_name == topics.NAMED_VECTOR_TYPE}
+    powers = (topics.POWER_MEASURED, topics.POWER_PREDICTED, topics.POWER_SMOOTHED)
+    ranges = ["distance_to_empty", "distance_lower", "distance_upper"]
+    return names | {power: ["power"] for power in powers} | {topics.ENERGY_RANGE: ranges}
+
+
+NAMES = vector_names()
+
+
+def test_foxglove_places_every_panel_once():
+    assert sorted(panels(FOXGLOVE["layout"])) == sorted(FOXGLOVE["configById"])
+
+
+@pytest.mark.parametrize("path", paths(), ids=lambda path: path["value"])
+def test_foxglove_plots_numbers_that_exist(path):
+    name, _, inside = path["value"].partition(".")
+    topic = BY_NAME[name]
+    assert field(topic.type_name, inside.split(".")).startswith("float")
+    has_header = any(each == "header" for each, _ in typestore().fielddefs[topic.type_name][1])
+    assert path["timestampMethod"] == ("headerStamp" if has_header else "receiveTime")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in paths() if "[" in path["value"]],
+    ids=lambda path: path["value"],
+)
+def test_foxglove_takes_the_quantity_that_the_label_says(path):
+    name, index = re.fullmatch(r"([\w/]+)\.\w+\[(\d+)\]", path["value"]).groups()
+    topic = BY_NAME[name]
+    quantity = NAMES[topic][int(index)]
+    label = path["label"]
+    if topic is topics.BOUNDS:
+        wanted = {"lower bound": "mass_lower", "upper bound": "mass_upper"}
+        assert quantity == wanted.get(label, f"{label}_prior_share")
+    elif quantity == "power":
+        assert label == topic.name.rpartition("/")[2]
+    else:
+        assert label == quantity
+
+
+def test_foxglove_shows_diagnostics():
+    shown = [c["topicToRender"] for c in FOXGLOVE["configById"].values() if "topicToRender" in c]
+    assert shown == 2 * ["/diagnostics"]
+
+
+def test_foxglove_knows_the_settings():
+    """As the SDK describes the panels of the app."""
+    layouts = pytest.importorskip("foxglove.layouts", reason="the extra `foxglove` is not there")
+    known = {
+        "Plot": layouts.PlotConfig,
+        "DiagnosticSummary": layouts.DiagnosticsSummaryConfig,
+        "DiagnosticStatusPanel": layouts.DiagnosticsDetailConfig,
+    }
+    for name, config in FOXGLOVE["configById"].items():
+        settings = known[name.partition("!")[0]]()._to_dict()
+        assert config.keys() - {"foxglovePanelTitle"} <= settings.keys()
+        for path in config.get("paths", ()):
+            assert path.keys() <= layouts.PlotSeries()._to_dict().keys()
+
+
+def test_plotjuggler_splits_into_as_many_plots_as_it_says():
+    for splitter in PLOTJUGGLER.iter("DockSplitter"):
+        count = int(splitter.get("count"))
+        sizes = [float(size) for size in splitter.get("sizes").split(";")]
+        assert len(list(splitter)) == len(sizes) == count
+        assert sum(sizes) == pytest.approx(1.0, abs=1e-4)
+    for tab in PLOTJUGGLER.iter("Tab"):
+        assert len(tab.findall("Container")) == int(tab.get("containers"))
+
+
+@pytest.mark.parametrize("curve", [c.get("name") for c in PLOTJUGGLER.iter("curve")])
+def test_plotjuggler_draws_series_that_exist(curve):
+    """Series are named by topic and field; those of a named vector by quantity and field."""
+    if curve.startswith("/diagnostics/"):
+        assert re.fullmatch("/diagnostics/estimator: estimate/progress\\.(.+)", curve)[1] in (
+            PARAMETER_NAMES
+        )
+        return
+    name = max((each for each in BY_NAME if curve.startswith(f"{each}/")), key=len)
+    topic, path = BY_NAME[name], curve.removeprefix(f"{name}/").split("/")
+    if topic.type_name == topics.NAMED_VECTOR_TYPE:
+        quantity, kind = path
+        assert quantity in NAMES[topic] and kind in VECTOR_FIELDS
+    else:
+        assert field(topic.type_name, path).startswith("float")
