@@ -5,17 +5,59 @@ Run: python docs/generate.py
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from datetime import datetime
+from enum import Enum
+import inspect
 import math
 from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin
+
+import typer
 
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
+from evpinn_ros.cli.main import app
 from evpinn_ros.nodes.parameter_table import TABLES, Parameter
 from evpinn_ros.nodes.topics import TOPICS, Topic
+from evpinn_ros.replay.metric_table import METRICS
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 MADE = "<!-- Made by docs/generate.py; change the source, not this page. -->\n"
+WORDS = {  # what an option takes
+    bool: "flag",
+    datetime: "time",
+    float: "number",
+    int: "whole number",
+    Path: "path",
+    str: "text",
+}
+
+SHELL = """\
+What `--help` of each says. `evpinn --install-completion` makes Tab complete commands, options,
+vehicles, CAN profiles and modes. Progress is shown on a terminal alone; `NO_COLOR=1` takes the
+colours. Results are on stdout, all else on stderr; exit codes: 0 done, 1 failed, 2 wrong usage,
+130 Ctrl-C. Ctrl-C leaves what there is so far: metrics, state and a whole bag of `replay`, the
+bag of `convert`, the rows of a benchmark, the trainings of `reproduce`, which goes on there.
+For scripts:
+
+| | |
+|---|---|
+| `--json` of `info`, `recover`, `can inspect` | JSON in place of tables, on stdout |
+| `--json FILE` of every `bench`, of `demo`, of `replay` (also `--metrics`) | JSON beside the \
+tables; `-`: on stdout, tables on stderr |
+| `reproduce` | `results.json` in its folder |
+| `simulate` | `truth.yaml` in the bag |
+"""
+READING = """\
+`evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive, a list
+for several. A part in <> stands for any name. What cannot be known is `null`: nothing measured,
+or too short. Every score of power and energy is predict-then-update; `power` is of
+`power/smoothed` and `power_now` of `power/predicted`, both after `--warm-up`. `withheld` is
+there with `--withhold-battery-after` alone, and then `power`, `power_now` and `energy` outside
+of it are of the part before. How to read them: [read the uncertainty](guides/uncertainty.md).
+"""
 
 
 def topics_page() -> str:
@@ -116,7 +158,98 @@ def _vehicle_section(vehicle: Vehicle) -> Iterator[str]:
     yield ""
 
 
-PAGES = {"topics.md": topics_page, "parameters.md": parameters_page, "vehicles.md": vehicles_page}
+def metrics_page() -> str:
+    """Every key of `evpinn replay --metrics`."""
+    lines = [MADE, "# Metrics", "", READING]
+    lines += ["| key | unit | meaning |", "|---|---|---|"]
+    lines += [f"| `{each.key}` | {each.unit} | {each.meaning} |" for each in METRICS]
+    return "\n".join([*lines, ""])
+
+
+def commands_page() -> str:
+    """Every command: help, examples, arguments and options."""
+    found = list(_commands(typer.main.get_command(app), "evpinn"))
+    lines = [MADE, "# Commands", "", SHELL, "| command | |", "|---|---|"]
+    for path, command in found:
+        anchor = path.replace(" ", "-")
+        lines.append(f"| [`{path}`](#{anchor}) | {_paragraphs(command)[0]} |")
+    for path, command in found:
+        lines += ["", *_command_section(path, command)]
+    return "\n".join([*lines, ""])
+
+
+def _commands(command: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """Every command by the words that call it, groups before their members."""
+    yield path, command
+    if hasattr(command, "list_commands"):
+        context = command.make_context(path, [], resilient_parsing=True)
+        for name in command.list_commands(context):
+            yield from _commands(command.get_command(context, name), f"{path} {name}")
+
+
+def _function(command: Any) -> Callable[..., Any]:
+    """The function of ours behind a command: what libraries make of it changes with them."""
+    return inspect.unwrap(command.callback)
+
+
+def _paragraphs(command: Any) -> list[str]:
+    text = inspect.getdoc(_function(command)) or ""
+    return [" ".join(each.split()) for each in text.split("\n\n")]
+
+
+def _command_section(path: str, command: Any) -> Iterator[str]:
+    yield f"## {path}"
+    for text in _paragraphs(command):
+        example = text.removeprefix("Example: ")
+        yield from ("", text) if example == text else ("", "```bash", example, "```")
+    declared = inspect.signature(_function(command), eval_str=True).parameters
+    rows = [
+        _option_row(option.opts, declared[option.name])
+        for option in command.params
+        if option.name in declared and get_args(declared[option.name].annotation)
+    ]
+    if rows:
+        yield from ("", "| name | value | default | meaning |", "|---|---|---|---|", *rows)
+
+
+def _option_row(names: list[str], declared: inspect.Parameter) -> str:
+    kind, info = get_args(declared.annotation)
+    is_argument = isinstance(info, typer.models.ArgumentInfo)
+    name = (info.metavar or names[0].upper()) if is_argument else ", ".join(names)
+    cells = (f"`{name}`", _value(kind, info), _default(declared.default), info.help or "")
+    return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
+
+
+def _value(kind: Any, info: Any) -> str:
+    """What an option takes, in words."""
+    (kind,) = set(get_args(kind)) - {NoneType} if isinstance(kind, UnionType) else (kind,)
+    several = ", repeated" if get_origin(kind) is list else ""
+    (kind,) = get_args(kind) if several else (kind,)
+    if issubclass(kind, Enum):
+        return ", ".join(f"`{each.value}`" for each in kind) + several
+    ends = (("from", info.min), ("to", info.max))
+    bounds = [f"{word} {end:g}" for word, end in ends if end is not None]
+    return " ".join([WORDS[kind], *bounds]) + several
+
+
+def _default(value: Any) -> str:
+    if value is inspect.Parameter.empty:
+        return "required"
+    if value is None or value is False or value == "":
+        return ""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_default, value))
+    value = value.value if isinstance(value, Enum) else value
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+PAGES = {
+    "topics.md": topics_page,
+    "parameters.md": parameters_page,
+    "vehicles.md": vehicles_page,
+    "commands.md": commands_page,
+    "metrics.md": metrics_page,
+}
 
 
 def main() -> None:

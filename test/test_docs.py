@@ -8,7 +8,7 @@ import re
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def generator():
@@ -18,23 +18,37 @@ def generator():
     return module
 
 
-@pytest.mark.parametrize("name", ["topics.md", "parameters.md", "vehicles.md"])
+GENERATOR = generator()
+
+
+@pytest.mark.parametrize("name", GENERATOR.PAGES)
 def test_page_is_what_the_code_says(name):
-    page = generator().PAGES[name]()
+    page = GENERATOR.PAGES[name]()
     assert (ROOT / "docs" / name).read_text() == page, "stale: run python docs/generate.py"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
-    targets = re.findall(r"\]\(([^)#\s]+)", page.read_text())
-    missing = [t for t in targets if "://" not in t and not (page.parent / t).exists()]
+    missing = []
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)", page.read_text()):
+        if "://" in target:
+            continue
+        found = page.parent / target if target else page
+        if not found.exists() or (anchor and anchor not in anchors(found.read_text())):
+            missing.append(f"{target}#{anchor}")
     assert not missing
+
+
+def anchors(text: str) -> set[str]:
+    """Where a link into a page may lead, by the names that forges give headings."""
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings}
 
 
 def test_readme_names_every_topic():
     readme = (ROOT / "README.md").read_text()
     missing = [
-        t.name for t in generator().TOPICS if t.name not in readme and "estimate/" not in t.name
+        t.name for t in GENERATOR.TOPICS if t.name not in readme and "estimate/" not in t.name
     ]
     assert not missing
 

@@ -1,0 +1,82 @@
+"""The keys of `evpinn replay --metrics`: unit and meaning of each, for people and tests."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
+
+
+class Metric(NamedTuple):
+    """One key of the JSON.
+
+    Attributes:
+        key: path with dots; a part in <> stands for any name.
+        unit: SI unit, empty for text and plain numbers.
+        meaning: one sentence for people.
+    """
+
+    key: str
+    unit: str
+    meaning: str
+
+
+_POWER = (
+    ("rmse_w", "W", "root mean square of predicted minus measured power"),
+    ("mae_w", "W", "mean of its size"),
+    ("r2", "", "1 - (mean square of the error) / (variance of measured power); 0 is the mean's"),
+    ("coverage_90", "", "share of samples within 1.645 sigma: 0.9 where sigma is right"),
+)
+_SMOOTHED = (
+    ("lag_s", "s", "by which `power/smoothed` comes after its moment, median"),
+    *_POWER,
+)
+_ENERGY = (
+    (
+        "measured_j",
+        "J",
+        f"voltage x current, integrated where gaps are up to {MAX_MEASURED_STEP} s",
+    ),
+    ("predicted_j", "J", "predicted power, integrated over the same stretches"),
+    ("rknn_j", "J", "the same by the Runge-Kutta network"),
+    ("error_percent", "%", "of `predicted_j`, of the size of `measured_j`; positive: too much"),
+    ("rknn_error_percent", "%", "of `rknn_j`, likewise"),
+)
+_PARAMETER = (
+    ("value", "", "live value at the end: 1, 1, kg, 1, 1, W"),
+    ("std", "", "its 1-sigma"),
+    ("prior_share", "", "how much of it is belief: 0 all data, 1 all prior"),
+    ("lower", "", "bound from the combinations and eta, mu <= 1; before they are told, its limit"),
+    ("upper", "", "likewise"),
+    ("state", "", "`unestimated`, `estimating`, `valid`, `stale` or `invalid`"),
+)
+
+
+def _under(prefix: str, rows: tuple[tuple[str, str, str], ...]) -> tuple[Metric, ...]:
+    return tuple(Metric(f"{prefix}.{key}", unit, meaning) for key, unit, meaning in rows)
+
+
+METRICS: tuple[Metric, ...] = (
+    Metric("input.path", "", "the recording, as given"),
+    Metric("input.duration_s", "s", "first reading to last"),
+    Metric("input.samples", "", "predictions of `power/smoothed`"),
+    Metric("input.dropped.<reason>", "", "readings and samples not used, by reason"),
+    Metric("vehicle", "", "key of the vehicle file"),
+    Metric("mode", "", "`hybrid` or `paper`"),
+    *_under("power", _SMOOTHED),
+    *_under("power_now", _POWER),
+    *_under("energy", _ENERGY),
+    Metric("withheld.from_s", "s", "from here on the battery was hidden"),
+    *_under("withheld.power", _SMOOTHED),
+    *_under("withheld.power_now", _POWER),
+    *_under("withheld.energy", _ENERGY),
+    *_under("parameters.<name>", _PARAMETER),
+    Metric("updates.count", "", "updates of the window's network, one a second"),
+    Metric("updates.accepted", "", "of them better than before in the second that followed"),
+    Metric("updates.rejected.<reason>", "", "the others, by reason"),
+    Metric("updates.p50_ms", "ms", "time of one, median"),
+    Metric("updates.p99_ms", "ms", "99th percentile"),
+    Metric("replay.wall_s", "s", "time of the replay, without loading"),
+    Metric("replay.realtime_factor", "", "`duration_s` over `wall_s`"),
+    Metric("replay.peak_rss_mb", "MB", "most memory of the process so far, of 2^20 bytes"),
+)

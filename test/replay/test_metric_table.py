@@ -1,0 +1,57 @@
+"""Every key of a real replay's metrics has a meaning, and no meaning is without its key."""
+
+from collections import Counter
+from collections.abc import Iterator
+import time
+
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.metric_table import METRICS
+from evpinn_ros.replay.run import ReplayOptions, replay
+
+ANY_NAME = {"parameters": "<name>", "input.dropped": "<reason>", "updates.rejected": "<reason>"}
+
+
+class Recorded:
+    """Readings in memory, as a source, of which two could not be read."""
+
+    problem, path = None, "drive"
+
+    def __init__(self, readings) -> None:
+        self._readings = readings
+        self.dropped = Counter({"short_frame": 2})
+
+    def readings(self):
+        yield from self._readings
+
+
+def keys(value, path: str = "") -> Iterator[str]:
+    """Paths with dots; what stands below `ANY_NAME` under its placeholder."""
+    if not isinstance(value, dict):
+        yield path
+        return
+    for name, below in value.items():
+        name = ANY_NAME.get(path, name)
+        yield from keys(below, f"{path}.{name}" if path else name)
+
+
+def test_the_table_is_what_a_replay_writes(readings, vehicle):
+    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    options = ReplayOptions(withhold_battery_after=60.0, warm_up=10.0)
+    source = Recorded(readings)
+    found = replay(source, chain, options, vehicle=vehicle.key, mode="hybrid").metrics
+    assert found["updates"]["rejected"], "this drive no longer rejects an update: take another"
+    assert set(keys(found)) == {metric.key for metric in METRICS}
+
+
+def test_every_key_is_told_once_and_has_a_meaning():
+    assert len({metric.key for metric in METRICS}) == len(METRICS)
+    assert all(metric.meaning for metric in METRICS)
+
+
+def test_units_are_those_that_the_keys_end_with():
+    ends = {"w": "W", "j": "J", "s": "s", "ms": "ms", "mb": "MB", "percent": "%"}
+    for metric in METRICS:
+        _, _, end = metric.key.rpartition("_")
+        assert metric.unit == ends.get(end, ""), metric.key

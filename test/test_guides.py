@@ -1,0 +1,163 @@
+"""Commands in the docs work as they stand.
+
+Of the README and the guides every block of bash is run, in a folder with nothing but what the
+checkout brings, or says why it is not: `<!-- not run: needs an adapter -->` on the line before it.
+What a page shows as output is what came out, up to the digits. In all pages every `evpinn` command
+is one that the command line takes.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+import os
+from pathlib import Path
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+import typer
+
+from evpinn_ros.cli.main import app
+
+ROOT = Path(__file__).parents[1]
+GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
+PAGES = [*GUIDES, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+REASON = re.compile(r"<!-- not run: (\S.*) -->\n\Z")
+COMMAND = typer.main.get_command(app)
+
+
+class Block(NamedTuple):
+    """A block of bash, why it is not run, and the output that the page shows for it."""
+
+    text: str
+    reason: str | None
+    shown: str
+
+
+def blocks(page: str) -> Iterator[Block]:
+    for block, following in pairwise([*FENCED.finditer(page), None]):
+        if block[1] != "bash":
+            continue
+        reason = REASON.search(page[: block.start()])
+        is_output = (
+            following is not None
+            and following[1] == ""
+            and not page[block.end() : following.start()].strip()
+        )
+        yield Block(block[2], reason and reason[1], following[2] if is_output else "")
+
+
+def commands(text: str) -> Iterator[list[str]]:
+    """The words of each evpinn command in a block."""
+    for line in text.replace("\\\n", " ").splitlines():
+        if not re.search(r"\bevpinn ", line):
+            continue
+        lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
+        lexer.whitespace_split = True
+        words = [*lexer, ";"]
+        while "evpinn" in words:
+            words = words[words.index("evpinn") :]
+            end = next(i for i, word in enumerate(words) if set(word) <= set("();<>|&"))
+            yield words[:end]
+            words = words[end:]
+
+
+def parse(words: list[str]) -> None:
+    """Raises what the shell would show for a command line that is wrong; runs nothing."""
+    command = COMMAND
+    while hasattr(command, "get_command"):
+        context = command.make_context(words[0], [], resilient_parsing=True)
+        words = words[1:]
+        if not words or words[0].startswith("-"):  # an option of the group acts when it is parsed
+            return
+        command = command.get_command(context, words[0])
+        assert command is not None, f"no command {words[0]}"
+    command.make_context(words[0], words[1:])
+
+
+def plain(text: str) -> list[str]:
+    """Lines without what differs from machine to machine: digits, and the width of columns."""
+    numbers = re.sub(r"[-+]?\d[\d.]*", "#", text)
+    return [" ".join(line.split()).strip(" ─") for line in numbers.splitlines()]
+
+
+@pytest.fixture
+def checkout(tmp_path) -> Path:
+    """What a newcomer has who followed "Try it": the files, `evpinn` and `python` on the path."""
+    for name in ("bags", "config", "examples"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    (tmp_path / ".bin").mkdir()
+    for name, module in (("python", ""), ("evpinn", "-m evpinn_ros")):
+        script = tmp_path / ".bin" / name
+        script.write_text(f'#!/bin/sh\nexec "{sys.executable}" {module} "$@"\n')
+        script.chmod(0o755)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.stem)
+def test_blocks_run_as_they_stand(page, checkout):
+    environment = {
+        **os.environ,
+        "PATH": f"{checkout / '.bin'}:{os.environ['PATH']}",
+        "PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}",
+        "COLUMNS": "100",
+        "OMP_NUM_THREADS": "1",
+    }
+    ran = [block for block in blocks(page.read_text()) if block.reason is None]
+    assert ran, "a page of which nothing is run is not tested"
+    for block in ran:
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", block.text],
+            cwd=checkout,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=150,
+        )
+        assert done.returncode == 0, f"{block.text}\n{done.stdout}{done.stderr}"
+        came = plain(done.stdout + done.stderr)
+        missing = [line for line in plain(block.shown) if line not in (*came, "...", "")]
+        assert not missing, f"{block.text}\nshows other output than\n{done.stdout}{done.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_are_ones_that_the_command_line_takes(page):
+    for block in blocks(page.read_text()):
+        for words in commands(block.text):
+            try:
+                parse(words)
+            except Exception as error:
+                pytest.fail(f"{shlex.join(words)}: {error}")
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.stem)
+def test_every_fence_is_one_that_is_understood(page):
+    text = page.read_text()
+    found = FENCED.findall(text)
+    assert {language for language, _ in found} <= {"bash", "python", "yaml", ""}
+    assert text.count("```") == 2 * len(found), "indented, or not closed: it would not be run"
+
+
+def test_a_wrong_option_is_found_wherever_it_stands():
+    command = "cd x && evpinn run --vehicle a \\\n  --no-such 1"
+    page = f"<!-- not run: no car -->\n```bash\n{command}\n```\n"
+    (block,) = blocks(page)
+    assert block.reason == "no car"
+    (words,) = commands(block.text)
+    assert words == ["evpinn", "run", "--vehicle", "a", "--no-such", "1"]
+    with pytest.raises(Exception, match=r"[Nn]o such option"):
+        parse(words)
+    with pytest.raises(AssertionError, match="no command"):
+        parse(["evpinn", "bench", "weather"])
+
+
+def test_a_reason_is_needed_right_before_the_block():
+    for before in ("<!-- not run: -->\n", "<!-- not run: far -->\n\n", "<!-- skip -->\n", ""):
+        (block,) = blocks(f"{before}```bash\ntrue\n```\n\n```\nit ran\n```\n")
+        assert block.reason is None
+        assert block.shown == "it ran\n"
