@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+import threading
 import time
 from typing import Any
 
@@ -16,7 +17,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 LIBRARY = "evpinn_ros"  # without a version, which would change the bytes
 CHUNK_SECONDS = 1.0  # lost when the process is killed
 JUMP_SECONDS = 60.0  # log time that falls back farther was set anew; less is a late message
-SYNC_SECONDS = 5.0  # lost when the power is cut
+SYNC_SECONDS = 0.4  # between two writings to the disk, and the time of one is lost with the power
 
 
 class McapPart:
@@ -39,6 +40,8 @@ class McapPart:
         self._schemas: dict[str, int] = {}
         self._chunk_ns = 0
         self.flushed_s = self._synced_s = time.monotonic()
+        self._syncing: threading.Thread | None = None
+        self._problem: OSError | None = None
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=LIBRARY)
         self._file.flush()
@@ -76,17 +79,34 @@ class McapPart:
         self._chunk_ns = next_ns
 
     def flush(self) -> None:
-        """Hand all that was written to the operating system; every few seconds to the disk."""
+        """Hand all that was written to the operating system, which begins to put it on the disk.
+
+        Raises:
+            OSError: this failed, or what the disk was told before.
+        """
         self._writer.flush()
         self.flushed_s = time.monotonic()
-        if self.flushed_s - self._synced_s >= SYNC_SECONDS:
-            os.fsync(self._file.fileno())
+        if self._problem is not None:
+            raise self._problem
+        idle = self._syncing is None or not self._syncing.is_alive()
+        if idle and self.flushed_s - self._synced_s >= SYNC_SECONDS:
+            # Beside: a card may take a second, in which the car drives on.
+            self._syncing = threading.Thread(target=self._sync, daemon=True)
+            self._syncing.start()
             self._synced_s = self.flushed_s
+
+    def _sync(self) -> None:
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            self._problem = error
 
     def close(self, information: Any) -> None:
         """Complete the file, with what metadata.yaml says of it; a second call does nothing."""
         if self._file.closed:
             return
+        if self._syncing is not None:
+            self._syncing.join()
         self._writer.flush()
         # rosbag2 looks for this when it is given the bare file.
         self._writer.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
