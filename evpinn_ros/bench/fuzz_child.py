@@ -8,8 +8,6 @@ import sys
 from tempfile import TemporaryDirectory
 import time
 
-import atheris
-
 # What libFuzzer shall see the inside of: us, and the parsers in Python that we stand on.
 INSTRUMENTED = [
     *("evpinn_ros.bags", "evpinn_ros.can", "evpinn_ros.nodes", "evpinn_ros.yaml_section"),
@@ -20,6 +18,8 @@ INSTRUMENTED = [
 
 def main() -> None:
     """Fuzz the target named first; the second names the file for what was measured."""
+    import atheris  # of the extra `fuzz`, which nothing else needs
+
     name, result = sys.argv[1], Path(sys.argv[2])
     with atheris.instrument_imports(include=INSTRUMENTED):
         # Here and not at the top: what is imported before it is not instrumented.
