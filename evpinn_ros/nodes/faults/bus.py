@@ -123,6 +123,16 @@ def _await_receiving(rig: Rig, adapter: _Adapter, heard: _Heard) -> None:
         adapter.drive(rig, 1.0)
 
 
+def _drive_again(rig: Rig, adapter: _Adapter, heard: _Heard) -> float:
+    """Plug the adapter in and drive until that is heard; gives when it was plugged in."""
+    adapter.plug()
+    end = time.monotonic()
+    while time.monotonic() - end < 2 * RECOVERY and not heard.since(end) < math.inf:
+        adapter.drive(rig, 0.2)
+    adapter.unplug()
+    return end
+
+
 def _unplug(rig: Rig) -> Finding:
     adapter, heard = _Adapter(rig.folder), _Heard(rig)
     adapter.plug()
@@ -134,11 +144,7 @@ def _unplug(rig: Rig) -> Finding:
         adapter.unplug()
         rig.rest(3.0)
         said = rig.said("can_bridge", "plugged in", begin)
-        adapter.plug()
-        end = time.monotonic()
-        while time.monotonic() - end < 2 * RECOVERY and not heard.since(end) < math.inf:
-            adapter.drive(rig, 0.2)
-        adapter.unplug()
+        end = _drive_again(rig, adapter, heard)
     return _finding(heard, end, "what was sent meanwhile", said)
 
 
@@ -151,11 +157,7 @@ def _no_adapter(rig: Rig) -> Finding:
         bridge.await_ready(change=nothing)
         rig.rest(1.0)
         said = rig.said("can_bridge", "plugged in", begin)
-        adapter.plug()
-        end = time.monotonic()
-        while time.monotonic() - end < 2 * RECOVERY and not heard.since(end) < math.inf:
-            adapter.drive(rig, 0.2)
-        adapter.unplug()
+        end = _drive_again(rig, adapter, heard)
     return _finding(heard, end, "what was sent meanwhile", said)
 
 
