@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from evpinn_ros.bags.convert import READING_TOPICS, BagReadings
 from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.metadata import METADATA
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import decode
 from evpinn_ros.bench import fuzz_seeds as seeds
 from evpinn_ros.bench.fuzz_seeds import READINGS, VEHICLE
@@ -45,6 +47,8 @@ from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.share import share_directory
 from evpinn_ros.simulation.truth_file import TRUTH_FILE, read_truth
 from evpinn_ros.vehicle.files import load_vehicle
+
+SLOW = 0.25  # part of the inputs for a parser that takes several times as long as most
 
 _PACKED_METADATA = """rosbag2_bagfile_information:
   compression_mode: FILE
@@ -97,6 +101,19 @@ def _bag(path: Path) -> None:
 
 def _bag_folder(path: Path) -> None:
     _bag(path.parent)
+
+
+def _recovered(path: Path) -> None:
+    """What is saved shall be a bag that holds what was said of it."""
+    with TemporaryDirectory(dir=path.parent) as folder:
+        saved = sum(one.messages for one in recover(path, Path(folder, "saved")))
+        try:
+            with BagReader(Path(folder, "saved")) as reader:
+                read = sum(1 for _ in reader.log_times())
+        except InputError as error:
+            raise AssertionError("what was recovered cannot be read") from error
+    if read != saved:
+        raise AssertionError(f"{saved} messages saved, {read} read")
 
 
 def _mcap_beside(folder: Path) -> None:
@@ -212,9 +229,12 @@ def _cut(data: bytes) -> Iterator[CanFrame]:
 
 TARGETS = (
     Target("mcap", "drive.mcap", seeds.mcap_files, _bag),
+    Target("recover", "drive.mcap", seeds.mcap_files, _recovered, weight=SLOW),
     Target("sqlite3", "drive.db3", seeds.database, _bag),
-    Target("packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside),
-    Target("metadata", METADATA, seeds.metadata, _bag_folder, _mcap_beside),
+    Target(
+        "packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside, weight=SLOW
+    ),
+    Target("metadata", METADATA, seeds.metadata, _bag_folder, _mcap_beside, weight=SLOW),
     *(
         Target(suffix.strip("."), f"drive{suffix}", partial(seeds.can_log, suffix), _log)
         for suffix in (".log", ".asc", ".trc", ".csv", ".blf")
@@ -222,11 +242,31 @@ TARGETS = (
     Target("log.gz", "drive.log.gz", seeds.zipped_log, _log),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive),
     Target(
-        "dbc", "input.dbc", partial(seeds.bundled, "can/tesla_model_3.dbc"), _dbc, _profile_beside
+        "dbc",
+        "input.dbc",
+        partial(seeds.bundled, "can/tesla_model_3.dbc"),
+        _dbc,
+        _profile_beside,
+        weight=SLOW,
     ),
-    Target("profile", "p.yaml", partial(seeds.bundled, "can/*.yaml"), load_profile, _dbc_beside),
-    Target("vehicle", "car.yaml", partial(seeds.bundled, "vehicles/*.yaml"), load_vehicle),
-    Target("params", "p.yaml", partial(seeds.bundled, "*.param.yaml"), check_parameter_file),
+    Target(
+        "profile",
+        "p.yaml",
+        partial(seeds.bundled, "can/*.yaml"),
+        load_profile,
+        _dbc_beside,
+        weight=SLOW,
+    ),
+    Target(
+        "vehicle", "car.yaml", partial(seeds.bundled, "vehicles/*.yaml"), load_vehicle, weight=SLOW
+    ),
+    Target(
+        "params",
+        "p.yaml",
+        partial(seeds.bundled, "*.param.yaml"),
+        check_parameter_file,
+        weight=SLOW,
+    ),
     Target("truth", TRUTH_FILE, seeds.truth, lambda path: read_truth(path.parent)),
     Target("state", "s.json", lambda: seeds.as_json(_estimator().export()), _estimator_state),
     Target("energy", "e.json", lambda: seeds.as_json(_account().export()), _energy_state),
@@ -234,5 +274,5 @@ TARGETS = (
     Target("message", "m", seeds.messages, partial(_refused, _reading)),
     Target("model", "m", seeds.model, partial(_refused, _model)),
     Target("plan", "m", seeds.plans, partial(_refused, _plan)),
-    Target("frames", "f", seeds.frames, _frames),
+    Target("frames", "f", seeds.frames, _frames, weight=SLOW),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from importlib.util import find_spec
+from math import ceil
 from pathlib import Path
 from typing import Annotated
 
@@ -37,10 +38,12 @@ def fuzz(
     if unknown := sorted({*(target or ())} - known.keys()):
         raise InputError(f"no target '{unknown[0]}'; known are {', '.join(known)}")
     chosen = [known[name] for name in target or known]
+    weights = sum(each.weight for each in chosen)
     found: list[FuzzResult] = []
     try:
         for each in chosen:
-            found.append(fuzz_target(each, -(-inputs // len(chosen)), seconds, crashes))
+            part = ceil(inputs * each.weight / weights)
+            found.append(fuzz_target(each, part, seconds, crashes))
             last = found[-1]
             note(f"{last.target}: {last.inputs} inputs, {last.said or 'no crash'}")
     finally:  # Ctrl-C leaves the targets so far
