@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-import gc
 from itertools import cycle
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import Clock, InlineWorker
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
-from evpinn_ros.simulation.car import Car
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -26,6 +24,7 @@ VEHICLE = "tesla_model_3_lr"
 HOUR = 3600  # s
 PAUSE = 900  # s that the car is parked after each hour
 SEED = 5000
+PIECE = 1000  # readings
 
 
 class Hour(NamedTuple):
@@ -59,43 +58,42 @@ def soak(
         InputError: no /proc here.
     """
     chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(clock))
-    car = None
+    context = get_context("spawn")
+    receiving, sending = context.Pipe(duplex=False)
     # Simulated elsewhere: the memory that is watched shall be the chain's.
-    with ProcessPoolExecutor(1, get_context("spawn")) as elsewhere:
-        for hour, kind in zip(range(hours), cycle(DriveKind), strict=False):
-            readings, car = elsewhere.submit(_drive, kind, hour, car, duration).result()
-            count, begin = len(readings), clock()
-            _push(chain, readings, hour * duration, progress)
-            seconds = clock() - begin
-            del readings
-            gc.collect()
+    elsewhere = context.Process(target=_simulate, args=(sending, hours, duration), daemon=True)
+    elsewhere.start()
+    sending.close()
+    with receiving:
+        for hour in range(hours):
+            count, seconds = 0, 0.0
+            while piece := receiving.recv():
+                begin = clock()
+                _push(chain, piece)
+                seconds += clock() - begin
+                count += len(piece)
+                progress((piece[-1].stamp_ns - EPOCH_NS) / NANOSECONDS - hour * PAUSE)
             energy = chain.account.state.consumed
             yield Hour(count, resident_mb("self"), 1e6 * seconds / count, energy)
+    elsewhere.join()
 
 
-def _drive(
-    kind: DriveKind, hour: int, car: Car | None, duration: float
-) -> tuple[tuple[Reading, ...], Car]:
-    """One hour of the same car, after the pause that follows the hour before."""
-    start_ns = EPOCH_NS + round(hour * (duration + PAUSE) * NANOSECONDS)
-    drive = simulate(
-        kind, load_vehicle(VEHICLE), duration, SEED + hour, car=car, start_ns=start_ns
-    )
-    return drive.readings, drive.car
+def _simulate(sending: Connection, hours: int, duration: float) -> None:
+    """The same car for hours, with a pause after each: pieces of readings, an empty one to end."""
+    vehicle, car = load_vehicle(VEHICLE), None
+    for hour, kind in zip(range(hours), cycle(DriveKind), strict=False):
+        start_ns = EPOCH_NS + round(hour * (duration + PAUSE) * NANOSECONDS)
+        drive = simulate(kind, vehicle, duration, SEED + hour, car=car, start_ns=start_ns)
+        car = drive.car
+        for begin in range(0, len(drive.readings), PIECE):
+            sending.send(drive.readings[begin : begin + PIECE])
+        sending.send(())
 
 
-def _push(
-    chain: Chain,
-    readings: Sequence[Reading],
-    done: float,
-    progress: Callable[[float], None],
-) -> None:
-    start_ns = readings[0].stamp_ns
-    for index, reading in enumerate(readings):
+def _push(chain: Chain, readings: Sequence[Reading]) -> None:
+    for reading in readings:
         for _ in chain.push(reading):
             pass
-        if index % 1000 == 0:
-            progress(done + (reading.stamp_ns - start_ns) / NANOSECONDS)
 
 
 def resident_mb(process: int | str) -> float:
