@@ -13,6 +13,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from evpinn_ros.errors import InputError
+from evpinn_ros.memory import return_memory
 from evpinn_ros.nodes.base import GuardedNode
 
 SWITCH_INTERVAL = 5e-4
@@ -47,6 +48,7 @@ def run(
 
 def _run(makers: Sequence[MakeNode], args: list[str] | None) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
+    return_memory()
     # rclpy shuts down at SIGINT by itself. A KeyboardInterrupt beside that would strike anywhere,
     # also in the middle of its C++, which turns it into some other error.
     signal.signal(signal.SIGINT, lambda *_: None)
