@@ -36,6 +36,7 @@ LAYERS = [
     {"report", "bench"},
     {"nodes"},
     {"cli"},
+    {"executables"},
     {"__main__"},
 ]
 RANKS = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}

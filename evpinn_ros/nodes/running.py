@@ -38,23 +38,27 @@ def run(
     Returns:
         The exit code 1, with one line on stderr, when input is wrong.
     """
+    # A signal shall wake rclpy up and nothing else: a KeyboardInterrupt would strike anywhere, in
+    # the middle of its C++ too, which turns it into some other error.
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: signals.append(number))
     with beside or nullcontext():
-        code = _run(makers, args)
+        code = _run(makers, args, signals)
     if code == 0:
         _end_process()
     return code
 
 
-def _run(makers: Sequence[MakeNode], args: list[str] | None) -> int:
+def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
-    # rclpy shuts down at SIGINT by itself. A KeyboardInterrupt beside that would strike anywhere,
-    # also in the middle of its C++, which turns it into some other error.
-    signal.signal(signal.SIGINT, lambda *_: None)
     # In Jazzy `rclpy.init` is no context manager yet.
     try:
         rclpy.init(args=args)
     except RuntimeError as error:
         return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
+    if signals:  # they came before rclpy could hear them
+        return 0
     nodes: list[GuardedNode] = []
     try:
         for make in makers:

@@ -53,12 +53,12 @@ def node(name, *deep, **parameters):
     queues = {f"qos_overrides.{topic.under()}.subscription.depth": 1000 for topic in deep}
     values = {"vehicle": "tesla_model_3_lr", **queues, **parameters}
     options = [word for k, v in values.items() for word in ("-p", f"{k}:={json.dumps(v)}")]
-    return "-m", f"evpinn_ros.nodes.{name}", "--ros-args", "-r", "__ns:=/ev", *options
+    return "-m", "evpinn_ros.executables", name, "--ros-args", "-r", "__ns:=/ev", *options
 
 
 def refused(name, *options):
     return subprocess.run(
-        [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args", *options],
+        [sys.executable, "-m", "evpinn_ros.executables", name, "--ros-args", *options],
         cwd=ROOT, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
 
