@@ -89,7 +89,7 @@ def _spin(nodes: list[GuardedNode]) -> None:
 
 
 def _end_process() -> NoReturn:
-    """End without taking torch to pieces, which would be 0.6 s of the processor for nothing."""
+    """End without taking libraries to pieces: of torch, 0.6 s of the processor for nothing."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:  # whoever started us may have closed it
             with suppress(OSError):
