@@ -73,12 +73,22 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
             raise
         # The shutdown came in the middle of a call into rclpy.
     finally:
-        for node in reversed(nodes):  # those who listen hear the last words of the others
-            node.close()
-        for node in nodes:
-            node.destroy_node()  # tells the others that it is gone
-        rclpy.try_shutdown()
+        _end(nodes)
     return 0
+
+
+def _end(nodes: Sequence[GuardedNode]) -> None:
+    """Close all nodes, whatever one of them raises; the first error is raised in the end."""
+    steps = [node.close for node in reversed(nodes)]  # who listens hears the others' last words
+    steps += [node.destroy_node for node in nodes]  # tells the others that it is gone
+    errors: list[Exception] = []
+    for step in (*steps, rclpy.try_shutdown):
+        try:
+            step()
+        except Exception as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
 
 
 def _spin(nodes: list[GuardedNode]) -> None:
