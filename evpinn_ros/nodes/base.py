@@ -49,6 +49,7 @@ class GuardedNode(Node):
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
         self._usual: set[str] = set()  # of them, those that nobody need be told of
+        self._lasting: dict[str, float] = {}  # of them, those told when they begin; newest, s
         self._faults: Counter[str] = Counter()
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, int] = {}
@@ -204,13 +205,21 @@ class GuardedNode(Node):
                 callback(*arguments)
             except BadMessage as error:
                 self.bad[why := f"{name}: {error.reason}"] += 1
-                if error.usual:
+                if error.usual or error.lasting:
                     self._usual.add(why)
+                if error.lasting:
+                    self._tell_beginning(why)
             except Exception as error:
                 # A car drives on: whatever this is, the next message deserves its chance.
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
 
         return safe
+
+    def _tell_beginning(self, why: str) -> None:
+        heard, now = self._lasting.get(why, -math.inf), self.steady_s()
+        self._lasting[why] = now
+        if now - heard > LATELY:
+            self.notice(why, f"not used from now on: {why}")
 
     def count_fault(self, text: str, detail: str = "") -> None:
         """Count a fault of our own; it is logged, with its detail, the first time only."""
