@@ -153,6 +153,11 @@ class OnlineEstimator:
         self._learner.forget_window()
         self._begin_time()
 
+    def begin_next_drive(self) -> None:
+        """What comes is another drive of this car; likewise."""
+        self.handle_time_jump()
+        self._learner.end_drive()
+
     def clear_counters(self) -> None:
         """Count anew, for the next drive."""
         self._updates = self._accepted = 0

@@ -81,12 +81,16 @@ class HybridLearner:
     def advance(self, sample: Sample) -> None:
         """Let time pass up to a smoothed sample.
 
-        After a pause of `PARKED`, or before what was last seen, it is another drive: its slope,
-        loads and drift are not those of the last.
+        After a pause of `PARKED`, or before what was last seen, slope and drift are others. It is
+        another drive, with other loads, when the two are that far apart: a clock that is set right
+        by some seconds ends none.
         """
         seen_ns, self._seen_ns = self._seen_ns, sample.stamp_ns
-        if seen_ns is not None and not 0 <= sample.stamp_ns - seen_ns <= PARKED * NANOSECONDS:
+        passed = 0.0 if seen_ns is None else (sample.stamp_ns - seen_ns) / NANOSECONDS
+        if not 0.0 <= passed <= PARKED:
             self.power_filter.forget_time()
+        if abs(passed) > PARKED:
+            self.power_filter.end_drive()
         self.parameter_filter.advance(sample)
         self.power_filter.advance(sample)
         self._unknown_load.advance(sample.stamp_ns)
@@ -186,11 +190,15 @@ class HybridLearner:
         self._window.clear()
         self._merit = _unproven()
         self._candidate = None
-        self._last_ns = self._seen_ns = None
+        self._last_ns = None
         self._payload.forget_time()
         self.parameter_filter.forget_time()
         self.power_filter.forget_time()
         self._unknown_load.forget()
+
+    def end_drive(self) -> None:
+        """Learn what the drive told of the loads it reported; the next has others."""
+        self.power_filter.end_drive()
 
     def export(self) -> Mapping[str, Any]:
         """State to save."""

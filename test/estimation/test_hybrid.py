@@ -265,6 +265,28 @@ def test_what_the_window_showed_fades_in_silence_and_is_unproven_after_a_jump(ve
     assert learner.trust == 0.0
 
 
+@pytest.mark.parametrize(
+    ("seconds", "same"),
+    [(3.0, True), (-3.0, True), (-300.0, True), (900.0, False), (-900.0, False)],
+)
+@pytest.mark.parametrize("told", [True, False])
+def test_a_clock_that_is_set_right_ends_no_drive(vehicle, seconds, same, told):
+    """`told`: the stream saw the jump and had the window forgotten."""
+    learner = HybridLearner(vehicle)
+    drive = [Sample(k * NANOSECONDS, 10.0, 0.0, 0.0, 1.17, 1500.0) for k in range(1200)]
+    for sample in drive:
+        learner.advance(sample)
+        learner.observe(sample, 9000.0)
+    before = learner.export()["power_filter"]["loads"]
+    if told:
+        learner.forget_window()
+    last = drive[-1]
+    learner.advance(replace(last, stamp_ns=last.stamp_ns + round(seconds * NANOSECONDS)))
+    after = learner.export()["power_filter"]["loads"]
+    assert (after == before) == same
+    assert (after["drive"][0] == 0.0) != same
+
+
 @pytest.mark.parametrize(("pause", "kept"), [(1.0, True), (8 * 3600.0, False), (-3600.0, False)])
 def test_the_next_drive_has_loads_and_slopes_of_its_own(vehicle, synthetic, pause, kept):
     """A restart goes on where it was; a night later, or on a clock set back, it does not."""
