@@ -52,7 +52,7 @@ class GuardedNode(Node):
         self._lasting: dict[str, float] = {}  # of them, those told when they begin; newest, s
         self._faults: Counter[str] = Counter()
         self._outlets: dict[Topic, Any] = {}
-        self._arrivals: dict[Topic, int] = {}
+        self._arrivals: dict[Topic, float] = {}
         self._inputs: dict[Topic, str] = {}
         self._numbers = MessageNumbers()
         self._by_turns: dict[Topic, float] = {}
@@ -91,7 +91,7 @@ class GuardedNode(Node):
                 self._by_turns[topic] = self.steady_s()
             self._mismatched.pop(topic, None)
             callback(message)
-            self._arrivals[topic] = self.now_ns()
+            self._arrivals[topic] = self._now_s()
 
         safe = self.guarded(take, topic.name)
         subscription = factory.subscribe(
@@ -135,7 +135,7 @@ class GuardedNode(Node):
             self.published[topic] += 1
 
     def now_ns(self) -> int:
-        """The node's clock, for ages and /diagnostics alone."""
+        """The node's clock, for stamps of frames, /diagnostics and what is said of stamps."""
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
@@ -184,7 +184,12 @@ class GuardedNode(Node):
     def age(self, topic: Topic) -> float:
         """Seconds since the last usable message of an input, NaN before the first."""
         arrived = self._arrivals.get(topic)
-        return math.nan if arrived is None else (self.now_ns() - arrived) / NANOSECONDS
+        return math.nan if arrived is None else self._now_s() - arrived
+
+    def _now_s(self) -> float:
+        """For ages, s: simulated time, which may pause; else a clock that nobody sets."""
+        simulated = self.get_clock().ros_time_is_active
+        return self.now_ns() / NANOSECONDS if simulated else self.steady_s()
 
     def report(self) -> None:
         """Publish the diagnostics now."""

@@ -64,6 +64,15 @@ def test_an_imu_that_gives_no_orientation_is_told_once(bench, monkeypatch):
     assert bench.diagnosis(node)["estimate"][2]["bad.vehicle/imu: no_orientation"] == "6"
 
 
+def test_how_old_an_input_is_does_not_depend_on_how_the_clock_is_set(bench, monkeypatch):
+    node = bench.start(EstimatorNode)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    for hours in (-3, 3):
+        later = node.now_ns() + hours * 3600 * NANOSECONDS
+        monkeypatch.setattr(node, "now_ns", lambda later=later: later)
+        assert 0.0 <= node.age(topics.SPEED) < 60.0
+
+
 def test_a_battery_that_falls_silent_brings_no_news_of_long_ago(bench, monkeypatch):
     """A topic of the state of charge alone, beside one that told power until now."""
     node = bench.start(EstimatorNode)
