@@ -104,10 +104,10 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "can_bridge = evpinn_ros.nodes.can_bridge:main",
-            "energy = evpinn_ros.nodes.energy:main",
-            "estimator = evpinn_ros.nodes.estimator:main",
-            "evpinn = evpinn_ros.cli.main:main",
+            "can_bridge = evpinn_ros.executables:can_bridge",
+            "energy = evpinn_ros.executables:energy",
+            "estimator = evpinn_ros.executables:estimator",
+            "evpinn = evpinn_ros.executables:evpinn",
         ],
     },
 )

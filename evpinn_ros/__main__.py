@@ -1,6 +1,6 @@
 """`python -m evpinn_ros`: the command `evpinn`."""
 
-from evpinn_ros.cli.main import main
+from evpinn_ros.executables import evpinn
 
 if __name__ == "__main__":
-    main()
+    evpinn()

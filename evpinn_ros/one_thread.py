@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 from threadpoolctl import threadpool_limits
-import torch
 
 
 def one_thread() -> None:
@@ -12,5 +14,7 @@ def one_thread() -> None:
     The matrices here are small: two threads need up to six times the processor's time of one, wait
     for each other where another process takes a core, and add in an order that differs.
     """
-    torch.set_num_threads(1)
     threadpool_limits(1)
+    os.environ["OMP_NUM_THREADS"] = "1"  # which torch reads when it is loaded
+    if (torch := sys.modules.get("torch")) is not None:
+        torch.set_num_threads(1)

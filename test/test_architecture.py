@@ -15,7 +15,7 @@ PACKAGE = ROOT / "evpinn_ros"
 # From the ground up. A part may import what lies below it, and nothing beside or above it.
 LAYERS = [
     {"", "errors"},
-    {"share", "yaml_section", "one_thread", "memory", "text_lines", "npz"},
+    {"share", "yaml_section", "one_thread", "memory", "text_lines", "npz", "durable"},
     {"vehicle"},
     {"signals"},
     {"can", "energy", "estimation"},
@@ -36,6 +36,7 @@ LAYERS = [
     {"report", "bench"},
     {"nodes"},
     {"cli"},
+    {"executables"},
     {"__main__"},
 ]
 RANKS = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}

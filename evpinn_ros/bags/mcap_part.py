@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from evpinn_ros.bags.metadata import WrittenFile, WrittenTopic, as_yaml
 from evpinn_ros.bags.types import typestore
+from evpinn_ros.durable import sync
 from evpinn_ros.signals.readings import NANOSECONDS
 
 LIBRARY = "evpinn_ros"  # without a version, which would change the bytes
@@ -35,6 +36,7 @@ class McapPart:
             OSError: it is there, or cannot be made.
         """
         self.written = WrittenFile(path.name)
+        self._folder = path.parent
         self._file = path.open("xb")
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -100,6 +102,7 @@ class McapPart:
             os.fsync(self._file.fileno())
         except OSError as error:
             self._problem = error
+        sync(self._folder)  # a new file has a name there only once this is done
 
     def close(self, information: Any) -> None:
         """Complete the file, with what metadata.yaml says of it; a second call does nothing."""

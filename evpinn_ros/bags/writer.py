@@ -22,6 +22,7 @@ from evpinn_ros.bags.metadata import (
     write_metadata,
 )
 from evpinn_ros.bags.types import encode, typestore
+from evpinn_ros.durable import sync
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -67,6 +68,9 @@ class BagWriter:
         except OSError as error:
             raise InputError(f"{self.folder}: {error.strerror}") from error
         self._describe()
+        if live:
+            for parent in self.folder.resolve().parents:  # of which some may be new
+                sync(parent)
 
     def __enter__(self) -> BagWriter:
         return self
@@ -111,6 +115,8 @@ class BagWriter:
         """Complete the file and its metadata.yaml; a second call does nothing."""
         self._part.close(self._information())
         self._describe()
+        sync(self.folder / METADATA)
+        sync(self.folder)
 
     def _chunk_is_over(self, log_time_ns: int) -> bool:
         if self._part.chunk_is_over(log_time_ns):

@@ -80,7 +80,7 @@ class ForecastBenchmark:
         """
         drive = list(readings)
         plan, measured = driven_plan(drive), _measured(drive)
-        self._estimator.handle_time_jump()  # it is another day
+        self._estimator.begin_next_drive()  # it is another day
         celsius = None
         thermometer = next((r for r in drive if isinstance(r, TemperatureReading)), None)
         if thermometer is not None:

@@ -42,7 +42,10 @@ def faults(
         raise InputError("evpinn bench faults needs rclpy: pip install 'ros-rclpy[fastrtps]'")
     # Imported here: the rest of the commands work where no ROS is.
     from evpinn_ros.nodes.faults.campaign import run_campaign
+    from evpinn_ros.nodes.faults.clocks import clock_setter
 
+    if clock_setter() is None:
+        note("libfaketime is not installed: system_clock_back and system_clock_ahead are left out")
     load = os.getloadavg()[0]
     if load > BUSY:
         note(f"other programs take {load:.1f} cores: expect longer times")

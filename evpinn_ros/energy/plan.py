@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from evpinn_ros.errors import InputError
 
@@ -106,8 +105,28 @@ def plan_from_path(
     kept = np.concatenate(([True], (duration > 0) | (legs > 0)))  # a point given twice is one
     time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
     _refuse(np.diff(distance) > MAX_SPEED * np.diff(time), f"faster than {MAX_SPEED:g} m/s")
-    speed = PchipInterpolator(time, distance).derivative()(time)
+    speed = _monotone_slopes(time, distance)
     return Plan(time, distance, np.clip(speed, 0.0, MAX_SPEED), elevation)
+
+
+def _monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Slopes at the points, shape (n,), of the monotone cubic through y that never falls.
+
+    Fritsch and Butland (1984): zero beside a stretch where y rests, else a harmonic mean. As
+    `scipy.interpolate.PchipInterpolator`, which takes a third of all that the nodes load.
+    """
+    step = np.diff(x)
+    slope = np.diff(y) / step
+    if len(slope) == 1:
+        return np.repeat(slope, 2)
+    near = np.array([2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]])
+    with np.errstate(divide="ignore", over="ignore"):
+        inner = near.sum(axis=0) / (near[0] / slope[:-1] + near[1] / slope[1:])
+    first, last = (
+        max(0.0, ((2.0 * h[0] + h[1]) * m[0] - h[0] * m[1]) / (h[0] + h[1]))
+        for h, m in ((step, slope), (step[::-1], slope[::-1]))
+    )
+    return np.concatenate(([first], inner, [last]))
 
 
 def plan_from_speed_profile(

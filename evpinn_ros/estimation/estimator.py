@@ -26,7 +26,6 @@ from evpinn_ros.estimation.learner import (
     gate,
 )
 from evpinn_ros.estimation.operating_range import OperatingRange
-from evpinn_ros.estimation.paper import PaperLearner
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.sample import (
@@ -153,6 +152,11 @@ class OnlineEstimator:
         self._stream.reset()
         self._learner.forget_window()
         self._begin_time()
+
+    def begin_next_drive(self) -> None:
+        """What comes is another drive of this car; likewise."""
+        self.handle_time_jump()
+        self._learner.end_drive()
 
     def clear_counters(self) -> None:
         """Count anew, for the next drive."""
@@ -354,5 +358,8 @@ class OnlineEstimator:
 
 def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
     if settings.mode is Mode.PAPER:
+        # Imported here: it alone needs torch, which takes longer to load than all else together.
+        from evpinn_ros.estimation.paper import PaperLearner
+
         return PaperLearner(vehicle, seed=settings.seed, form=settings.regen_form)
     return HybridLearner(vehicle, seed=settings.seed)

@@ -12,25 +12,23 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from copy import deepcopy
 import math
 from typing import Any
 
 import numpy as np
-import torch
 
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN, GradeSuspicion
 from evpinn_ros.estimation.joint_step import JointProblem, joint_step
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.load_change import LoadDetector
-from evpinn_ros.estimation.network import PowerNetwork
 from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME
 from evpinn_ros.estimation.parameter_set import StateKeeper, parameter_set
 from evpinn_ros.estimation.power_filter import PowerFilter
 from evpinn_ros.estimation.published_filter import PublishedFilter
 from evpinn_ros.estimation.unknown_load import UnknownLoad
 from evpinn_ros.estimation.window import Observation, SampleStore, SlidingWindow, batch
+from evpinn_ros.estimation.window_network import WindowNetwork
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.stream import SAMPLE_PERIOD
@@ -61,10 +59,8 @@ class HybridLearner:
         self.parameter_filter = PublishedFilter(vehicle)
         self.power_filter = PowerFilter(vehicle)
         self._unknown_load = UnknownLoad()
-        self._start = PowerNetwork(WIDTHS, seed=seed, dtype=torch.float64)
-        torch.nn.init.zeros_(self._start.layers[-1].weight)
-        self._network = deepcopy(self._start)
-        self._candidate: PowerNetwork | None = None
+        self._start = self._network = WindowNetwork.silent(WIDTHS, seed)
+        self._candidate: WindowNetwork | None = None
         self._candidate_score = 0.0
         self._merit = _unproven()
         self._window = SlidingWindow(WINDOW)
@@ -85,12 +81,16 @@ class HybridLearner:
     def advance(self, sample: Sample) -> None:
         """Let time pass up to a smoothed sample.
 
-        After a pause of `PARKED`, or before what was last seen, it is another drive: its slope,
-        loads and drift are not those of the last.
+        After a pause of `PARKED`, or before what was last seen, slope and drift are others. It is
+        another drive, with other loads, when the two are that far apart: a clock that is set right
+        by some seconds ends none.
         """
         seen_ns, self._seen_ns = self._seen_ns, sample.stamp_ns
-        if seen_ns is not None and not 0 <= sample.stamp_ns - seen_ns <= PARKED * NANOSECONDS:
+        passed = 0.0 if seen_ns is None else (sample.stamp_ns - seen_ns) / NANOSECONDS
+        if not 0.0 <= passed <= PARKED:
             self.power_filter.forget_time()
+        if abs(passed) > PARKED:
+            self.power_filter.end_drive()
         self.parameter_filter.advance(sample)
         self.power_filter.advance(sample)
         self._unknown_load.advance(sample.stamp_ns)
@@ -128,26 +128,24 @@ class HybridLearner:
         for old in self._window.add(observation):
             self._store.add(old)
 
-    def prepare_update(self) -> Callable[[], PowerNetwork] | None:
+    def prepare_update(self) -> Callable[[], WindowNetwork] | None:
         """Train a copy of the network on a snapshot of window and store."""
         window = list(self._window)
         if len(window) < MIN_SAMPLES or self._last_ns is None:
             return None
         observations = [*window[::-THINNING], *self._store]
         problem = self._problem(observations, self._last_ns)
-        network, start = deepcopy(self._network), self._start.vector()
+        network, start = self._network, self._start.weights
 
-        def work() -> PowerNetwork:
-            step = joint_step(network, start, problem)
-            network.load_vector(step.weights)
-            return network
+        def work() -> WindowNetwork:
+            return network.with_weights(joint_step(network, start, problem).weights)
 
         return work
 
-    def consider(self, candidate: PowerNetwork) -> str | None:
+    def consider(self, candidate: WindowNetwork) -> str | None:
         """Take a candidate to be judged; adopt the one before if the last second speaks for it."""
         judged, score = self._candidate, self._candidate_score
-        finite = bool(torch.isfinite(candidate.vector()).all())
+        finite = bool(np.isfinite(candidate.weights).all())
         self._candidate, self._candidate_score = (candidate if finite else None), 0.0
         if not finite:
             return "not_finite"
@@ -192,11 +190,15 @@ class HybridLearner:
         self._window.clear()
         self._merit = _unproven()
         self._candidate = None
-        self._last_ns = self._seen_ns = None
+        self._last_ns = None
         self._payload.forget_time()
         self.parameter_filter.forget_time()
         self.power_filter.forget_time()
         self._unknown_load.forget()
+
+    def end_drive(self) -> None:
+        """Learn what the drive told of the loads it reported; the next has others."""
+        self.power_filter.end_drive()
 
     def export(self) -> Mapping[str, Any]:
         """State to save."""
@@ -206,23 +208,21 @@ class HybridLearner:
             "payload": self._payload.export(),
             "current_suspicion": self._suspicion.export(),
             "grade_suspicion": self._grade_suspicion.export(),
-            "network": self._network.vector().tolist(),
+            "network": self._network.weights.tolist(),
             "seen_ns": self._seen_ns,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take a saved state."""
-        weights = torch.tensor(state["network"], dtype=torch.float64)
-        if weights.shape != self._network.vector().shape:
-            raise ValueError("the saved network has another shape")
-        if not torch.isfinite(weights).all():
+        network = WindowNetwork(WIDTHS, state["network"])
+        if not np.isfinite(network.weights).all():
             raise ValueError("the saved network is not finite")
         self.parameter_filter.restore(state["parameter_filter"])
         self.power_filter.restore(state["power_filter"])
         self._payload.restore(state["payload"])
         self._suspicion.restore(state["current_suspicion"])
         self._grade_suspicion.restore(state["grade_suspicion"])
-        self._network.load_vector(weights)
+        self._network = network
         self._merit = _unproven()
         self._seen_ns = None if state["seen_ns"] is None else int(state["seen_ns"])
 
@@ -247,7 +247,7 @@ class HybridLearner:
         unseen = max(0, sample.stamp_ns - self._last_ns) / NANOSECONDS
         return self.trust * math.exp(-unseen / WINDOW)
 
-    def _said(self, network: PowerNetwork, sample: Sample) -> float:
+    def _said(self, network: WindowNetwork, sample: Sample) -> float:
         """What a network adds to the physics at a sample, W."""
         inputs = np.array([sample.speed, sample.acceleration, 0.0]) / _SCALES
         return network.at(inputs) * self.power_filter.residual_std(sample)

@@ -18,9 +18,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
-from evpinn_ros.estimation.network import PowerNetwork
+from evpinn_ros.estimation.window_network import WindowNetwork
 
 OUTLIER = 2.0  # sigmas beyond which a residual's weight falls (Huber)
 
@@ -50,13 +49,13 @@ class JointProblem(NamedTuple):
 class JointStep(NamedTuple):
     """Result: new weights of the network, shape (w,), and change of the parameters, shape (k,)."""
 
-    weights: torch.Tensor
+    weights: np.ndarray
     parameter_change: np.ndarray
 
 
-def joint_step(network: PowerNetwork, start: torch.Tensor, problem: JointProblem) -> JointStep:
+def joint_step(network: WindowNetwork, start: np.ndarray, problem: JointProblem) -> JointStep:
     """Solve one step; `start`, shape (w,), is what the ridge pulls the weights to."""
-    output, jacobian = (t.numpy() for t in network.jacobian(torch.from_numpy(problem.inputs)))
+    output, jacobian = network.jacobian(problem.inputs)
     rest = problem.residual - output
     huber = 1.0 / np.maximum(1.0, np.abs(rest) / OUTLIER)
     root = np.sqrt(problem.weight * huber)[:, None]
@@ -69,16 +68,15 @@ def joint_step(network: PowerNetwork, start: torch.Tensor, problem: JointProblem
         return left
 
     weighted = jacobian * root
-    weights = network.vector().numpy()
-    size = len(weights)
+    size = len(network.weights)
     # weighted' project(weighted), without a matrix of all samples by all weights in between.
     shared = hidden.T @ weighted
     normal = (1.0 + problem.physics_loss) * (weighted.T @ weighted) - shared.T @ physics @ shared
     normal[np.diag_indices(size)] += problem.ridge
     slope = weighted.T @ project(rest[:, None] * root)
     slope -= problem.physics_loss * (weighted.T @ (output[:, None] * root))
-    slope[:, 0] -= problem.ridge * (weights - start.numpy())
+    slope[:, 0] -= problem.ridge * (network.weights - start)
     change = np.linalg.solve(normal, slope)[:, 0]
     left = (rest - jacobian @ change)[:, None] * root
     parameter_change = physics @ (hidden.T @ left)
-    return JointStep(torch.from_numpy(weights + change), parameter_change[:, 0])
+    return JointStep(network.weights + change, parameter_change[:, 0])

@@ -80,6 +80,9 @@ class Learner(Protocol):
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time; keep what was learned."""
 
+    def end_drive(self) -> None:
+        """Let what comes be another drive, wherever its stamps lie."""
+
     def export(self) -> Mapping[str, Any]:
         """State to save, of numbers, text, lists and mappings only."""
 

@@ -1,11 +1,10 @@
-"""The fully connected tanh network of both modes (paper, Fig. 4), as a torch module."""
+"""The fully connected tanh network of the paper (Fig. 4), as a torch module."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
 
-import numpy as np
 import torch
 from torch import nn
 
@@ -38,14 +37,6 @@ class PowerNetwork(nn.Module):
         output: torch.Tensor = self.layers[-1](hidden)
         return output[:, 0]
 
-    def at(self, inputs: np.ndarray) -> float:
-        """Output at one input of shape (widths[0],): as `forward`, in a tenth of its time."""
-        hidden = inputs
-        for layer in self.layers[:-1]:
-            hidden = np.tanh(_array(layer.weight) @ hidden + _array(layer.bias))
-        last = self.layers[-1]
-        return float(_array(last.weight)[0] @ hidden) + float(_array(last.bias)[0])
-
     @torch.no_grad()
     def sweep(
         self, inputs: torch.Tensor
@@ -66,19 +57,6 @@ class PowerNetwork(nn.Module):
             derivatives.append((derivatives[-1] @ layer.weight) * (1.0 - leaving**2))
         return output, activations, derivatives[::-1]
 
-    def jacobian(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Output, shape (n,), and its derivative by every weight, shape (n, weights).
-
-        Back-propagation for all samples at once: dy/dW_l = D_l A_l^T and dy/db_l = D_l. The
-        columns are in the order of `torch.nn.utils.parameters_to_vector`.
-        """
-        output, activations, derivatives = self.sweep(inputs)
-        columns: list[torch.Tensor] = []
-        for entering, derivative in zip(activations, derivatives, strict=True):
-            by_weight = derivative[:, :, None] * entering[:, None, :]
-            columns += [by_weight.flatten(1), derivative]
-        return output, torch.cat(columns, dim=1)
-
     def vector(self) -> torch.Tensor:
         """All weights as one vector, detached."""
         return nn.utils.parameters_to_vector(self.parameters()).detach().clone()
@@ -86,9 +64,3 @@ class PowerNetwork(nn.Module):
     def load_vector(self, weights: torch.Tensor) -> None:
         """Take all weights from one vector."""
         nn.utils.vector_to_parameters(weights, self.parameters())
-
-
-def _array(tensor: torch.Tensor) -> np.ndarray:
-    """The memory of a tensor as an array."""
-    array: np.ndarray = tensor.detach().numpy()
-    return array

@@ -197,6 +197,9 @@ class PaperLearner:
         self._window.clear()
         self._last_ns = None
 
+    def end_drive(self) -> None:
+        """Nothing here is of one drive alone."""
+
     def export(self) -> Mapping[str, Any]:
         """State to save."""
         return {

@@ -128,13 +128,16 @@ class PowerFilter(ParameterFilter):
         return residual
 
     def forget_time(self) -> None:
-        """Start time anew after a jump: another road, and perhaps another day."""
+        """Start time anew after a jump: another road."""
         super().forget_time()
-        self._loads.end_drive()
         for index in ROAD_STATES:
             self.mean[index] = self._prior_mean[index]
             self.covariance[index, :] = self.covariance[:, index] = 0.0
             self.covariance[index, index] = self._prior_variance[index]
+
+    def end_drive(self) -> None:
+        """What comes is another drive, with loads of its own."""
+        self._loads.end_drive()
 
     def export(self) -> dict[str, Any]:
         """State to save."""

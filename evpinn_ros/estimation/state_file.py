@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
+from evpinn_ros.durable import sync
 from evpinn_ros.errors import InputError
 
 MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
@@ -16,6 +17,8 @@ MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
 
 def write_state(path: Path, state: Mapping[str, Any]) -> None:
     """Write a state so that a crash at any instant leaves the old file or the new one whole.
+
+    Once it is written it outlives a loss of power.
 
     Raises:
         OSError: the file cannot be written.
@@ -29,6 +32,7 @@ def write_state(path: Path, state: Mapping[str, Any]) -> None:
         file.flush()
         os.fsync(file.fileno())
     fresh.replace(path)
+    sync(path.parent)
 
 
 def read_state(path: Path) -> dict[str, Any] | None:

@@ -49,9 +49,10 @@ class GuardedNode(Node):
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
         self._usual: set[str] = set()  # of them, those that nobody need be told of
+        self._lasting: dict[str, float] = {}  # of them, those told when they begin; newest, s
         self._faults: Counter[str] = Counter()
         self._outlets: dict[Topic, Any] = {}
-        self._arrivals: dict[Topic, int] = {}
+        self._arrivals: dict[Topic, float] = {}
         self._inputs: dict[Topic, str] = {}
         self._numbers = MessageNumbers()
         self._by_turns: dict[Topic, float] = {}
@@ -90,7 +91,7 @@ class GuardedNode(Node):
                 self._by_turns[topic] = self.steady_s()
             self._mismatched.pop(topic, None)
             callback(message)
-            self._arrivals[topic] = self.now_ns()
+            self._arrivals[topic] = self._now_s()
 
         safe = self.guarded(take, topic.name)
         subscription = factory.subscribe(
@@ -134,7 +135,7 @@ class GuardedNode(Node):
             self.published[topic] += 1
 
     def now_ns(self) -> int:
-        """The node's clock, for ages and /diagnostics alone."""
+        """The node's clock, for stamps of frames, /diagnostics and what is said of stamps."""
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
@@ -183,7 +184,12 @@ class GuardedNode(Node):
     def age(self, topic: Topic) -> float:
         """Seconds since the last usable message of an input, NaN before the first."""
         arrived = self._arrivals.get(topic)
-        return math.nan if arrived is None else (self.now_ns() - arrived) / NANOSECONDS
+        return math.nan if arrived is None else self._now_s() - arrived
+
+    def _now_s(self) -> float:
+        """For ages, s: simulated time, which may pause; else a clock that nobody sets."""
+        simulated = self.get_clock().ros_time_is_active
+        return self.now_ns() / NANOSECONDS if simulated else self.steady_s()
 
     def report(self) -> None:
         """Publish the diagnostics now."""
@@ -204,13 +210,21 @@ class GuardedNode(Node):
                 callback(*arguments)
             except BadMessage as error:
                 self.bad[why := f"{name}: {error.reason}"] += 1
-                if error.usual:
+                if error.usual or error.lasting:
                     self._usual.add(why)
+                if error.lasting:
+                    self._tell_beginning(why)
             except Exception as error:
                 # A car drives on: whatever this is, the next message deserves its chance.
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
 
         return safe
+
+    def _tell_beginning(self, why: str) -> None:
+        heard, now = self._lasting.get(why, -math.inf), self.steady_s()
+        self._lasting[why] = now
+        if now - heard > LATELY:
+            self.notice(why, f"not used from now on: {why}")
 
     def count_fault(self, text: str, detail: str = "") -> None:
         """Count a fault of our own; it is logged, with its detail, the first time only."""

@@ -118,7 +118,7 @@ def _spin_for(executor: SingleThreadedExecutor, seconds: float) -> None:
 
 def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:
     """The command that starts one node's executable."""
-    command = [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args"]
+    command = [sys.executable, "-m", "evpinn_ros.executables", name, "--ros-args"]
     command += ["-r", f"__ns:={NAMESPACE}", "--log-level", "warn"]
     for key, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)

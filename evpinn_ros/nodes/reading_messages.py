@@ -142,7 +142,7 @@ def to_reading(type_name: str, message: Any) -> Reading:
 def grade_reading(message: Any) -> GradeReading:
     """Grade of an Imu. Positive pitch is nose down (REP-103), so grade = -pitch."""
     if message.orientation_covariance[0] == NOT_PROVIDED:
-        raise BadMessage("no_orientation")
+        raise BadMessage("no_orientation", lasting=True)
     q = message.orientation
     # Products, for a power of a huge number raises where its product is infinite.
     square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z

@@ -39,24 +39,28 @@ def run(
     Returns:
         The exit code 1, with one line on stderr, when input is wrong.
     """
+    # A signal shall wake rclpy up and nothing else: a KeyboardInterrupt would strike anywhere, in
+    # the middle of its C++ too, which turns it into some other error.
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: signals.append(number))
     with beside or nullcontext():
-        code = _run(makers, args)
+        code = _run(makers, args, signals)
     if code == 0:
         _end_process()
     return code
 
 
-def _run(makers: Sequence[MakeNode], args: list[str] | None) -> int:
+def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
     return_memory()
-    # rclpy shuts down at SIGINT by itself. A KeyboardInterrupt beside that would strike anywhere,
-    # also in the middle of its C++, which turns it into some other error.
-    signal.signal(signal.SIGINT, lambda *_: None)
     # In Jazzy `rclpy.init` is no context manager yet.
     try:
         rclpy.init(args=args)
     except RuntimeError as error:
         return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
+    if signals:  # they came before rclpy could hear them
+        return 0
     nodes: list[GuardedNode] = []
     try:
         for make in makers:
@@ -71,12 +75,22 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None) -> int:
             raise
         # The shutdown came in the middle of a call into rclpy.
     finally:
-        for node in reversed(nodes):  # those who listen hear the last words of the others
-            node.close()
-        for node in nodes:
-            node.destroy_node()  # tells the others that it is gone
-        rclpy.try_shutdown()
+        _end(nodes)
     return 0
+
+
+def _end(nodes: Sequence[GuardedNode]) -> None:
+    """Close all nodes, whatever one of them raises; the first error is raised in the end."""
+    steps = [node.close for node in reversed(nodes)]  # who listens hears the others' last words
+    steps += [node.destroy_node for node in nodes]  # tells the others that it is gone
+    errors: list[Exception] = []
+    for step in (*steps, rclpy.try_shutdown):
+        try:
+            step()
+        except Exception as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
 
 
 def _spin(nodes: list[GuardedNode]) -> None:
@@ -87,7 +101,7 @@ def _spin(nodes: list[GuardedNode]) -> None:
 
 
 def _end_process() -> NoReturn:
-    """End without taking torch to pieces, which would be 0.6 s of the processor for nothing."""
+    """End without taking libraries to pieces: of torch, 0.6 s of the processor for nothing."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:  # whoever started us may have closed it
             with suppress(OSError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -10,6 +11,7 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.state_file import read_state, write_state
 
 SAVE_PERIOD = 60.0  # s
+REFUSED_KEPT = 5  # files
 
 
 class Stateful(Protocol):
@@ -80,15 +82,21 @@ class StateKeeper:
         return None
 
     def _refuse(self, problem: str) -> None:
-        aside = "" if self._path is None else f"; it will be kept as {_aside(self._path).name}"
+        aside = "" if self._path is None else f"; it will be kept as {_aside(self._path)[0].name}"
         self.problem, self._refused = problem + aside, True
 
     def _set_refused_aside(self, path: Path) -> None:
         """A file that was refused may be another car's: it is renamed, not overwritten."""
         if self._refused and path.exists():
-            path.replace(_aside(path))
+            names = _aside(path)
+            for older, newer in pairwise(reversed(names)):
+                if newer.exists():
+                    newer.replace(older)
+            path.replace(names[0])
         self._refused = False
 
 
-def _aside(path: Path) -> Path:
-    return path.with_name(path.name + ".refused")
+def _aside(path: Path) -> list[Path]:
+    """Where refused files are kept, the newest first."""
+    first = path.with_name(path.name + ".refused")
+    return [first, *(first.with_name(f"{first.name}.{n}") for n in range(2, REFUSED_KEPT + 1))]

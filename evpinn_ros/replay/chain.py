@@ -61,7 +61,7 @@ class Chain:
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car; time and energy start anew."""
-        self.estimator.handle_time_jump()
+        self.estimator.begin_next_drive()
         self.estimator.clear_counters()
         self.account.begin_next_stretch()
         self.account.reset_trip()

@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from evpinn_ros.energy.plan import (
     BEND,
@@ -38,6 +39,22 @@ def test_waiting_is_standing():
     x = np.array([0.0, 100.0, 100.0, 200.0])
     plan = plan_from_path(x, ZERO, ZERO, np.array([0.0, 10.0, 40.0, 50.0]))
     assert plan.speed[1] == plan.speed[2] == 0.0
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.01, 100.0), st.floats(0.0, 40.0) | st.just(0.0)),
+        min_size=1,
+        max_size=30,
+    )
+)
+def test_speed_along_a_path_is_the_slope_of_a_monotone_cubic(legs):
+    """Against scipy's: legs of some seconds at some speed, some of them at rest."""
+    seconds, speeds = np.array(legs).T
+    time, x = (np.concatenate(([0.0], np.cumsum(v))) for v in (seconds, seconds * speeds))
+    plan = plan_from_path(x, 0.0 * x, 0.0 * x, time)
+    cubic = PchipInterpolator(plan.time, plan.distance).derivative()
+    np.testing.assert_allclose(plan.speed, np.clip(cubic(plan.time), 0.0, 100.0), atol=1e-9)
 
 
 def test_a_point_given_twice_is_one():

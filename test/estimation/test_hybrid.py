@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-import torch
 
 from evpinn_ros.estimation.estimate import State
 from evpinn_ros.estimation.hybrid import MIN_SAMPLES, TRUST_PRIOR, WIDTHS, HybridLearner
 from evpinn_ros.estimation.power_filter import DRIFT
+from evpinn_ros.estimation.window_network import WindowNetwork
 from evpinn_ros.signals.kinematics import COURSE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -32,17 +32,11 @@ def second(learner: HybridLearner, drive, k: int) -> None:
         learner.observe(sample, power)
 
 
-def said(weights: float) -> torch.Tensor:
-    """Weights of a network that says the same everywhere."""
-    vector = torch.zeros(sum(a * b + b for a, b in pairwise(WIDTHS)))
-    vector[-1] = weights
-    return vector.double()
-
-
-def saying(learner: HybridLearner, output: float):
-    candidate = learner.prepare_update()()
-    candidate.load_vector(said(output))
-    return candidate
+def said(output: float) -> WindowNetwork:
+    """A network that says the same everywhere."""
+    weights = np.zeros(sum(a * b + b for a, b in pairwise(WIDTHS)))
+    weights[-1] = output
+    return WindowNetwork(WIDTHS, weights)
 
 
 def test_before_anything_it_says_what_the_prior_says(vehicle):
@@ -116,8 +110,8 @@ def test_an_update_waits_for_samples_and_trains_a_copy(vehicle, synthetic):
     work = learner.prepare_update()
     first, again = work(), learner.prepare_update()()
     assert learner.export() == before
-    assert torch.equal(first.vector(), again.vector())
-    assert not torch.equal(first.vector(), torch.tensor(before["network"]).double())
+    assert np.array_equal(first.weights, again.weights)
+    assert not np.array_equal(first.weights, before["network"])
 
 
 def test_work_is_a_snapshot(vehicle, synthetic):
@@ -128,7 +122,7 @@ def test_work_is_a_snapshot(vehicle, synthetic):
     at_once, later = learner.prepare_update()(), learner.prepare_update()
     for k in range(40, 60):
         second(learner, drive, k)
-    assert torch.equal(at_once.vector(), later().vector())
+    assert np.array_equal(at_once.weights, later().weights)
 
 
 @pytest.mark.parametrize(("offset", "adopted"), [(1.0, True), (-1.0, False)])
@@ -137,15 +131,15 @@ def test_a_candidate_must_foretell_the_next_second_better(vehicle, synthetic, of
     learner, drive = HybridLearner(vehicle), synthetic(TRUTH, noise=0.0, hills=0.0)
     for k in range(40):
         second(learner, drive, k)
-    assert learner.consider(saying(learner, offset)) == "not_judged_yet"
+    assert learner.consider(said(offset)) == "not_judged_yet"
     for sample, _ in zip(drive.samples[200:205], range(5), strict=True):
         learner.advance(sample)
         physics = learner.power_filter.predict(sample).power
         learner.observe(sample, physics + learner.power_filter.residual_std(sample))
-    reason = learner.consider(saying(learner, 0.0))
+    reason = learner.consider(said(0.0))
     assert reason == (None if adopted else "not_better")
-    expected = said(offset) if adopted else learner._start.vector()
-    assert learner.export()["network"] == expected.tolist()
+    expected = said(offset) if adopted else learner._start
+    assert learner.export()["network"] == expected.weights.tolist()
 
 
 def test_a_candidate_that_is_not_finite_is_never_adopted(vehicle, synthetic):
@@ -153,10 +147,10 @@ def test_a_candidate_that_is_not_finite_is_never_adopted(vehicle, synthetic):
     for k in range(40):
         second(learner, drive, k)
     start = learner.export()["network"]
-    assert learner.consider(saying(learner, math.nan)) == "not_finite"
+    assert learner.consider(said(math.nan)) == "not_finite"
     for k in range(40, 45):
         second(learner, drive, k)
-    learner.consider(saying(learner, 0.5))
+    learner.consider(said(0.5))
     assert learner.export()["network"] == start
 
 
@@ -164,7 +158,7 @@ def test_forgetting_the_window_forgets_the_candidate_and_nothing_learned(vehicle
     learner, drive = HybridLearner(vehicle), synthetic(TRUTH)
     for k in range(40):
         second(learner, drive, k)
-    candidate = saying(learner, 1.0)
+    candidate = said(1.0)
     learner.consider(candidate)
     before = learner.export()
     learner.forget_window()
@@ -183,7 +177,7 @@ def test_trust_is_the_regression_on_what_the_network_says(vehicle, synthetic):
     forgotten, and 200 is kept up when something is.
     """
     learner, drive = HybridLearner(vehicle), synthetic(TRUTH, seconds=600.0)
-    learner._network.load_vector(said(1.0))
+    learner._network = said(1.0)
     for sample in drive.samples[:2000]:
         learner.advance(sample)
         scale = learner.power_filter.residual_std(sample)
@@ -256,7 +250,7 @@ def test_what_the_window_showed_fades_in_silence_and_is_unproven_after_a_jump(ve
     """A drivetrain that wastes 3 kW: physics and network share it, and only the window's fades."""
     learner, drive = HybridLearner(vehicle), synthetic(TRUTH, seconds=60.0)
     teach(learner, drive)
-    learner._network.load_vector(said(2.0))
+    learner._network = said(2.0)
     learner._merit[:] = 500.0, 1000.0
     last = drive.samples[-1]
     told = []
@@ -269,6 +263,28 @@ def test_what_the_window_showed_fades_in_silence_and_is_unproven_after_a_jump(ve
     assert told[2] - load == pytest.approx(0.0, abs=0.01 * network)
     learner.forget_window()
     assert learner.trust == 0.0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "same"),
+    [(3.0, True), (-3.0, True), (-300.0, True), (900.0, False), (-900.0, False)],
+)
+@pytest.mark.parametrize("told", [True, False])
+def test_a_clock_that_is_set_right_ends_no_drive(vehicle, seconds, same, told):
+    """`told`: the stream saw the jump and had the window forgotten."""
+    learner = HybridLearner(vehicle)
+    drive = [Sample(k * NANOSECONDS, 10.0, 0.0, 0.0, 1.17, 1500.0) for k in range(1200)]
+    for sample in drive:
+        learner.advance(sample)
+        learner.observe(sample, 9000.0)
+    before = learner.export()["power_filter"]["loads"]
+    if told:
+        learner.forget_window()
+    last = drive[-1]
+    learner.advance(replace(last, stamp_ns=last.stamp_ns + round(seconds * NANOSECONDS)))
+    after = learner.export()["power_filter"]["loads"]
+    assert (after == before) == same
+    assert (after["drive"][0] == 0.0) != same
 
 
 @pytest.mark.parametrize(("pause", "kept"), [(1.0, True), (8 * 3600.0, False), (-3600.0, False)])

@@ -209,6 +209,7 @@ def test_forecasts_expect_the_loads_that_were_reported(vehicle, synthetic):
     assert now.mean[constant] + now.mean[drift] == pytest.approx(TRUTH.p_aux + 2000.0, rel=0.15)
     assert TRUTH.p_aux < now.mean[constant], "some of it is of this drive"
     found.forget_time()
+    found.end_drive()
     later, frost = found.linear_power(20.0), found.linear_power(-10.0)
     assert later.mean[constant] < now.mean[constant], "not every drive is like this one"
     assert later.mean[drift] == 0.0, "on a mild day no cabin is to be heated at first"

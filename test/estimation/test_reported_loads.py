@@ -5,11 +5,19 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.reported_loads import (
     DRIVE_STD,
     PRIOR,
     SETTLING,
     ReportedLoads,
+)
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AuxiliaryReading,
+    BatteryReading,
+    SpeedReading,
 )
 
 
@@ -78,3 +86,16 @@ def test_a_drive_may_be_interrupted():
         loads.end_drive()
     assert halves.export() == whole.export()
     assert np.linalg.eigvalsh(np.array(whole.export()["covariance"])).min() > 0
+
+
+def test_the_next_drive_of_a_replay_is_another_wherever_its_stamps_lie(vehicle):
+    """As of CSV files, each of which begins at zero."""
+    estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
+    for k in range(100):
+        stamp_ns = k * NANOSECONDS // 2
+        list(estimator.push(AuxiliaryReading(stamp_ns, 1500.0, 0.0)))
+        list(estimator.push(BatteryReading(stamp_ns, 350.0, -30.0)))
+        list(estimator.push(SpeedReading(stamp_ns, 10.0)))
+    assert estimator.export()["learner"]["power_filter"]["loads"]["drive"][0] > 30.0
+    estimator.begin_next_drive()
+    assert estimator.export()["learner"]["power_filter"]["loads"]["drive"][0] == 0.0

@@ -2,9 +2,12 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+import fcntl
 from functools import partial
 import os
 from pathlib import Path
+import tempfile
 import time
 from typing import Any
 
@@ -21,10 +24,19 @@ from evpinn_ros.nodes.messages import Level
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
 
-# One ROS domain for each worker of one run of the tests, so that none hears another. All of this
-# is read when ROS starts or the first message class is loaded, later than here.
-_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-os.environ["ROS_DOMAIN_ID"] = str(2 + os.getppid() % 20 * 4 + _WORKER % 4)
+
+def _own_domain() -> int:
+    """A ROS domain that no other worker or run of the tests here has, until this process ends."""
+    for domain in range(2, 82):
+        lock = Path(tempfile.gettempdir(), f"evpinn_test_domain_{domain}")
+        with suppress(OSError):  # locked, or another user's
+            fcntl.flock(os.open(lock, os.O_CREAT | os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return domain
+    raise RuntimeError("no ROS domain is free for the tests")
+
+
+# All of this is read when ROS starts or the first message class is loaded, later than here.
+os.environ["ROS_DOMAIN_ID"] = str(_own_domain())
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 

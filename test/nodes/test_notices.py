@@ -50,6 +50,29 @@ def test_a_receiver_without_a_fix_is_counted_and_is_no_news(bench):
     assert "no_fix" not in text
 
 
+def test_an_imu_that_gives_no_orientation_is_told_once(bench, monkeypatch):
+    """It never will; when it did meanwhile, or was away, it is told again."""
+    node = bench.start(EstimatorNode)
+    message = new_message(topics.IMU.type_name)
+    message.orientation_covariance[0] = -1.0
+    told = []
+    for later in (0.0, 5.0, 9.0, 14.0, 23.0, 100.0):
+        monkeypatch.setattr(node, "steady_s", lambda later=later: later)
+        bench.deliver(node, topics.IMU, message)
+        told.append("vehicle/imu: no_orientation" in bench.diagnosis(node)["estimate"][1])
+    assert told == [True, True, True, False, False, True]
+    assert bench.diagnosis(node)["estimate"][2]["bad.vehicle/imu: no_orientation"] == "6"
+
+
+def test_how_old_an_input_is_does_not_depend_on_how_the_clock_is_set(bench, monkeypatch):
+    node = bench.start(EstimatorNode)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    for hours in (-3, 3):
+        later = node.now_ns() + hours * 3600 * NANOSECONDS
+        monkeypatch.setattr(node, "now_ns", lambda later=later: later)
+        assert 0.0 <= node.age(topics.SPEED) < 60.0
+
+
 def test_a_battery_that_falls_silent_brings_no_news_of_long_ago(bench, monkeypatch):
     """A topic of the state of charge alone, beside one that told power until now."""
     node = bench.start(EstimatorNode)

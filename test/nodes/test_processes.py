@@ -53,12 +53,12 @@ def node(name, *deep, **parameters):
     queues = {f"qos_overrides.{topic.under()}.subscription.depth": 1000 for topic in deep}
     values = {"vehicle": "tesla_model_3_lr", **queues, **parameters}
     options = [word for k, v in values.items() for word in ("-p", f"{k}:={json.dumps(v)}")]
-    return "-m", f"evpinn_ros.nodes.{name}", "--ros-args", "-r", "__ns:=/ev", *options
+    return "-m", "evpinn_ros.executables", name, "--ros-args", "-r", "__ns:=/ev", *options
 
 
 def refused(name, *options):
     return subprocess.run(
-        [sys.executable, "-m", f"evpinn_ros.nodes.{name}", "--ros-args", *options],
+        [sys.executable, "-m", "evpinn_ros.executables", name, "--ros-args", *options],
         cwd=ROOT, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
 
@@ -71,6 +71,41 @@ def test_a_signal_ends_the_node_well_and_saves_the_state(bench, tmp_path, stop):
         bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
         assert not path.exists()
     assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
+
+
+CLOSING = """
+import sys
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.running import run
+
+class Closing(GuardedNode):
+    def statuses(self):
+        return ()
+
+    def close(self):
+        print("closed", self.get_name(), flush=True)
+        if self.get_name() != "first":
+            raise TypeError(f"{self.get_name()} does not close")
+
+raise SystemExit(run(*(lambda name=name: Closing(name) for name in ("first", "second", "third"))))
+"""
+
+
+def test_a_node_that_cannot_be_closed_hinders_no_other(bench):
+    running = subprocess.Popen(
+        [sys.executable, "-c", CLOSING],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        bench.listen(topics.DIAGNOSTICS)
+        bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
+        running.terminate()
+        closed, said = running.communicate(timeout=20)
+    finally:
+        running.kill()
+    assert closed.split() == ["closed", "third", "closed", "second", "closed", "first"]
+    assert running.returncode == 1
+    assert "third does not close" in said
 
 
 def test_a_node_whose_output_was_closed_ends_well(bench):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+import os
 from pathlib import Path
 import shutil
 import signal
@@ -33,14 +34,27 @@ class Stopped(NamedTuple):
 class Process:
     """One process; what it says is in a file beside."""
 
-    def __init__(self, rig: Rig, name: str, command: list[str]) -> None:
-        """Start it, after hearing the last words of those before it."""
+    def __init__(
+        self, rig: Rig, name: str, command: list[str], environment: Mapping[str, str] | None = None
+    ) -> None:
+        """Start it, after hearing the last words of those before it.
+
+        Args:
+            rig: feeds it.
+            name: of its node.
+            command: that starts it.
+            environment: variables that it has besides ours.
+        """
         self.name, self._rig = name, rig
         rig.rest(LAST_WORDS)
         self.started = time.monotonic()
         with (rig.folder / f"{name}.log").open("ab") as log:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env={**os.environ, **(environment or {})},
             )
 
     @property
@@ -87,16 +101,22 @@ class Process:
         self._process.send_signal(number)
 
 
-def start_node(rig: Rig, name: str, /, **parameters: Value) -> Process:
+def start_node(
+    rig: Rig,
+    name: str,
+    environment: Mapping[str, str] | None = None,
+    /,
+    **parameters: Value,
+) -> Process:
     """Start the executable of one node; of parameters with a dot, the dot is a double `_`."""
     values = {key.replace("__", "."): value for key, value in parameters.items()}
-    return Process(rig, name, node_command(name, {"vehicle": VEHICLE, **values}))
+    return Process(rig, name, node_command(name, {"vehicle": VEHICLE, **values}), environment)
 
 
-def start_all(rig: Rig, *options: str) -> Process:
+def start_all(rig: Rig, *options: str, environment: Mapping[str, str] | None = None) -> Process:
     """Start `evpinn run`."""
     command = [sys.executable, "-m", "evpinn_ros", "run", "--vehicle", VEHICLE, *options]
-    return Process(rig, "run", command)
+    return Process(rig, "run", command, environment)
 
 
 @contextmanager
@@ -117,9 +137,16 @@ class Chain:
         processes: by name.
     """
 
-    def __init__(self, rig: Rig, folder: Path, **common: Value) -> None:
-        """Not running yet; `common` are parameters of both."""
+    def __init__(
+        self,
+        rig: Rig,
+        folder: Path,
+        environment: Mapping[str, str] | None = None,
+        **common: Value,
+    ) -> None:
+        """Not running yet; `environment` and the parameters `common` are those of both."""
         self.folder, self._rig, self._common = folder, rig, common
+        self._environment = environment
         self.processes: dict[str, Process] = {}
         folder.mkdir(exist_ok=True)
         shutil.copy(learned_state(rig.folder), folder / "car.json")
@@ -151,7 +178,7 @@ class Chain:
         """Start one node."""
         key, file = FILES[name]
         own = {**self._common, key: str(self.folder / file)}
-        self.processes[name] = start_node(self._rig, name, **own)
+        self.processes[name] = start_node(self._rig, name, self._environment, **own)
         return self.processes[name]
 
     def stop(self) -> None:

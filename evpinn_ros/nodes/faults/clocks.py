@@ -1,4 +1,8 @@
-"""Faults of time under use_sim_time: a late /clock, and one that jumps, as a bag in a loop."""
+"""Faults of time: a late /clock, one that jumps, as a bag in a loop, and the computer's own clock.
+
+That one is set by libfaketime, for which no right is needed: it is preloaded into the nodes, whose
+monotonic clock goes on.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 import math
+from pathlib import Path
 import time
 
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.faults.chain import Chain
+from evpinn_ros.nodes.faults.drive import RATE
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.inputs import MOST_MOVED
 from evpinn_ros.nodes.faults.rig import SLACK, Rig
@@ -19,6 +25,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 CLOCK = "rosgraph_msgs/msg/Clock"
 BEGIN_NS = 5000 * NANOSECONDS
 LONGEST = 15.0  # s in which a fault must be named
+DEAF = 2.0  # s for which a node may not hear when the system's clock is set; see docs/benchmarks
 
 
 def clock_faults() -> Iterator[Fault]:
@@ -30,6 +37,17 @@ def clock_faults() -> Iterator[Fault]:
     yield Fault(
         "clock_back_held", "likewise, policy hold", "nothing", _Jump(-300, "went back", "hold")
     )
+    if clock_setter() is None:
+        return
+    back, ahead = _Jump(-7200, "went back", system=True), _Jump(7200, "leapt", system=True)
+    deaf = f"{DEAF:g} s of predictions"
+    yield Fault("system_clock_back", "the computer's clock is set back by 2 h", deaf, back)
+    yield Fault("system_clock_ahead", "the computer's clock is set ahead by 2 h", deaf, ahead)
+
+
+def clock_setter() -> Path | None:
+    """The library of Debian's package libfaketime, where it is installed."""
+    return next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
 
 
 class _SimTime:
@@ -53,19 +71,52 @@ class _SimTime:
         return now_ns
 
 
+class SystemClock:
+    """The clock of the computer, as processes with its environment have it.
+
+    Attributes:
+        environment: variables of these processes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Like the real one, until it is set; a file in the folder sets it."""
+        self._file, self._offset = folder / "clock_offset", 0.0
+        self.jump(0.0)
+        self.environment = {
+            "LD_PRELOAD": str(clock_setter()),
+            "FAKETIME_TIMESTAMP_FILE": str(self._file),
+            "FAKETIME_NO_CACHE": "1",
+            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+            # Under libfaketime, shared memory of Fast DDS wakes a reader at its next timer only.
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        }
+
+    def jump(self, seconds: float) -> None:
+        """Set it by so many seconds."""
+        self._offset += seconds
+        fresh = self._file.with_suffix(".new")
+        fresh.write_text(f"{self._offset:+.3f}\n")
+        fresh.replace(self._file)  # it is read at every look at the clock
+
+    def __call__(self) -> int:
+        """The stamp of this moment, ns."""
+        return time.time_ns() + round(self._offset * NANOSECONDS)
+
+
 @contextmanager
-def _sim_time(rig: Rig) -> Iterator[_SimTime]:
-    before, clock = rig.clock, _SimTime(rig)
-    rig.clock = clock
+def _stamped_by(rig: Rig, clock: _SimTime | SystemClock) -> Iterator[None]:
+    """Drive by a clock; as before in the end."""
+    before, rig.clock = rig.clock, clock
     try:
-        yield clock
+        yield
     finally:
         rig.clock = before
 
 
 def _late(rig: Rig) -> Finding:
     chain = Chain(rig, rig.folder / "late", use_sim_time=True)
-    with _sim_time(rig) as clock:
+    clock = _SimTime(rig)
+    with _stamped_by(rig, clock):
         clock.ticks = False
         begin = time.monotonic()
         try:
@@ -98,15 +149,18 @@ class _Jump:
     seconds: float
     word: str
     policy: str = "reset"
+    system: bool = False
 
     def __call__(self, rig: Rig) -> Finding:
+        clock = SystemClock(rig.folder) if self.system else _SimTime(rig)
         chain = Chain(
             rig,
-            rig.folder / f"jump_{self.seconds}_{self.policy}",
-            use_sim_time=True,
+            rig.folder / f"jump_{self.seconds}_{self.policy}_{self.system}",
+            clock.environment if isinstance(clock, SystemClock) else None,
+            use_sim_time=not self.system,
             time_jump_policy=self.policy,
         )
-        with _sim_time(rig) as clock:
+        with _stamped_by(rig, clock):
             try:
                 chain.await_well()
                 rig.drive(3.0)
@@ -123,11 +177,12 @@ class _Jump:
                 missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
             finally:
                 chain.stop()
+        most = SLACK + (DEAF * RATE if self.system else 0)
         moved = abs(rig.learned() / learned - 1.0)
         said, harm = rig.said("estimator", self.word, begin), rig.faulty(begin)
         return Finding(
             harm or f"{max(missing, 0)} predictions, mass/eta moved {moved:.1%}",
-            missing <= SLACK and harm is None and moved <= MOST_MOVED,
+            missing <= most and harm is None and moved <= MOST_MOVED,
             rig.recovered(begin),
             None if said is None else said.text,
         )

@@ -36,11 +36,12 @@ def process_faults(chain: Chain, kills: int) -> Iterator[Fault]:
     for order in (LEADING, LEADING[::-1]):
         name = "start_" + "_".join(order)
         yield Fault(name, f"{order[0]} first, driving all the while", none, _Order(order))
-    yield Fault("warm_start", "ready, to the first output", none, _warm_start, WARM_START)
+    warm = "from exec to the first output of a learned car"
+    yield Fault("warm_start", warm, none, _warm_start, WARM_START)
     yield Fault("sigint", "SIGINT to `evpinn run`", none, _Stop(signal.SIGINT), STOP)
     yield Fault("sigterm", "SIGTERM to `evpinn run`", none, _Stop(signal.SIGTERM), STOP)
     yield Fault("sigterm_saving", "SIGTERM while it saves", none, _stop_saving, STOP)
-    yield Fault("sigint_starting", "SIGINT while it starts", "the exit code", _stop_starting, STOP)
+    yield Fault("sigint_starting", "SIGINT while it starts", none, _stop_starting, STOP)
     for name in LEADING:
         yield Fault(
             f"{name}_restarted", f"{name} stopped and started", "meanwhile", _Restart(chain, name)
@@ -87,19 +88,13 @@ def _text(said: object) -> str | None:
 
 
 def _warm_start(rig: Rig) -> Finding:
-    """From the report that it is up, and from exec, to the first prediction of a learned car."""
     path = rig.folder / "warm.json"
     shutil.copy(learned_state(rig.folder), path)
-    begin = time.monotonic()
     estimator = start_node(rig, "estimator", state_file=str(path))
+    wanted, begin = (topics.POWER_PREDICTED,), estimator.started
     with running(estimator):
-        estimator.await_ready()
-        ready = rig.said("estimator", "", begin)
-        rig.drive(RECOVERY, until=lambda: rig.recovered(begin, OUTPUTS) < math.inf)
-    first = rig.recovered(begin, (topics.POWER_PREDICTED,))
-    up = ready.heard - begin if ready is not None else math.inf
-    lost = f"{first:.1f} s from exec, of which {up:.1f} s to come up"
-    return Finding(lost, True, max(first - up, 0.0), UNNAMED)
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin, wanted) < math.inf)
+    return Finding("nothing", True, rig.recovered(begin, wanted), UNNAMED)
 
 
 @dataclass(frozen=True)
@@ -148,7 +143,7 @@ def _stop_starting(rig: Rig) -> Finding:
         rig.rest(delay)
         end = process.stop(signal.SIGINT)
         worst, codes = max(worst, end.seconds), [*codes, end.code]
-    return Finding(f"exit codes {codes}", True, worst, UNNAMED)
+    return Finding(f"exit codes {codes}", not any(codes), worst, UNNAMED)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,135 @@
+"""Power that is cut at any instant: what a journaling file system may then hold is still of use.
+
+Every fsync, renaming and flush of the writers is an instant. Of what was not synced the disk holds
+nothing, zeros, or all; of renamed, new and removed names those at the last sync of the folder, or
+those of now.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+import os
+from pathlib import Path
+
+import pytest
+
+from evpinn_ros.bags import mcap_part
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.bags.writer import BagWriter, Split
+from evpinn_ros.errors import InputError
+from evpinn_ros.estimation.state_file import read_state, write_state
+from evpinn_ros.nodes.messages import scalar
+
+MILLI = 1_000_000
+
+
+class Disk:
+    """What is durable of the files of a folder; `states` makes what a loss of power leaves."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self._copies = folder, 0
+        self._names: dict[str, int] = {}  # durable entries of the folder
+        self._synced: dict[int, bytes] = {}  # durable content by inode
+        self._newest: dict[int, bytes] = {}
+        self._instant = lambda: None
+        sync, replace = os.fsync, Path.replace
+
+        def synced(handle: int) -> None:
+            self._instant()
+            sync(handle)
+            self._sync(Path(f"/proc/self/fd/{handle}").readlink(), os.fstat(handle).st_ino)
+            self._instant()
+
+        def replaced(source: Path, target: Path) -> Path:
+            self._instant()
+            found = replace(source, target)
+            self._instant()
+            return found
+
+        monkeypatch.setattr(os, "fsync", synced)
+        monkeypatch.setattr(Path, "replace", replaced)
+
+    def at_every_instant(self, look) -> None:
+        """Look at every state of the disk, at each instant from now on."""
+
+        def instant() -> None:
+            for state in self.states():
+                look(state)
+
+        self._instant = instant
+
+    def _sync(self, path: Path, inode: int) -> None:
+        if path == self.folder:
+            self._names = self._now()
+        elif path.parent == self.folder:
+            self._synced[inode] = self._newest[inode] = path.read_bytes()
+
+    def _now(self) -> dict[str, int]:
+        return {path.name: path.stat().st_ino for path in self.folder.iterdir()}
+
+    def states(self) -> Iterator[Path]:
+        now = self._now() if self.folder.exists() else {}
+        self._newest |= {inode: (self.folder / name).read_bytes() for name, inode in now.items()}
+        for names in (self._names, now):
+            for fate in ("missing", "zeros", "there"):
+                self._copies += 1
+                copy = self.folder.parent / f"after_{self._copies}" / self.folder.name
+                copy.mkdir(parents=True)
+                for name, inode in names.items():
+                    synced, newest = self._synced.get(inode, b""), self._newest[inode]
+                    left = {"missing": b"", "zeros": bytes(len(newest)), "there": newest}[fate]
+                    (copy / name).write_bytes(synced + left[len(synced) :])
+                yield copy
+
+
+def test_a_state_is_the_old_one_or_the_new_one_and_once_saved_the_new_one(tmp_path, monkeypatch):
+    disk = Disk(tmp_path / "disk", monkeypatch)
+    path, states = disk.folder / "car.json", [None, {"a": 1}, {"b": [2.5] * 5000}, {"c": "x"}]
+    looks = 0
+    for old, new in pairwise(states):
+
+        def look(copy: Path, either=(old, new)) -> None:
+            nonlocal looks
+            looks += 1
+            assert read_state(copy / path.name) in either
+
+        disk.at_every_instant(look)
+        write_state(path, new)
+        for copy in disk.states():
+            assert read_state(copy / path.name) == new
+    assert looks >= 3 * 6 * 4
+
+
+@pytest.mark.parametrize("split", [None, Split(seconds=3.0)])
+def test_a_recording_loses_its_last_second_at_most(tmp_path, monkeypatch, split):
+    monkeypatch.setattr(mcap_part, "SYNC_SECONDS", 0.0)
+    disk = Disk(tmp_path / "bag", monkeypatch)
+    written: list[int] = []
+    lost: list[str] = []  # an assertion in the thread that syncs would be lost as well
+    looks = 0
+
+    def look(copy: Path) -> None:
+        nonlocal looks
+        looks += 1
+        try:
+            with BagReader(copy) as bag:
+                found = [record.log_time_ns for record in bag.records()]
+        except InputError:
+            found = []
+        wanted = [time for time in written if time <= written[-1] - 1000 * MILLI]
+        if found[: len(wanted)] != wanted or found != written[: len(found)]:
+            lost.append(f"{copy}: {len(found)} of {len(written)}, {len(wanted)} were wanted")
+
+    with BagWriter(disk.folder, live=True, split=split) as bag:
+        disk.at_every_instant(look)
+        for tick in range(100):
+            time_ns = (tick + 1) * 50 * MILLI
+            topic = f"/topic_{tick // 40}"  # new topics on the way
+            bag.write(topic, scalar(new_message, float(tick)), time_ns)
+            written.append(time_ns)
+            if tick % 10 == 9:  # twice a second, as the recorder does
+                bag.flush()
+                bag._part._syncing.join()
+        for copy in disk.states():
+            look(copy)
+    assert looks > 100 and not lost, lost

@@ -1,0 +1,60 @@
+"""A signal while Python still imports: the process ends well, at once, and says nothing."""
+
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ESTIMATOR = ("-m", "evpinn_ros.executables", "estimator")
+RUN = ("-m", "evpinn_ros", "run", "--vehicle", "nissan_leaf", "--can-interface", "virtual")
+SECONDS = 2.0
+
+
+def hears(process: subprocess.Popen, number: signal.Signals) -> bool:
+    """Whether the process has a handler of its own for a signal (Linux)."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return bool(int(re.search(r"SigCgt:\s*(\w+)", status)[1], 16) >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize(
+    ("command", "number", "delay"),
+    [
+        (ESTIMATOR, signal.SIGINT, 0.0),
+        (ESTIMATOR, signal.SIGTERM, 0.3),
+        (ESTIMATOR, signal.SIGINT, 0.7),
+        (RUN, signal.SIGTERM, 0.0),
+        (RUN, signal.SIGINT, 0.2),
+        (RUN, signal.SIGTERM, 1.0),
+    ],
+)
+def test_a_signal_ends_a_process_that_still_starts(command, number, delay):
+    process = subprocess.Popen(
+        [sys.executable, *command], cwd=ROOT, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+    try:
+        while not hears(process, signal.SIGTERM):  # Python itself has none for this one
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.005)
+        time.sleep(delay)
+        begin = time.monotonic()
+        process.send_signal(number)
+        _, said = process.communicate(timeout=20)
+        assert (process.returncode, said) == (0, b"")
+        assert time.monotonic() - begin < SECONDS
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_nothing_that_takes_time_is_imported_before_signals_are_heard():
+    code = (
+        "import sys; import evpinn_ros.executables\n"
+        "assert not {'numpy', 'rclpy', 'torch', 'typer'} & {*sys.modules}"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
