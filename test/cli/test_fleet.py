@@ -146,7 +146,7 @@ def test_nobody_at_the_address_of_a_scheduler(recorded, tmp_path):
         cwd=share_directory(), capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr.count("\n") == 1 and "nothing answers" in done.stderr
+    assert done.stderr.count("\n") == 1 and "no scheduler answers" in done.stderr
 
 
 def test_without_parquet_it_says_what_to_install(recorded, tmp_path, monkeypatch):
