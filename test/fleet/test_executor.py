@@ -79,6 +79,6 @@ def test_what_does_not_answer_leaves_nothing_that_a_later_cluster_could_wait_for
     before = threading.active_count()
     with socket.create_server(("127.0.0.1", 0)) as silent:
         for address in (f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:1", "no"):
-            with pytest.raises(InputError, match="no scheduler answers: ."):
+            with pytest.raises(InputError, match=r"no scheduler answers: ."):
                 DaskExecutor(address)
     assert threading.active_count() == before
