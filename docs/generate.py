@@ -44,9 +44,9 @@ For scripts:
 
 | | |
 |---|---|
-| `--json` of `info`, `recover`, `can inspect` | JSON in place of tables, on stdout |
-| `--json FILE` of every `bench`, of `demo`, of `replay` (also `--metrics`) | JSON beside the \
-tables; `-`: on stdout, tables on stderr |
+| `--json` of `info`, `recover`, `can inspect`, `watch` | JSON in place of tables, on stdout |
+| `--json FILE` of every `bench`, of `demo`, `fleet`, `replay` (also `--metrics`) | JSON beside \
+the tables; `-`: on stdout, tables on stderr |
 | `reproduce` | `results.json` in its folder |
 | `simulate` | `truth.yaml` in the bag |
 """

@@ -12,7 +12,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.cli.options import complete_profile, complete_vehicle
 
 ROOT = typer.main.get_command(app)
-FLAG_FOR_STDOUT = {"evpinn can inspect", "evpinn info", "evpinn recover"}  # what looks, prints
+FLAG_FOR_STDOUT = {f"evpinn {name}" for name in ("can inspect", "info", "recover", "watch")}
 
 
 def commands(command=ROOT, path: str = "evpinn") -> Iterator[tuple[str, object]]:
