@@ -40,7 +40,7 @@ def parse(command, words: list[str], parent=None) -> str:
     context = command.make_context(words[0], words[1:], parent=parent)
     if not hasattr(command, "resolve_command"):
         return words[0]
-    name, found, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+    name, found, rest = command.resolve_command(context, words[1:])
     return f"{words[0]} {parse(found, [name, *rest], context)}"
 
 
