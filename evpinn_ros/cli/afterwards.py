@@ -12,7 +12,8 @@ from tempfile import TemporaryDirectory
 
 import typer
 
-from evpinn_ros.cli.console import note, writing
+from evpinn_ros.cli.console import note
+from evpinn_ros.errors import InputError
 
 
 @contextmanager
@@ -31,9 +32,11 @@ def reported(
         InputError: there is no place for the report.
         typer.Exit: there is no report.
     """
-    with writing(report):
+    try:
         report.parent.mkdir(parents=True, exist_ok=True)
         beside = TemporaryDirectory(prefix=f".{report.stem}_", dir=report.parent)
+    except OSError as error:
+        raise InputError(f"{report}: {error.strerror}") from error
     with beside as folder:
         bag, before = record or Path(folder, "bag"), Path(folder, "state.json")
         if state is not None and state.exists():

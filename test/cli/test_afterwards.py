@@ -7,6 +7,7 @@ import pytest
 import typer
 
 from evpinn_ros.cli.afterwards import reported
+from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
 
 URBAN = share_directory() / "bags" / "urban"
@@ -39,3 +40,9 @@ def test_where_nothing_was_recorded_nothing_is_reported(tmp_path):
         with reported(Path(tmp_path, "drive.html"), record, None, OPTIONS):
             pass
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(InputError, match="file"),
+        reported(tmp_path / "file" / "drive.html", None, None, OPTIONS),
+    ):
+        pass
