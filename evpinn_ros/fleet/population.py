@@ -75,7 +75,8 @@ class Population:
         self._spread = _spread(precision, information)
         weight = _weight(precision, self._spread)
         self._mean, self._doubt = _mean(precision, information, self._spread, weight)
-        self._spread_doubt = _spread_doubt(weight @ precision, self._spread)
+        self._root = np.linalg.cholesky(self._spread)
+        self._spread_doubt = _spread_doubt(self._root.T @ weight @ precision @ self._root)
 
     def parameter(self, name: str) -> Told:
         """One of `PARAMETER_NAMES`."""
@@ -105,8 +106,9 @@ class Population:
     def _along(self, direction: np.ndarray) -> Told:
         """What is told of a sum of parameters, `direction` in their own units."""
         scaled = direction * self._scale
-        variance = float(scaled @ self._spread @ scaled)
-        square = np.kron(scaled, scaled)
+        spreads = scaled @ self._root
+        variance = float(spreads @ spreads)
+        square = np.kron(spreads, spreads)
         doubt = float(square @ self._spread_doubt @ square)
         spread = math.sqrt(variance)
         return Told(
@@ -141,20 +143,19 @@ def _mean(
     return doubt @ np.einsum("nij,nj->i", weight, information), (doubt + doubt.T) / 2
 
 
-def _spread_doubt(told: np.ndarray, spread: np.ndarray) -> np.ndarray:
+def _spread_doubt(told: np.ndarray) -> np.ndarray:
     """Covariance of the elements of the spread, shape (36, 36): inverse Fisher information.
 
-    Args:
-        told: (spread + precision^-1)^-1 of each car, shape (n, 6, 6).
-        spread: covariance from car to car, shape (6, 6).
-
     What a car tells of several parameters together is not counted as if told of each alone.
+
+    Args:
+        told: (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1: of
+            a car that is fully known 1, so this is well conditioned whatever the spread.
     """
-    file = np.linalg.inv(spread)
     flat = told.reshape(-1, SIZE**2)
-    information = (flat.T @ flat + FILE_CARS * np.outer(file, file)) / 2.0
-    information = information.reshape((SIZE,) * 4).transpose(0, 2, 1, 3)
-    return np.linalg.inv(information.reshape(SIZE**2, SIZE**2))
+    information = (flat.T @ flat).reshape((SIZE,) * 4).transpose(0, 2, 1, 3)
+    information = information.reshape(SIZE**2, SIZE**2) + FILE_CARS * np.eye(SIZE**2)
+    return np.asarray(np.linalg.inv(information / 2.0))
 
 
 def _spread(precision: np.ndarray, information: np.ndarray) -> np.ndarray:
