@@ -29,19 +29,19 @@ def reported(
         options: more of `evpinn replay`.
 
     Raises:
-        InputError: there is no place for the report.
+        InputError: there is no place for the report, or the state cannot be read.
         typer.Exit: there is no report.
     """
     try:
         report.parent.mkdir(parents=True, exist_ok=True)
         beside = TemporaryDirectory(prefix=f".{report.stem}_", dir=report.parent)
-    except OSError as error:
-        raise InputError(f"{report}: {error.strerror}") from error
-    with beside as folder:
-        bag, before = record or Path(folder, "bag"), Path(folder, "state.json")
         if state is not None and state.exists():
-            shutil.copy(state, before)
+            before = shutil.copy(state, Path(beside.name, "state.json"))
             options = (*options, "--state", str(before))
+    except OSError as error:
+        raise InputError(f"{error.filename or report}: {error.strerror}") from error
+    with beside as folder:
+        bag = record or Path(folder, "bag")
         other = bag.exists()
         yield bag
         if other or not bag.exists():
