@@ -39,14 +39,15 @@ What `--help` of each says. `evpinn --install-completion` makes Tab complete com
 vehicles, CAN profiles and modes. Progress is shown on a terminal alone; `NO_COLOR=1` takes the
 colours. Results are on stdout, all else on stderr; exit codes: 0 done, 1 failed, 2 wrong usage,
 130 Ctrl-C. Ctrl-C leaves what there is so far: metrics, state and a whole bag of `replay`, the
-bag of `convert`, the rows of a benchmark, the trainings of `reproduce`, which goes on there.
+bag of `convert`, the rows of a benchmark, the trainings of `reproduce`, which goes on there;
+`recover` leaves nothing, `simulate` a whole drive or nothing.
 For scripts:
 
 | | |
 |---|---|
-| `--json` of `info`, `recover`, `can inspect` | JSON in place of tables, on stdout |
-| `--json FILE` of every `bench`, of `demo`, of `replay` (also `--metrics`) | JSON beside the \
-tables; `-`: on stdout, tables on stderr |
+| `--json` of `info`, `recover`, `can inspect`, `watch` | JSON in place of tables, on stdout |
+| `--json FILE` of every `bench`, of `demo`, `fleet`, `replay` (also `--metrics`) | JSON beside \
+the tables; `-`: on stdout, tables on stderr |
 | `reproduce` | `results.json` in its folder |
 | `simulate` | `truth.yaml` in the bag |
 """

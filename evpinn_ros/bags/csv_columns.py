@@ -69,21 +69,23 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "speed": Quantity(
         "speed_mps",
-        _words("speed velocity spd geschwindigkeit vehiclespeed kmh kph mph"),
+        _words(
+            "speed velocity spd geschwindigkeit fahrzeuggeschwindigkeit vehiclespeed kmh kph mph"
+        ),
         _words("vehicle car ground"),
         _OTHERS | _words("wheel shaft rpm angular air"),
         _SPEED,
     ),
     "voltage": Quantity(
         "voltage_v",
-        _words("voltage volt volts spannung"),
+        _words("voltage volt volts spannung batteriespannung"),
         _BATTERY,
         _OTHERS,
         {"v": 1.0, "mv": 1e-3},
     ),
     "current": Quantity(
         "current_a",
-        _words("current amps ampere amperage strom"),
+        _words("current amps ampere amperage strom batteriestrom"),
         _BATTERY,
         _OTHERS,
         {"a": 1.0, "ma": 1e-3},

@@ -151,6 +151,13 @@ def _refusal(channel: Channel) -> str | None:
     return None if channel.type_name in typestore().fielddefs else "unknown_type"
 
 
+def _no_bag(folder: Path) -> str:
+    """What a folder that is no bag holds, for whoever gave the one around their bags."""
+    inside = sorted(each.parent.name for each in folder.glob(f"*/{METADATA}"))
+    hint = f"; there are bags inside it: {', '.join(inside[:5])}" if inside else ""
+    return f"{folder}: no .mcap or .db3 file in this folder{hint}"
+
+
 def _open(path: Path, problems: list[str]) -> list[BagFile]:
     """The files of a bag, opened; what is missing goes to `problems`."""
     if not path.is_dir():
@@ -171,7 +178,7 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
         except InputError as error:
             errors.append(error)
     if not files:
-        raise errors[0] if errors else InputError(f"{path}: no .mcap or .db3 file in this folder")
+        raise errors[0] if errors else InputError(_no_bag(path))
     problems.extend(str(error) for error in errors)
     return files
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -50,10 +51,11 @@ class RecoveredFile:
         losses: the first `MOST_LOSSES` of them, in order.
         more_losses: those beyond.
         lost_bytes: of all losses.
+        problem: why it could not be read, or not to its end; None if it could.
     """
 
     path: Path
-    size: int
+    size: int = 0
     messages: int = 0
     unproven: int = 0
     chunks: int = 0
@@ -66,6 +68,7 @@ class RecoveredFile:
     losses: list[Loss] = field(default_factory=list)
     more_losses: int = 0
     lost_bytes: int = 0
+    problem: str | None = None
 
     @property
     def lost_chunks(self) -> int:
@@ -78,7 +81,7 @@ class RecoveredFile:
         if self.stated is not None:
             return max(0, self.stated - self.messages)
         known = [loss.messages for loss in self.losses]
-        if self.more_losses or None in known:
+        if self.problem or self.more_losses or None in known:
             return None
         return sum(count or 0 for count in known) + self.unknown_topic
 
@@ -90,11 +93,13 @@ class RecoveredFile:
     def whole(self) -> bool:
         """Nothing was lost but, perhaps, the index."""
         lost = self.more_losses or any(loss.messages != 0 for loss in self.losses)
-        return not (lost or self.unknown_topic)
+        return not (lost or self.unknown_topic or self.problem)
 
 
 def recover(source: Path, out: Path, progress: Progress | None = None) -> list[RecoveredFile]:
     """Save what a broken MCAP file, or a folder of them, still holds as a new bag.
+
+    A file that cannot be read stops no other. Interrupted, it leaves nothing that looks whole.
 
     Args:
         source: MCAP file, or rosbag2 folder, with or without metadata.yaml.
@@ -109,27 +114,50 @@ def recover(source: Path, out: Path, progress: Progress | None = None) -> list[R
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: in use; give the name of a new folder")
     out.mkdir(parents=True, exist_ok=True)
+    files: list[Path] = []
+    try:
+        found = _recover_files(paths, out, files, progress)
+        if not files:
+            raise InputError(_nothing(source, found))
+        return found
+    except (InputError, KeyboardInterrupt):
+        for path in files:
+            path.unlink()
+        with suppress(OSError):  # not empty: somebody else writes there too
+            out.rmdir()
+        raise
+
+
+def _recover_files(
+    paths: list[Path], out: Path, files: list[Path], progress: Progress | None
+) -> list[RecoveredFile]:
+    """Save each of them; `files` are those that were made."""
     found: list[RecoveredFile] = []
-    files: list[WrittenFile] = []
     topics: dict[str, WrittenTopic] = {}
     for path in paths:
         copy = McapCopy(out / f"{out.resolve().name}_{len(files)}.mcap", LIBRARY)
+        files.append(copy.path)
         before = sum(each.size for each in found)
         try:
             found.append(_recover_file(path, copy, topics, partial(_tell, progress, before)))
         finally:
             copy.close()
-        if found[-1].messages:
-            files.append(found[-1].written_as(copy.path))
-        else:
-            copy.path.unlink()
-    if not files:
-        out.rmdir()
-        empty = not any(one.size for one in found)
-        reason = "the file is empty" if empty else "no message could be saved"
-        raise InputError(f"{source}: {reason}")
-    write_metadata(out, bag_information(files, topics.values()))
+        if not found[-1].messages:
+            files.pop().unlink()
+    if files:
+        saved = [one for one in found if one.messages]
+        written = [one.written_as(path) for one, path in zip(saved, files, strict=True)]
+        write_metadata(out, bag_information(written, topics.values()))
     return found
+
+
+def _nothing(source: Path, found: list[RecoveredFile]) -> str:
+    """Why there is no message at all."""
+    for one in found:
+        if one.problem is not None:
+            return one.problem
+    empty = not any(one.size for one in found)
+    return f"{source}: {'the file is empty' if empty else 'no message could be saved'}"
 
 
 def broken_files(source: Path) -> list[Path]:
@@ -169,22 +197,19 @@ def _tell(progress: Progress | None, before: int, done: int) -> None:
 def _recover_file(
     path: Path, copy: McapCopy, topics: dict[str, WrittenTopic], progress: Progress
 ) -> RecoveredFile:
-    file = FileBytes(path)
+    one = RecoveredFile(path)
     try:
-        one = RecoveredFile(path, file.size)
+        file = FileBytes(path)
+    except InputError as error:
+        one.problem = str(error)
+        return one
+    with closing(file):
+        one.size = file.size
         salvage = Salvage(file)
-        unended: list[Loss] = []
-        for each in salvage:
-            if isinstance(each, Loss):
-                _note_loss(one, each, unended)
-                progress(each.end)
-            elif isinstance(each, Piece):
-                _save(one, each, copy, salvage, unended)
-                progress(each.end)
-            elif isinstance(each, Attachment):
-                copy.attach(each)
-            elif isinstance(each, Metadata) and each.name != ROSBAG2:
-                copy.note(each)
+        try:
+            _save_all(salvage, one, copy, progress)
+        except InputError as error:
+            one.problem = str(error)
         one.stated, one.ended = salvage.stated, salvage.ended
         one.unknown_topic = salvage.unknown
         one.doubtful_topics = tuple(sorted(salvage.doubtful))
@@ -195,8 +220,21 @@ def _recover_file(
         copy.note(Metadata(ROSBAG2, {"serialized_metadata": as_yaml(information)}))
         copy.finish(salvage.definitions)
         return one
-    finally:
-        file.close()
+
+
+def _save_all(salvage: Salvage, one: RecoveredFile, copy: McapCopy, progress: Progress) -> None:
+    unended: list[Loss] = []
+    for each in salvage:
+        if isinstance(each, Loss):
+            _note_loss(one, each, unended)
+            progress(each.end)
+        elif isinstance(each, Piece):
+            _save(one, each, copy, salvage, unended)
+            progress(each.end)
+        elif isinstance(each, Attachment):
+            copy.attach(each)
+        elif isinstance(each, Metadata) and each.name != ROSBAG2:
+            copy.note(each)
 
 
 def _save(

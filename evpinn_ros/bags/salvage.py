@@ -33,6 +33,7 @@ from evpinn_ros.bags.mcap_content import (
     unpacked,
 )
 from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
+from evpinn_ros.errors import InputError
 
 STRETCH = MEBIBYTE  # messages outside of chunks that are handled together
 LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
@@ -107,7 +108,8 @@ class Salvage:
         self._doubts = Definitions()
         self._indexed_to = 0  # where the message indexes of the last sound chunk end
         self._patience = PATIENCE[0] + PATIENCE[1] * file.size
-        self._read_summary()
+        with suppress(InputError):  # a bad sector there: what is before it can be read
+            self._read_summary()
 
     def __iter__(self) -> Iterator[Found]:
         position = len(MAGIC) if self._file.read(0, len(MAGIC)) == MAGIC else 0

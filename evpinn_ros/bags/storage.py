@@ -25,7 +25,11 @@ class Storage(str, Enum):
 
 
 def change_storage(
-    source: Path, out: Path, storage: Storage, progress: Callable[[float], None] | None = None
+    source: Path,
+    out: Path,
+    storage: Storage,
+    progress: Callable[[float], None] | None = None,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> int:
     """Write every message of a sound bag, byte for byte, into a new bag.
 
@@ -34,6 +38,7 @@ def change_storage(
         out: folder of the new bag, not there yet.
         storage: of the new bag.
         progress: is told the seconds of the recording done.
+        stopped: whether to end here, with a whole bag.
 
     Returns:
         Messages written.
@@ -46,7 +51,7 @@ def change_storage(
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with Reader(source) as reader:
-            return _copy(reader, out, storage, progress)
+            return _copy(reader, out, storage, progress, stopped)
     except READ_ERRORS as error:
         reason = " ".join(str(error).replace(str(source), "").split())
         raise InputError(
@@ -55,12 +60,18 @@ def change_storage(
 
 
 def _copy(
-    reader: Reader, out: Path, storage: Storage, progress: Callable[[float], None] | None
+    reader: Reader,
+    out: Path,
+    storage: Storage,
+    progress: Callable[[float], None] | None,
+    stopped: Callable[[], bool],
 ) -> int:
     count, told_ns = 0, 0
     with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
         new = {each.id: _connect(writer, each) for each in reader.connections}
         for connection, log_time_ns, data in reader.messages():
+            if stopped():
+                break
             writer.write(new[connection.id], log_time_ns, data)
             count += 1
             if progress is not None and log_time_ns - told_ns > NANOSECONDS:

@@ -6,6 +6,7 @@ Only the first few of many drives are different: these are linked under the name
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 import math
 from multiprocessing import active_children
@@ -41,12 +42,12 @@ class Scaling:
 
     Attributes:
         workers: processes.
-        drives: learned.
+        drives: learned, fewer than there are if it was stopped.
         start_s: until each worker had done a car.
         drives_per_s: after that.
         cpu_s: of the processor a drive, start of the workers included.
-        tenths_s: wall time per drive, in the first tenth after the start and in the last.
-        rss_mb: of all processes, when a tenth of the cars was done and at the end.
+        quarters_s: wall time per drive, in the first quarter after the start and in the last.
+        rss_mb: of all processes, when a quarter of the cars was done and at the end.
         tables_s: to write the tables.
     """
 
@@ -55,7 +56,7 @@ class Scaling:
     start_s: float
     drives_per_s: float
     cpu_s: float
-    tenths_s: tuple[float, float]
+    quarters_s: tuple[float, float]
     rss_mb: tuple[float, float]
     tables_s: float
 
@@ -84,53 +85,82 @@ def many_drives(folder: Path, vehicle: Vehicle, drives: int, seconds: float) -> 
     return cars_by_folder([str(folder / "cars")], vehicle)
 
 
-def scaling(cars: list[CarDrives], out: Path, workers: int, clock: Callable[[], float]) -> Scaling:
-    """Learn a whole fleet anew, and watch."""
+def scaling(
+    cars: list[CarDrives],
+    out: Path,
+    workers: int,
+    clock: Callable[[], float],
+    progress: Callable[[float], None],
+    stopped: Callable[[], bool],
+) -> Scaling | None:
+    """Learn a whole fleet anew, and watch; None if it was stopped before there was much to see.
+
+    `progress` takes the drives done.
+    """
     begun, used = clock(), _cpu_s()
     done, memory = [], []
-    with claimed(out):
-        for outcome in learn_fleet(cars, out, LocalExecutor(workers)):
-            done.append(clock())
-            if outcome.problem is not None:
-                raise RuntimeError(outcome.problem)
-            if len(done) in (max(workers, len(cars) // 10), len(cars)):
-                memory.append(_rss_mb())
-        written, used = clock(), _cpu_s() - used
-        learned = write_tables(out, cars, {}).counts["learned"]
+    for count in _learning(cars, out, workers, stopped):
+        done.append(clock())
+        memory.append(_rss_mb())
+        progress(count * DRIVES_PER_CAR)
+    if len(done) <= workers:
+        return None
+    written, used = clock(), _cpu_s() - used
+    learned = write_tables(out, cars, {}).counts["learned"]
     steps = np.diff(done[workers - 1 :]) / DRIVES_PER_CAR
-    tenth = max(1, len(steps) // 10)
+    quarter = max(1, len(steps) // 4)
     return Scaling(
         workers,
         learned,
         done[workers - 1] - begun,
         1.0 / float(steps.mean()),
         used / learned,
-        (float(steps[:tenth].mean()), float(steps[-tenth:].mean())),
-        (memory[0], memory[-1]),
+        (float(steps[:quarter].mean()), float(steps[-quarter:].mean())),
+        (memory[workers - 1 + quarter], memory[-1]),
         clock() - written,
     )
 
 
 def recovered(
-    folder: Path, vehicle: Vehicle, cars: int, seconds: float, workers: int, seed: int
+    folder: Path,
+    vehicle: Vehicle,
+    cars: int,
+    seconds: float,
+    workers: int,
+    seed: int,
+    progress: Callable[[float], None],
+    stopped: Callable[[], bool],
 ) -> list[Recovered]:
-    """Drive cars of a known population, a drive each, and learn the population from them."""
+    """Drive cars of a known population, a drive each, and learn the population from them.
+
+    `progress` takes twice the cars done, driven and learned; nothing is found if stopped.
+    """
     rng = np.random.default_rng(seed)
     for number in range(cars):
         drive = simulate(
             DriveKind.MIXED, vehicle, seconds, seed + number, car=_drawn(vehicle, rng)
         )
         write(drive, folder / "known" / f"{number:05d}" / "drive")
+        progress(number + 1)
+        if stopped():
+            return []
     fleet = cars_by_folder([str(folder / "known")], vehicle)
-    return list(_compared(vehicle, _learned(fleet, folder / "out", workers)))
+    for count in _learning(fleet, folder / "out", workers, stopped):
+        progress(cars + count)
+    return [] if stopped() else list(_compared(vehicle, write_tables(folder / "out", fleet, {})))
 
 
-def _learned(fleet: list[CarDrives], out: Path, workers: int) -> Summary:
-    with claimed(out):
-        for outcome in learn_fleet(fleet, out, LocalExecutor(workers)):
+def _learning(
+    fleet: list[CarDrives], out: Path, workers: int, stopped: Callable[[], bool]
+) -> Iterator[int]:
+    """How many cars are done, after each of them, until stopped."""
+    with claimed(out), closing(learn_fleet(fleet, out, LocalExecutor(workers))) as outcomes:
+        for count, outcome in enumerate(outcomes, start=1):
             if outcome.problem is not None:
                 raise RuntimeError(outcome.problem)
-        return write_tables(out, fleet, {})
+            yield count
+            if stopped():
+                return
 
 
 def _compared(vehicle: Vehicle, summary: Summary) -> Iterator[Recovered]:

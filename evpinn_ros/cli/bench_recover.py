@@ -29,22 +29,30 @@ def recover(
     Example: evpinn bench recover --cases 1000 --json out/recover.json
     """
     found: dict[str, Any] = {"campaign": [], "speed": []}
+    try:
+        _break(cases, seed, found["campaign"])
+        for storage in STORAGES if megabytes else ():
+            wall, processor = measure_speed(storage, int(megabytes * MEGABYTE))
+            found["speed"].append({"storage": storage, "wall": wall, "processor": processor})
+            results.print(
+                f"{storage}: {wall / MEGABYTE:.0f} MB/s, "
+                f"{processor / MEGABYTE:.0f} MB for each second of the processor"
+            )
+    finally:  # Ctrl-C leaves the figures so far
+        if json_file is not None:
+            write_json(json_file, found)
+
+
+def _break(cases: int, seed: int, rows: list[dict[str, Any]]) -> None:
     table = titled_table("Broken bags saved")
     for column in ("storage", "fault", "cases", "messages", "missing", "altered", "unread"):
         table.add_column(column, justify="left" if column in ("storage", "fault") else "right")
-    with progress_bar("bags broken and saved", total=cases, unit="bags") as progress:
-        for storage, fault, tally in campaign(cases, BAG_BYTES, seed, progress):
-            found["campaign"].append({"storage": storage, "fault": fault, **asdict(tally)})
-            unread = tally.unread + tally.miscounted
-            figures = (tally.cases, tally.messages, tally.missing, tally.altered, unread)
-            table.add_row(storage, fault, *map(str, figures))
-    results.print(table)
-    for storage in STORAGES if megabytes else ():
-        wall, processor = measure_speed(storage, int(megabytes * MEGABYTE))
-        found["speed"].append({"storage": storage, "wall": wall, "processor": processor})
-        results.print(
-            f"{storage}: {wall / MEGABYTE:.0f} MB/s, "
-            f"{processor / MEGABYTE:.0f} MB for each second of the processor"
-        )
-    if json_file is not None:
-        write_json(json_file, found)
+    try:
+        with progress_bar("bags broken and saved", total=cases, unit="bags") as progress:
+            for storage, fault, tally in campaign(cases, BAG_BYTES, seed, progress):
+                rows.append({"storage": storage, "fault": fault, **asdict(tally)})
+                unread = tally.unread + tally.miscounted
+                figures = (tally.cases, tally.messages, tally.missing, tally.altered, unread)
+                table.add_row(storage, fault, *map(str, figures))
+    finally:
+        results.print(table)

@@ -109,6 +109,7 @@ def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:
 
 
 def _change_storage(source: Path, out: Path, storage: Storage) -> None:
-    with writing(out), progress_bar(source.name, told_seconds(source)) as progress:
-        change_storage(source, out, storage, progress)
-    results.print(f"{out}", markup=False, soft_wrap=True)
+    with Interruption() as interruption:
+        with writing(out), progress_bar(source.name, told_seconds(source)) as progress:
+            change_storage(source, out, storage, progress, lambda: interruption.asked)
+        results.print(f"{out}", markup=False, soft_wrap=True)

@@ -53,9 +53,12 @@ def demo(
     source = share_directory() / "bags" / DRIVE
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"
     _clear(bag, log)
-    out.mkdir(parents=True, exist_ok=True)
     frames = _frames(source)
-    write_log(log, frames)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_log(log, frames)
+    except OSError as error:
+        raise InputError(f"{out}: {error.strerror}") from error
     end_ns, duration = frames[-1].stamp_ns, (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9
     note(f"Driving {duration:.0f} s in town at {RATE:g} times real time, through three nodes.")
     parameters: dict[str, Value] = {

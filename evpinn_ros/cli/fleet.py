@@ -6,19 +6,19 @@ from pathlib import Path
 import shlex
 import signal
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 import typer
 
-from evpinn_ros.cli.console import note, notes, results
-from evpinn_ros.cli.options import VehicleOption
+from evpinn_ros.cli.console import note, notes, results, write_json
+from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet
-from evpinn_ros.fleet.tables import Summary, require_parquet, write_tables
+from evpinn_ros.fleet.tables import Summary, population_rows, require_parquet, write_tables
 from evpinn_ros.report.fleet_page import POPULATION_HEAD, population_cells, write_fleet_page
 from evpinn_ros.vehicle.written import write_vehicle
 
@@ -56,6 +56,7 @@ def fleet(
             "for several models a folder of them.",
         ),
     ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Learn each car over all its drives in order of time, and the priors of the model.
 
@@ -73,6 +74,8 @@ def fleet(
         summary = write_tables(out, cars, failed)
         _write(summary, report or out / REPORT, write_vehicle_to)
     _show(summary, out)
+    if json_file is not None:
+        write_json(json_file, {"out": str(out), "stopped": stopped, **_found(summary)})
     if stopped:
         note("evpinn: stopped; the same command goes on from here")
     if stopped or failed or not summary.counts["learned"]:
@@ -123,6 +126,18 @@ def _write(summary: Summary, report: Path, vehicles: Path | None) -> None:
                 write_vehicle(path, population.priors("evpinn fleet"))
     except OSError as error:
         raise InputError(f"{error.filename}: {error.strerror}") from error
+
+
+def _found(summary: Summary) -> dict[str, Any]:
+    """For scripts; every drive and car is in the tables."""
+    return {
+        **summary.counts,
+        "failed": [{"what": what, "why": why} for what, why in summary.problems],
+        "populations": {
+            key: {row.pop("name"): row for row in population_rows(key, population)}
+            for key, population in summary.populations.items()
+        },
+    }
 
 
 def _show(summary: Summary, out: Path) -> None:

@@ -35,7 +35,9 @@ class LazyCommands(TyperGroup):
             return TyperCommand(cmd_name)
         found = getattr(import_module(f"evpinn_ros.cli.{self.prefix}{name}"), name)
         if isinstance(found, typer.Typer):
-            return typer.main.get_group(found)
+            group = typer.main.get_group(found)
+            group.name = cmd_name  # help lists it by that
+            return group
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         alone.command(cmd_name)(found)
         return typer.main.get_command(alone)

@@ -14,7 +14,7 @@ import typer
 from evpinn_ros.bags.recover import RecoveredFile, broken_files
 from evpinn_ros.bags.recover import recover as recover_bag
 from evpinn_ros.bags.salvage import Loss
-from evpinn_ros.cli.console import bytes_bar, results, writing
+from evpinn_ros.cli.console import bytes_bar, note, results, writing
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_LINES = 20  # of losses on the terminal; --json has them all
@@ -28,7 +28,8 @@ def recover(
     """Save what a broken MCAP bag still holds, and say what was lost.
 
     Cut anywhere, without an end, bytes flipped, overwritten or missing: only the chunks that are
-    damaged are lost. The bag that is broken is not touched.
+    damaged are lost. The bag that is broken is not touched. Of several files, one that cannot be
+    read stops no other; the exit code is 1 then.
 
     Example: evpinn recover out/today/today_0.mcap out/saved
     """
@@ -38,11 +39,16 @@ def recover(
     if as_json_text:
         document = {"bag": str(out), "files": [_as_json(one) for one in found]}
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
-        return
-    for one in found:
-        for line in _lines(one):
-            results.print(line, markup=False, soft_wrap=True)
-    results.print(str(out), markup=False, soft_wrap=True)
+    else:
+        for one in found:
+            for line in _lines(one):
+                results.print(line, markup=False, soft_wrap=True)
+        results.print(str(out), markup=False, soft_wrap=True)
+    if unread := [one.problem for one in found if one.problem is not None]:
+        for problem in unread:
+            note(f"evpinn: {problem}")
+        note(f"evpinn: {len(unread)} of {len(found)} files could not be read, or not to the end")
+        raise typer.Exit(1)
 
 
 def _lines(one: RecoveredFile) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 import math
 from pathlib import Path
 import sys
@@ -10,6 +11,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.bags.writer import Split
+from evpinn_ros.cli.afterwards import reported
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_table import Value
@@ -51,6 +53,9 @@ def run(
     mode: Annotated[Mode | None, typer.Option(help="How to learn.")] = None,
     record: Annotated[
         Path | None, typer.Option(help="Record every topic and raw CAN frame to this bag.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="When it ends, write a report of the drive: one HTML file.")
     ] = None,
     split_size: Annotated[
         float | None,
@@ -106,12 +111,19 @@ def run(
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
-    code = run_nodes(
-        parameters,
-        record=record,
-        split=split,
-        foxglove=(foxglove_host, foxglove_port) if foxglove else None,
-        beside=live_view() if view and sys.stdout.isatty() else None,
-        ros_args=ros_args,
-    )
+    with ExitStack() as beside:  # left when the nodes have ended, before this process is
+        if report is not None:
+            learning = {"--vehicle": vehicle, "--mode": mode and mode.value, "--params": params}
+            options = [str(word) for pair in learning.items() if pair[1] for word in pair]
+            record = beside.enter_context(reported(report, record, state, options))
+        if view and sys.stdout.isatty():
+            beside.enter_context(live_view())
+        code = run_nodes(
+            parameters,
+            record=record,
+            split=split,
+            foxglove=(foxglove_host, foxglove_port) if foxglove else None,
+            beside=beside,
+            ros_args=ros_args,
+        )
     raise typer.Exit(code)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.cli.console import progress_bar, writing
+from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -65,22 +66,23 @@ def simulate(
     """
     if equation is not None and hills != 100 * RMS_GRADE and hills != 0:
         raise InputError("--hills: a car that obeys eq. 21 drives on a flat road")
-    with writing(out), progress_bar(out.name, total=duration) as progress:
-        drive = simulate_drive(
-            kind,
-            load_vehicle(vehicle),
-            duration,
-            seed,
-            car=_parameters(true or []),
-            rms_grade=hills / 100,
-            can_profile=can_profile,
-            altitude=altitude,
-            temperature=temperature,
-            start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
-            equation=equation,
-        )
-        write(drive, out, can_log, progress)
-    typer.echo(_summary(drive, out))
+    drive = simulate_drive(
+        kind,
+        load_vehicle(vehicle),
+        duration,
+        seed,
+        car=_parameters(true or []),
+        rms_grade=hills / 100,
+        can_profile=can_profile,
+        altitude=altitude,
+        temperature=temperature,
+        start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
+        equation=equation,
+    )
+    with Interruption():  # half a drive would not have the truth that is written beside it
+        with writing(out), progress_bar(out.name, total=duration) as progress:
+            write(drive, out, can_log, progress)
+        typer.echo(_summary(drive, out))
 
 
 def _parameters(given: list[str]) -> dict[str, float]:

@@ -12,6 +12,9 @@ from evpinn_ros.nodes.topics import NAMESPACE
 def watch(
     namespace: Annotated[str, typer.Option(help="Of the topics.")] = NAMESPACE,
     plain: Annotated[bool, typer.Option("--plain", help="Lines, as without a terminal.")] = False,
+    for_scripts: Annotated[
+        bool, typer.Option("--json", help="Print a JSON object a second, each in a line.")
+    ] = False,
 ) -> None:
     """Show what a running system knows, until Ctrl-C: parameters, power, energy, what is missing.
 
@@ -23,4 +26,4 @@ def watch(
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.live_view import watch as watch_nodes
 
-    watch_nodes(namespace, plain=plain)
+    watch_nodes(namespace, plain=plain, for_scripts=for_scripts)

@@ -111,9 +111,11 @@ class DaskExecutor:
             raise InputError("--scheduler needs Dask: pip install 'evpinn_ros[fleet]'") from error
         self._running: dict[Any, Any] = {}
         try:
+            asyncio.run(_identify(address))
             self._client = Client(address, timeout=PATIENCE, set_as_default=False)
-        except (OSError, ValueError, TypeError, asyncio.TimeoutError) as error:
-            raise InputError(f"--scheduler {address}: nothing answers: {error}") from error
+        except Exception as error:  # whatever answers there may answer anything
+            reason = str(error) or type(error).__name__
+            raise InputError(f"--scheduler {address}: no scheduler answers: {reason}") from error
         try:
             self._client.wait_for_workers(1, timeout=PATIENCE)
         except asyncio.TimeoutError as error:
@@ -155,6 +157,18 @@ class DaskExecutor:
 
     def _begin(self, work: Callable[[Task], Any], task: Task) -> Any:
         return self._client.submit(work, task, pure=False)
+
+
+async def _identify(address: str) -> None:
+    """Ask a scheduler who it is, before there is a client.
+
+    A client that fails to connect cannot be closed: it leaves a thread and, when it is collected,
+    waits for a loop that has ended, in whatever runs then.
+    """
+    from distributed import rpc
+
+    async with rpc(address, timeout=PATIENCE) as scheduler:
+        await asyncio.wait_for(scheduler.identity(), PATIENCE)
 
 
 def _outcome(task: Task, future: Any, error: BaseException | None) -> Outcome[Task, Any]:

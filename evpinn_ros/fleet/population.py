@@ -46,9 +46,8 @@ class Told:
         mean: of the cars.
         mean_std: 1-sigma of the mean.
         spread: standard deviation from car to car.
-        spread_std: 1-sigma of the spread; two of them hold the truth in about 90 %, for what a
-            car tells of several parameters together is counted as if told of each alone.
-        cars: how many fully known cars the evidence is worth.
+        spread_std: 1-sigma of the spread.
+        cars: how many fully known cars would tell the spread as well.
     """
 
     mean: float
@@ -76,7 +75,8 @@ class Population:
         self._spread = _spread(precision, information)
         weight = _weight(precision, self._spread)
         self._mean, self._doubt = _mean(precision, information, self._spread, weight)
-        self._left = self._spread @ weight  # of the spread in each car, once its data are known
+        self._root = np.linalg.cholesky(self._spread)
+        self._spread_doubt = _spread_doubt(self._root.T @ weight @ precision @ self._root)
 
     def parameter(self, name: str) -> Told:
         """One of `PARAMETER_NAMES`."""
@@ -106,16 +106,17 @@ class Population:
     def _along(self, direction: np.ndarray) -> Told:
         """What is told of a sum of parameters, `direction` in their own units."""
         scaled = direction * self._scale
-        variance = float(scaled @ self._spread @ scaled)
-        left = np.einsum("i,nij,j->n", scaled, self._left, scaled)
-        cars = float(np.sum((1.0 - left / variance) ** 2))
+        spreads = scaled @ self._root
+        variance = float(spreads @ spreads)
+        square = np.kron(spreads, spreads)
+        doubt = float(square @ self._spread_doubt @ square)
         spread = math.sqrt(variance)
         return Told(
             mean=float(direction @ self._prior + scaled @ self._mean),
             mean_std=math.sqrt(float(scaled @ self._doubt @ scaled)),
             spread=spread,
-            spread_std=spread / math.sqrt(2.0 * (cars + FILE_CARS)),
-            cars=cars,
+            spread_std=math.sqrt(doubt) / (2.0 * spread),
+            cars=max(0.0, 2.0 * variance**2 / doubt - FILE_CARS),
         )
 
 
@@ -140,6 +141,21 @@ def _mean(
     """Mean of the population, shape (6,), and its covariance, for a given spread."""
     doubt = np.linalg.inv(np.eye(SIZE) / FILE_SHARE + (weight @ precision).sum(axis=0))
     return doubt @ np.einsum("nij,nj->i", weight, information), (doubt + doubt.T) / 2
+
+
+def _spread_doubt(told: np.ndarray) -> np.ndarray:
+    """Covariance of the elements of the spread, shape (36, 36): inverse Fisher information.
+
+    What a car tells of several parameters together is not counted as if told of each alone.
+
+    Args:
+        told: (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1: of
+            a car that is fully known 1, so this is well conditioned whatever the spread.
+    """
+    flat = told.reshape(-1, SIZE**2)
+    information = (flat.T @ flat).reshape((SIZE,) * 4).transpose(0, 2, 1, 3)
+    information = information.reshape(SIZE**2, SIZE**2) + FILE_CARS * np.eye(SIZE**2)
+    return np.asarray(np.linalg.inv(information / 2.0))
 
 
 def _spread(precision: np.ndarray, information: np.ndarray) -> np.ndarray:

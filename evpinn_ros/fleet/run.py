@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 import fcntl
 from pathlib import Path
@@ -43,7 +43,7 @@ def car_folder(out: Path, car: CarDrives) -> Path:
 
 def learn_fleet(
     cars: Sequence[CarDrives], out: Path, executor: Executor
-) -> Iterator[Outcome[CarTask, CarDone]]:
+) -> Generator[Outcome[CarTask, CarDone], None, None]:
     """Learn every car; whatever ends the iteration, what was begun ends soon after, in order."""
     tasks = (CarTask(car, car_folder(out, car), out / STOP) for car in cars)
     try:

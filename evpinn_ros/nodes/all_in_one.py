@@ -30,7 +30,7 @@ def run(
     record: Path | None = None,
     split: Split | None = None,
     foxglove: tuple[str, int] | None = None,
-    beside: AbstractContextManager[None] | None = None,
+    beside: AbstractContextManager[object] | None = None,
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
 ) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from io import TextIOWrapper
+import json
 import multiprocessing
 import os
 import signal
@@ -23,6 +24,7 @@ from rich.live import Live
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.factory import message_class, qos_profile
 from evpinn_ros.nodes.topics import NAMESPACE, SUBSCRIBER_DEPTH, Qos
+from evpinn_ros.report.live_json import as_json
 from evpinn_ros.report.live_screen import plain_line, problem_lines, screen
 from evpinn_ros.report.live_state import WATCHED, LiveState
 
@@ -76,12 +78,13 @@ class LiveListener(Node):
         """There is no executor."""
 
 
-def watch(namespace: str = NAMESPACE, *, plain: bool = False) -> None:
+def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool = False) -> None:
     """Show a running system until SIGINT or SIGTERM, or until the parent process has gone.
 
     Args:
         namespace: of its topics.
         plain: lines also on a terminal.
+        for_scripts: these lines as JSON.
 
     Raises:
         InputError: the namespace is none, or ROS does not start.
@@ -101,7 +104,9 @@ def watch(namespace: str = NAMESPACE, *, plain: bool = False) -> None:
     # rich alone would take a pipe for a terminal where FORCE_COLOR is set.
     drawn = console.is_terminal and sys.stdout.isatty() and not console.is_dumb_terminal
     try:
-        if plain or not drawn:
+        if for_scripts:
+            _follow(listener, PLAIN_PERIOD, _print_json)
+        elif plain or not drawn:
             _follow(listener, PLAIN_PERIOD, _plain(sys.stdout))
         else:
             with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -131,6 +136,11 @@ def _plain(out: TextIO) -> Show:
         print(plain_line(state, now), file=out, flush=True)
 
     return show
+
+
+def _print_json(state: LiveState, now: float) -> None:
+    found = {"time_s": time.time(), **as_json(state, now)}
+    print(json.dumps(found, allow_nan=False), flush=True)
 
 
 def _follow(listener: LiveListener, period: float, show: Show) -> None:

@@ -27,7 +27,7 @@ MakeNode = Callable[[], GuardedNode]
 def run(
     *makers: MakeNode,
     args: list[str] | None = None,
-    beside: AbstractContextManager[None] | None = None,
+    beside: AbstractContextManager[object] | None = None,
 ) -> int:
     """Make nodes and spin them until SIGINT, SIGTERM or a shutdown; this ends the process with 0.
 

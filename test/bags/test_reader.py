@@ -298,6 +298,11 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, make, reason):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_the_folder_around_bags_is_told_from_one_without(drive):
+    with pytest.raises(InputError, match=f"there are bags inside it: .*{drive.name}"):
+        BagReader(drive.parent)
+
+
 def test_a_cut_or_damaged_database_is_refused_or_reported(tmp_path):
     folder = write_rosbags(tmp_path / "bag", StoragePlugin.SQLITE3)
     whole = next(folder.glob("*.db3")).read_bytes()

@@ -1,5 +1,6 @@
 """Broken MCAP files saved, against the whole ones."""
 
+import errno
 import os
 from pathlib import Path
 import random
@@ -13,6 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 import pytest
 from rosbags.rosbag2 import Reader
+from typer.testing import CliRunner
 import yaml
 import zstandard
 
@@ -21,6 +23,7 @@ from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.bench.recovery import STORAGES, campaign, messages_of, write_bag
+from evpinn_ros.cli.main import app
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.messages import scalar
 
@@ -233,6 +236,48 @@ def test_ten_files_keep_their_order(tmp_path):
             writer.write("/ev/battery/voltage", scalar(new_message, i), START + i * STEP)
     found = recover(tmp_path / "bag", tmp_path / "new")
     assert [each.path.name for each in found] == [f"bag_{i}.mcap" for i in range(12)]
+
+
+def read_fails(monkeypatch, path: Path, from_byte: int) -> None:
+    """The disk gives an error where this file is read from this byte on, as a bad sector does."""
+    real, failing = os.pread, path.stat()
+
+    def pread(descriptor: int, length: int, begin: int) -> bytes:
+        if begin + length > from_byte and os.path.samestat(os.fstat(descriptor), failing):
+            raise OSError(errno.EIO, "Input/output error")
+        return real(descriptor, length, begin)
+
+    monkeypatch.setattr(os, "pread", pread)
+
+
+def test_a_file_that_cannot_be_read_stops_no_other(tmp_path, monkeypatch):
+    bag = bag_of_three(tmp_path / "bag")
+    read_fails(monkeypatch, bag / "bag_1.mcap", 0)
+    first, second, third = recover(bag, tmp_path / "new")
+    assert first.whole and third.whole and third.messages == 200
+    assert (second.messages, second.whole, second.lost_messages) == (0, False, None)
+    assert "bag_1.mcap: Input/output error" in second.problem
+    with Reader(tmp_path / "new") as reader:
+        assert reader.message_count == 400 == sum(1 for _ in reader.messages())
+    done = CliRunner().invoke(app, ["recover", str(bag), str(tmp_path / "told")])
+    assert done.exit_code == 1 and "1 of 3 files could not be read" in done.output
+    with pytest.raises(InputError, match="Input/output error"):
+        recover(bag / "bag_1.mcap", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_stopped_it_leaves_nothing(tmp_path):
+    bag = bag_of_three(tmp_path / "bag")
+    size = (bag / "bag_0.mcap").stat().st_size
+
+    def stop(done: int) -> None:
+        if done > size:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        recover(bag, tmp_path / "new", stop)
+    assert not (tmp_path / "new").exists()
+    assert len(recover(bag, tmp_path / "new")) == 3, "the same command goes"
 
 
 WRONG = [

@@ -40,3 +40,13 @@ def test_what_cannot_be_done_is_one_line(tmp_path):
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="does not exist"):
         change_storage(tmp_path / "nowhere", tmp_path / "new", Storage.MCAP)
+
+
+def test_stopped_it_leaves_a_whole_bag_up_to_there(tmp_path):
+    told = []
+    count = change_storage(
+        URBAN, tmp_path / "new", Storage.SQLITE3, told.append, lambda: len(told) == 3
+    )
+    with Reader(tmp_path / "new") as reader:
+        assert sum(1 for _ in reader.messages()) == reader.message_count == count > 10
+        assert reader.duration < 5e9

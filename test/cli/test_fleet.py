@@ -48,7 +48,7 @@ def learn(recorded, out, *more):
 
 def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     out, file = tmp_path / "out", tmp_path / "leaf_fleet.yaml"
-    done = learn(recorded, out, "--write-vehicle", file)
+    done = learn(recorded, out, "--write-vehicle", file, "--json", tmp_path / "found.json")
     assert done.exit_code == 0, done.output
     assert "2 cars, 3 of 4 drives learned" in done.output
     assert "bad.mcap: not an MCAP file" in done.output
@@ -63,6 +63,10 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     population = {row["name"]: row for row in read(out / "population.parquet")}
     assert len(population["mass"]["covariance"]) == 6
     assert population["mass_over_eta"]["cars"] > population["c_d"]["cars"]
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert (found["stopped"], found["drives"], found["problems"]) == (False, 4, 1)
+    assert found["failed"][0]["what"].endswith("bad.mcap")
+    assert found["populations"]["nissan_leaf"]["mass"]["mean"] == population["mass"]["mean"]
     page = (out / "report.html").read_text()
     for text in ("ann", "nissan_leaf", "bad.mcap", "mass_over_eta", "evpinn fleet"):
         assert text in page
@@ -146,7 +150,7 @@ def test_nobody_at_the_address_of_a_scheduler(recorded, tmp_path):
         cwd=share_directory(), capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr.count("\n") == 1 and "nothing answers" in done.stderr
+    assert done.stderr.count("\n") == 1 and "no scheduler answers" in done.stderr
 
 
 def test_without_parquet_it_says_what_to_install(recorded, tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.cli.options import complete_profile, complete_vehicle
 
 ROOT = typer.main.get_command(app)
-FLAG_FOR_STDOUT = {"evpinn can inspect", "evpinn info", "evpinn recover"}  # what looks, prints
+FLAG_FOR_STDOUT = {f"evpinn {name}" for name in ("can inspect", "info", "recover", "watch")}
 
 
 def commands(command=ROOT, path: str = "evpinn") -> Iterator[tuple[str, object]]:
@@ -40,7 +40,7 @@ def parse(command, words: list[str], parent=None) -> str:
     context = command.make_context(words[0], words[1:], parent=parent)
     if not hasattr(command, "resolve_command"):
         return words[0]
-    name, found, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+    name, found, rest = command.resolve_command(context, words[1:])
     return f"{words[0]} {parse(found, [name, *rest], context)}"
 
 
@@ -59,6 +59,13 @@ def test_help_shows_an_example_that_the_command_line_takes(path: str) -> None:
     shown = CliRunner().invoke(app, [*path.split()[1:], "--help"], terminal_width=300)
     for text in found:
         assert text in " ".join(shown.output.split())
+
+
+def test_help_lists_every_command_by_its_name() -> None:
+    shown = CliRunner().invoke(app, ["--help"], terminal_width=100).output
+    for path in COMMANDS:
+        if path.count(" ") == 1:
+            assert re.search(rf"^\W*{path.split()[1]} ", shown, re.MULTILINE), path
 
 
 def test_a_wrong_example_is_found() -> None:

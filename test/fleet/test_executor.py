@@ -5,6 +5,8 @@ from itertools import count
 import math
 import operator
 import os
+import socket
+import threading
 
 import pytest
 
@@ -69,3 +71,14 @@ def test_no_worker_at_the_address(monkeypatch):
         pytest.raises(InputError, match="has no worker"),
     ):
         DaskExecutor(cluster.scheduler_address)
+
+
+def test_what_does_not_answer_leaves_nothing_that_a_later_cluster_could_wait_for(monkeypatch):
+    pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    monkeypatch.setattr("evpinn_ros.fleet.executor.PATIENCE", 1)
+    before = threading.active_count()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        for address in (f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:1", "no"):
+            with pytest.raises(InputError, match=r"no scheduler answers: ."):
+                DaskExecutor(address)
+    assert threading.active_count() == before

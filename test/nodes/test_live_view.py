@@ -181,6 +181,23 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
         running.kill()
 
 
+def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
+    running = subprocess.Popen([*EVPINN, "watch", "--json"], cwd=ROOT, stdout=subprocess.PIPE)
+    try:
+        message = next(message for topic, _, message in urban(1.0) if topic == topics.SPEED)
+        bench.publisher(topics.SPEED)
+        found = {"speed_mps": None}
+        while found["speed_mps"] is None:
+            bench.send(topics.SPEED, message)
+            found = json.loads(running.stdout.readline())
+        assert found["speed_mps"] == message.twist.twist.linear.x
+        assert abs(found["time_s"] - time.time()) < 60.0
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 0
+    finally:
+        running.kill()
+
+
 def test_watch_publishes_nothing(bench):
     running = subprocess.Popen([*EVPINN, "watch"], cwd=ROOT, stdout=subprocess.DEVNULL)
     try:

@@ -1,3 +1,4 @@
+import json
 import math
 
 from hypothesis import HealthCheck, given, settings
@@ -8,6 +9,7 @@ from rich.cells import cell_len
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import Level, diagnostics, named_vector
+from evpinn_ros.report.live_json import as_json
 from evpinn_ros.report.live_screen import plain_line, problem_lines, screen
 from evpinn_ros.report.live_state import LiveState
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
@@ -153,3 +155,25 @@ def test_values_beyond_reason_stay_in_their_columns():
     assert math.isclose(state.parameters()[0].value, -1.7e308)
     row = next(line for line in lines(state, 1.0, 80, 24) if line.startswith("eta"))
     assert row == "eta   motor        -1.7e+308        -                  -     -     - -"
+
+
+def test_a_script_reads_the_same(well):
+    found = json.loads(json.dumps(as_json(well(160.0), 160.0), allow_nan=False))
+    assert (found["speed_mps"], found["voltage_v"], found["current_a"]) == (12.5, 352.0, -41.5)
+    assert found["power_w"]["predicted"] == {"value": 13900.0, "std": 1200.0}
+    assert found["power_w"]["measured"] == {"value": 14600.0, "std": None}
+    assert found["energy_j"]["consumed"] == 3.96e6
+    assert found["parameters"]["mass"] == {
+        "value": 1847.0, "std": pytest.approx(92.35), "prior_share": 0.25,
+        "lower": 923.5, "upper": 3694.0, "state": None,
+    }  # fmt: skip
+    assert found["parameters"]["eta"]["state"] == "valid" and found["problems"] == []
+
+
+def test_a_script_reads_that_nothing_is_known_and_what_fell_silent(well):
+    found = json.loads(json.dumps(as_json(LiveState(), 0.0), allow_nan=False))
+    assert found["speed_mps"] is found["voltage_v"] is found["parameters"]["eta"]["value"] is None
+    assert found["problems"][0]["level"] == "warn" and found["energy_j"] == {}
+    later = as_json(well(160.0), 170.0)
+    assert later["speed_mps"] is later["power_w"]["measured"]["value"] is None
+    assert {"error"} == {one["level"] for one in later["problems"]}

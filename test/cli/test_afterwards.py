@@ -1,0 +1,48 @@
+"""The report of a live drive, from the bag that the nodes would have left."""
+
+from pathlib import Path
+import shutil
+
+import pytest
+import typer
+
+from evpinn_ros.cli.afterwards import reported
+from evpinn_ros.errors import InputError
+from evpinn_ros.share import share_directory
+
+URBAN = share_directory() / "bags" / "urban"
+OPTIONS = ("--vehicle", "tesla_model_3_lr", "--duration", "20")
+
+
+def test_a_drive_that_was_not_to_be_kept_leaves_its_report_alone(tmp_path):
+    report, state = tmp_path / "new" / "drive.html", tmp_path / "car.json"
+    with reported(report, None, state, OPTIONS) as bag:
+        shutil.copytree(URBAN, bag)
+    assert list(report.parent.iterdir()) == [report]
+    assert "tesla_model_3_lr" in report.read_text() and not state.exists()
+
+
+def test_a_recording_stays_and_what_cannot_be_reported_fails(tmp_path):
+    record, state = tmp_path / "today", tmp_path / "car.json"
+    state.write_text("{}")
+    with (
+        pytest.raises(typer.Exit) as ended,
+        reported(tmp_path / "drive.html", record, state, OPTIONS) as bag,
+    ):
+        bag.mkdir()
+    assert ended.value.exit_code == 1 and bag == record and record.exists()
+    assert state.read_text() == "{}", "what the nodes wrote is not overwritten"
+
+
+def test_where_nothing_was_recorded_nothing_is_reported(tmp_path):
+    """A folder that was there before the drive is another drive: the nodes refuse it."""
+    for record in (tmp_path, tmp_path / "none"):
+        with reported(Path(tmp_path, "drive.html"), record, None, OPTIONS):
+            pass
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(InputError, match="file"),
+        reported(tmp_path / "file" / "drive.html", None, None, OPTIONS),
+    ):
+        pass
