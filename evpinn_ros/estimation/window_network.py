@@ -41,11 +41,11 @@ class WindowNetwork:
     @classmethod
     def silent(cls, widths: Sequence[int], seed: int) -> WindowNetwork:
         """Weights by Glorot's rule, but for those of the last layer: it says zero everywhere."""
-        source = np.random.RandomState(seed)
+        source = np.random.default_rng(seed)
         parts: list[np.ndarray] = []
         for inputs, outputs in pairwise(widths):
             std = math.sqrt(2.0 / (inputs + outputs))
-            parts += [std * _normal(source, inputs * outputs), np.zeros(outputs)]
+            parts += [std * source.standard_normal(inputs * outputs), np.zeros(outputs)]
         parts[-2][:] = 0.0
         return cls(widths, np.concatenate(parts))
 
@@ -80,20 +80,3 @@ class WindowNetwork:
             columns = [by_matrix.reshape(len(inputs), -1), derivative, *columns]
             derivative = (derivative @ matrix) * (1.0 - activation**2)
         return output, np.concatenate(columns, axis=1)
-
-
-def _normal(source: np.random.RandomState, count: int) -> np.ndarray:
-    """Standard normal numbers, shape (count,), those that torch draws of the same seed.
-
-    So a seed means what it meant when torch held this network. Box and Muller on blocks of 16:
-    eight radii, eight angles, each of 53 bits of two words of the Mersenne twister (ATen's
-    `normal_fill` and `uniform_real_distribution<double>`).
-    """
-    blocks = -(-count // 16)
-    words = source.randint(0, 1 << 32, (blocks * 16, 2), dtype=np.uint32)
-    high, low = words.astype(np.uint64).T
-    uniform = (((high & 0x1FFFFF) << 32) | low) * 2.0**-53
-    radius, angle = uniform.reshape(blocks, 2, 8).swapaxes(0, 1)
-    radius, angle = np.sqrt(-2.0 * np.log(1.0 - radius)), 2.0 * np.pi * angle
-    numbers = np.stack((radius * np.cos(angle), radius * np.sin(angle)), axis=1)
-    return numbers.ravel()[:count]
