@@ -11,6 +11,7 @@ from typing import NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from evpinn_ros.errors import InputError
 from evpinn_ros.memory import return_memory
@@ -56,16 +57,17 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
     return_memory()
     # In Jazzy `rclpy.init` is no context manager yet.
     try:
-        rclpy.init(args=args)
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
-    if signals:  # they came before rclpy could hear them
-        return 0
     nodes: list[GuardedNode] = []
     try:
         for make in makers:
             nodes.append(make())
-        _spin(nodes)
+        # Only now: a node that is shut down while it is made does not end quietly.
+        install_signal_handlers()
+        if not signals:
+            _spin(nodes)
     except InputError as error:
         return _fail(str(error))
     except ExternalShutdownException:

@@ -113,10 +113,10 @@ def start_node(
     return Process(rig, name, node_command(name, {"vehicle": VEHICLE, **values}), environment)
 
 
-def start_all(rig: Rig, *options: str, environment: Mapping[str, str] | None = None) -> Process:
+def start_all(rig: Rig, *options: str) -> Process:
     """Start `evpinn run`."""
     command = [sys.executable, "-m", "evpinn_ros", "run", "--vehicle", VEHICLE, *options]
-    return Process(rig, "run", command, environment)
+    return Process(rig, "run", command)
 
 
 @contextmanager
