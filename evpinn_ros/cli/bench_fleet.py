@@ -102,7 +102,7 @@ def _show_scaling(runs: list[Scaling]) -> None:
 def _show_population(known: list[Recovered]) -> None:
     table = titled_table("Cars of a known population")
     table.add_column("", no_wrap=True)
-    for name in ("mean", "found", "sigmas off", "spread", "found", "sigmas off"):
+    for name in ("mean", "found", "sigma", "spread", "found", "sigma"):
         table.add_column(name, justify="right", no_wrap="found" in name)
     for one in known:
         told = one.told
@@ -116,4 +116,4 @@ def _show_population(known: list[Recovered]) -> None:
             f"{(told.spread - one.spread) / told.spread_std:+.1f}",
         )
     results.print(table)
-    results.print("Logarithms, p_aux in W")
+    results.print("Logarithms, p_aux in W; sigma: by how many of its own what was found is off")
