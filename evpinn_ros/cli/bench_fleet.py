@@ -109,10 +109,10 @@ def _show_population(known: list[Recovered]) -> None:
         table.add_row(
             one.name,
             f"{one.mean:.4g}",
-            f"{told.mean:.4g} +- {told.mean_std:.2g}",
+            f"{told.mean:.4g} +- {told.mean_std:.3g}",
             f"{(told.mean - one.mean) / told.mean_std:+.1f}",
             f"{one.spread:.3g}",
-            f"{told.spread:.3g} +- {told.spread_std:.2g}",
+            f"{told.spread:.3g} +- {told.spread_std:.3g}",
             f"{(told.spread - one.spread) / told.spread_std:+.1f}",
         )
     results.print(table)
