@@ -103,16 +103,16 @@ def _show_population(known: list[Recovered]) -> None:
     table = titled_table("Cars of a known population")
     table.add_column("", no_wrap=True)
     for name in ("mean", "found", "sigma", "spread", "found", "sigma"):
-        table.add_column(name, justify="right", no_wrap="found" in name)
+        table.add_column(name, justify="right", no_wrap=name != "found")
     for one in known:
         told = one.told
         table.add_row(
             one.name,
             f"{one.mean:.4g}",
-            f"{told.mean:.4g} +- {told.mean_std:.3g}",
+            f"{told.mean:.4g} +- {told.mean_std:.2g}",
             f"{(told.mean - one.mean) / told.mean_std:+.1f}",
             f"{one.spread:.3g}",
-            f"{told.spread:.3g} +- {told.spread_std:.3g}",
+            f"{told.spread:.3g} +- {told.spread_std:.2g}",
             f"{(told.spread - one.spread) / told.spread_std:+.1f}",
         )
     results.print(table)
