@@ -83,18 +83,8 @@ def _scaled(
 
 def _show_scaling(runs: list[Scaling]) -> None:
     table = titled_table("Many drives")
-    for name in (
-        "workers",
-        "drives",
-        "a second",
-        "times",
-        "ms CPU",
-        "ms a drive",
-        "MB",
-        "start s",
-        "tables s",
-    ):
-        table.add_column(name, justify="right", no_wrap=name in ("ms a drive", "MB"))
+    for name in ("workers", "drives", "a second", "times", "ms CPU", "ms a drive", "MB"):
+        table.add_column(name, justify="right", no_wrap=True)
     for run in runs:
         table.add_row(
             str(run.workers),
@@ -104,8 +94,6 @@ def _show_scaling(runs: list[Scaling]) -> None:
             f"{1e3 * run.cpu_s:.0f}",
             " -> ".join(f"{1e3 * each:.0f}" for each in run.quarters_s),
             " -> ".join(f"{each:.0f}" for each in run.rss_mb),
-            f"{run.start_s:.1f}",
-            f"{run.tables_s:.1f}",
         )
     results.print(table)
     results.print("a -> b: in the first quarter of the cars, and in the last")
@@ -114,18 +102,18 @@ def _show_scaling(runs: list[Scaling]) -> None:
 def _show_population(known: list[Recovered]) -> None:
     table = titled_table("Cars of a known population")
     table.add_column("", no_wrap=True)
-    for name in ("mean", "found", "off by", "spread", "found", "off by"):
-        table.add_column(name, justify="right")
+    for name in ("mean", "found", "sigma", "spread", "found", "sigma"):
+        table.add_column(name, justify="right", no_wrap=name != "found")
     for one in known:
         told = one.told
         table.add_row(
             one.name,
             f"{one.mean:.4g}",
             f"{told.mean:.4g} +- {told.mean_std:.2g}",
-            f"{(told.mean - one.mean) / told.mean_std:+.1f} sigma",
+            f"{(told.mean - one.mean) / told.mean_std:+.1f}",
             f"{one.spread:.3g}",
             f"{told.spread:.3g} +- {told.spread_std:.2g}",
-            f"{(told.spread - one.spread) / told.spread_std:+.1f} sigma",
+            f"{(told.spread - one.spread) / told.spread_std:+.1f}",
         )
     results.print(table)
-    results.print("Logarithms, p_aux in W")
+    results.print("Logarithms, p_aux in W; sigma: by how many of its own what was found is off")
