@@ -15,7 +15,6 @@ from evpinn_ros.bench.soak import soak as drive_for
 from evpinn_ros.cli.console import note, progress_bar, results, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import figures_table, titled_table
-from evpinn_ros.memory import return_memory
 from evpinn_ros.one_thread import one_thread
 
 
@@ -33,7 +32,6 @@ def soak(
     Example: evpinn bench soak --hours 24 --json out/soak.json
     """
     one_thread()
-    return_memory()
     found: dict[str, Any] = {"hours": []}
     try:
         _soak(hours, seconds, found)

@@ -14,7 +14,6 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from evpinn_ros.errors import InputError
-from evpinn_ros.memory import return_memory
 from evpinn_ros.nodes.base import GuardedNode
 
 SWITCH_INTERVAL = 5e-4
@@ -54,7 +53,6 @@ def run(
 
 def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
-    return_memory()
     # In Jazzy `rclpy.init` is no context manager yet.
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
