@@ -1,11 +1,12 @@
 """The report of a live drive, from the bag that the nodes would have left."""
 
-from pathlib import Path
 import shutil
 
 import pytest
 import typer
 
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.afterwards import reported
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
@@ -24,22 +25,42 @@ def test_a_drive_that_was_not_to_be_kept_leaves_its_report_alone(tmp_path):
 
 def test_a_recording_stays_and_what_cannot_be_reported_fails(tmp_path):
     record, state = tmp_path / "today", tmp_path / "car.json"
+    record.mkdir()  # an empty folder may become the bag
     state.write_text("{}")
     with (
         pytest.raises(typer.Exit) as ended,
         reported(tmp_path / "drive.html", record, state, OPTIONS) as bag,
     ):
-        bag.mkdir()
-    assert ended.value.exit_code == 1 and bag == record and record.exists()
+        shutil.copytree(URBAN, bag, dirs_exist_ok=True)
+    assert ended.value.exit_code == 1 and bag == record
+    assert {path.name for path in tmp_path.iterdir()} == {"today", "car.json"}
     assert state.read_text() == "{}", "what the nodes wrote is not overwritten"
 
 
+def test_a_drive_outlives_a_report_that_fails(tmp_path):
+    with (
+        pytest.raises(typer.Exit),
+        reported(tmp_path / "drive.html", None, None, ("--vehicle", "none")) as bag,
+    ):
+        shutil.copytree(URBAN, bag)
+    [kept] = tmp_path.iterdir()
+    with BagReader(kept) as reader:
+        assert any(reader.log_times())
+
+
 def test_where_nothing_was_recorded_nothing_is_reported(tmp_path):
-    """A folder that was there before the drive is another drive: the nodes refuse it."""
-    for record in (tmp_path, tmp_path / "none"):
-        with reported(Path(tmp_path, "drive.html"), record, None, OPTIONS):
+    """A bag that was there before the drive is another drive: the nodes refuse it."""
+    for record in (URBAN, tmp_path / "none"):
+        with reported(tmp_path / "drive.html", record, None, OPTIONS):
             pass
+    with reported(tmp_path / "drive.html", None, None, OPTIONS) as bag:
+        BagWriter(bag).close()  # some node was refused once this was begun
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_that_has_no_place_is_refused_before_the_drive(tmp_path):
+    with pytest.raises(InputError, match="a folder"), reported(tmp_path, None, None, OPTIONS):
+        pass
     (tmp_path / "file").write_text("")
     with (
         pytest.raises(InputError, match="file"),
