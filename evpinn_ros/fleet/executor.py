@@ -166,8 +166,10 @@ async def _identify(address: str) -> None:
     waits for a loop that has ended, in whatever runs then.
     """
     from distributed import rpc
+    from distributed.security import Security
 
-    async with rpc(address, timeout=PATIENCE) as scheduler:
+    keys = Security().get_connection_args("client")  # of Dask's configuration, as a client has it
+    async with rpc(address, timeout=PATIENCE, connection_args=keys) as scheduler:
         await asyncio.wait_for(scheduler.identity(), PATIENCE)
 
 
