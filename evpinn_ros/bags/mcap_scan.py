@@ -66,19 +66,23 @@ class FileBytes:
         length = max(0, min(length, self.size - begin))
         offset = begin - self._begin
         if not 0 <= offset <= len(self._window) - length:
-            self._window, self._begin, offset = self._load(begin, max(length, WINDOW)), begin, 0
+            self._window, self._begin, offset = self._load(begin, length), begin, 0
         return self._window[offset : offset + length]
 
-    def _load(self, begin: int, length: int) -> bytes:
-        parts = []
+    def _load(self, begin: int, wanted: int) -> bytes:
+        """What is wanted, and as much behind it as a window holds and can be read."""
+        parts, left = [], max(wanted, WINDOW)
+        end = begin + wanted
         try:
-            while length > 0 and (part := os.pread(self._descriptor, length, begin)):
+            while left > 0 and (part := os.pread(self._descriptor, left, begin)):
                 parts.append(part)
-                begin, length = begin + len(part), length - len(part)
+                begin, left = begin + len(part), left - len(part)
         except OSError as error:
-            raise InputError(
-                f"{self.path}: {error.strerror} at byte {begin}; copy the disk with ddrescue first"
-            ) from error
+            if begin < end:
+                raise InputError(
+                    f"{self.path}: {error.strerror} at byte {begin}; "
+                    "copy the disk with ddrescue first"
+                ) from error
         return b"".join(parts)
 
 

@@ -243,8 +243,10 @@ def read_fails(monkeypatch, path: Path, from_byte: int) -> None:
     real, failing = os.pread, path.stat()
 
     def pread(descriptor: int, length: int, begin: int) -> bytes:
-        if begin + length > from_byte and os.path.samestat(os.fstat(descriptor), failing):
-            raise OSError(errno.EIO, "Input/output error")
+        if os.path.samestat(os.fstat(descriptor), failing):
+            if begin >= from_byte:
+                raise OSError(errno.EIO, "Input/output error")
+            length = min(length, from_byte - begin)  # the kernel gives what is before it
         return real(descriptor, length, begin)
 
     monkeypatch.setattr(os, "pread", pread)
@@ -264,6 +266,14 @@ def test_a_file_that_cannot_be_read_stops_no_other(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="Input/output error"):
         recover(bag / "bag_1.mcap", tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+def test_what_is_before_a_bad_sector_is_saved(tmp_path, monkeypatch):
+    """Files are read far ahead of what is looked at."""
+    bag = bag_of_three(tmp_path / "bag")
+    read_fails(monkeypatch, bag / "bag_1.mcap", (bag / "bag_1.mcap").stat().st_size // 2)
+    second = recover(bag, tmp_path / "new")[1]
+    assert second.messages > 50 and not second.whole and "Input/output error" in second.problem
 
 
 def test_stopped_it_leaves_nothing(tmp_path):
