@@ -194,7 +194,3 @@ def _messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop; gives the exit code."""
     return run(CanBridgeNode, args=args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

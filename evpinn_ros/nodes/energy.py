@@ -250,7 +250,3 @@ class EnergyNode(GuardedNode):
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop; gives the exit code."""
     return run(EnergyNode, args=args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -169,7 +169,3 @@ def _usual(status: EstimatorStatus) -> tuple[str, ...]:
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop; gives the exit code."""
     return run(EstimatorNode, args=args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
