@@ -102,7 +102,8 @@ def plan_from_path(
         return _nominal_plan(distance, points, nominal_speed, acceleration)
     duration = np.diff(time)
     _refuse(duration < 0, "time goes back")
-    kept = np.concatenate(([True], (duration > 0) | (legs > 0)))  # a point given twice is one
+    # A point given twice is one; so is one that is apart by less than rounding of the distance.
+    kept = np.concatenate(([True], (duration > 0) | (np.diff(distance) > 0)))
     time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
     _refuse(np.diff(distance) > MAX_SPEED * np.diff(time), f"faster than {MAX_SPEED:g} m/s")
     speed = _monotone_slopes(time, distance)

@@ -57,6 +57,12 @@ def test_speed_along_a_path_is_the_slope_of_a_monotone_cubic(legs):
     np.testing.assert_allclose(plan.speed, np.clip(cubic(plan.time), 0.0, 100.0), atol=1e-9)
 
 
+def test_a_point_given_twice_with_other_rounding_is_one():
+    x, y = np.array([0.0, 1e5, 1e5, 1e5 + 20.0]), np.array([0.0, 0.0, 1e-12, 0.0])
+    plan = plan_from_path(x, y, 0.0 * x, np.array([0.0, 2e3, 2e3, 2e3 + 1.0]))
+    assert len(plan.time) == 3 and np.isfinite(plan.speed).all()
+
+
 def test_a_point_given_twice_is_one():
     x = np.array([0.0, 100.0, 100.0, 200.0])
     plan = plan_from_path(x, ZERO, ZERO, np.array([0.0, 10.0, 10.0, 20.0]))
