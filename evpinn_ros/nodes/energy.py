@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 import math
-from pathlib import Path
 from typing import Any
 
 from std_srvs.srv import Trigger
@@ -44,7 +43,7 @@ from evpinn_ros.nodes.plan_messages import (
 )
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import BatteryReading
@@ -74,8 +73,7 @@ class EnergyNode(GuardedNode):
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
         self.forecaster = Forecaster(vehicle)
-        path = self.values["energy_file"]
-        self._keeper = StateKeeper(Path(path).expanduser() if path else None, self.account)
+        self._keeper = StateKeeper(state_path(self.values["energy_file"]), self.account)
         self._load()
         self._guard = StampGuard(topics.POWER_SMOOTHED)
         self._speed_guard = StampGuard(topics.SPEED)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 import time
 from typing import Any
 
@@ -22,7 +21,7 @@ from evpinn_ros.nodes.model_messages import model_message
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import estimator_settings
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.one_thread import one_thread
@@ -62,8 +61,7 @@ class EstimatorNode(GuardedNode):
         )
         self._guard = StampGuard(topics.SPEED)
         self._stamps = StampWatch()
-        path = self.values["state_file"]
-        self._keeper = StateKeeper(Path(path).expanduser() if path else None, self.estimator)
+        self._keeper = StateKeeper(state_path(self.values["state_file"]), self.estimator)
         self._load()
         self.advertise(*PUBLISHES)
         for topic in LISTENS_TO:

@@ -96,6 +96,18 @@ class StateKeeper:
         self._refused = False
 
 
+def state_path(text: str) -> Path | None:
+    """The path that a parameter gives, None where it is empty.
+
+    Raises:
+        InputError: it begins with `~`, and nobody has such a home.
+    """
+    try:
+        return Path(text).expanduser() if text else None
+    except RuntimeError as error:
+        raise InputError(f"{text}: no home for '~'; give the whole path") from error
+
+
 def _aside(path: Path) -> list[Path]:
     """Where refused files are kept, the newest first."""
     first = path.with_name(path.name + ".refused")

@@ -1,6 +1,11 @@
 """The state file beside its node: what is refused is kept."""
 
-from evpinn_ros.nodes.state_keeper import REFUSED_KEPT, StateKeeper
+from pathlib import Path
+
+import pytest
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.state_keeper import REFUSED_KEPT, StateKeeper, state_path
 
 
 class Counter:
@@ -50,3 +55,9 @@ def test_a_file_that_was_used_is_not_set_aside(tmp_path):
         keeper.load()
         assert keeper.problem is None and keeper.save() is None
     assert [file.name for file in tmp_path.iterdir()] == ["car.json"]
+
+
+def test_the_home_of_nobody_is_one_line():
+    assert state_path("") is None and state_path("~/car.json") == Path.home() / "car.json"
+    with pytest.raises(InputError, match=r"~nobody_here/car.json: no home"):
+        state_path("~nobody_here/car.json")
