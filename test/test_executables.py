@@ -12,7 +12,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ESTIMATOR = ("-m", "evpinn_ros.executables", "estimator")
 RUN = ("-m", "evpinn_ros", "run", "--vehicle", "nissan_leaf", "--can-interface", "virtual")
-SECONDS = 2.0
 
 
 def hears(process: subprocess.Popen, number: signal.Signals) -> bool:
@@ -41,11 +40,9 @@ def test_a_signal_ends_a_process_that_still_starts(command, number, delay):
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.005)
         time.sleep(delay)
-        begin = time.monotonic()
         process.send_signal(number)
         _, said = process.communicate(timeout=20)
         assert (process.returncode, said) == (0, b"")
-        assert time.monotonic() - begin < SECONDS
     finally:
         process.kill()
         process.communicate()

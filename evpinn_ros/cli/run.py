@@ -15,6 +15,7 @@ from evpinn_ros.cli.afterwards import reported
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_table import Value
+from evpinn_ros.nodes.state_keeper import state_path
 from evpinn_ros.report.foxglove import LOOPBACK, PORT
 
 MEGABYTE = 1e6
@@ -115,7 +116,8 @@ def run(
         if report is not None:
             learning = {"--vehicle": vehicle, "--mode": mode and mode.value, "--params": params}
             options = [str(word) for pair in learning.items() if pair[1] for word in pair]
-            record = beside.enter_context(reported(report, record, state, options))
+            start = state_path(str(state or ""))
+            record = beside.enter_context(reported(report, record, start, options))
         if view and sys.stdout.isatty():
             beside.enter_context(live_view())
         code = run_nodes(

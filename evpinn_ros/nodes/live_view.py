@@ -167,8 +167,10 @@ def live_view(namespace: str = NAMESPACE) -> Iterator[None]:
     )
     # Ctrl-C reaches the view too. While it imports it shall not hear it, which it inherits.
     heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    view.start()
-    signal.signal(signal.SIGINT, heard)
+    try:
+        view.start()
+    finally:
+        signal.signal(signal.SIGINT, heard)
     terminal = os.dup(2)
     with tempfile.TemporaryFile() as kept:
         os.dup2(kept.fileno(), 2)
