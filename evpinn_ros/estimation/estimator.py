@@ -96,7 +96,7 @@ class EstimatorStatus:
         updates: windowed updates begun.
         accepted: updates adopted.
         rejected: updates not adopted, by reason.
-        durations: seconds each update took.
+        durations: seconds that each of the latest updates took (`worker.DURATIONS_KEPT`).
         report: changes of payload and suspicions.
         progress: percent told of each parameter.
         states: how far each parameter can be believed.

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 
 Clock = Callable[[], float]  # seconds of a monotonic clock; cores have none of their own
 
+DURATIONS_KEPT = 3600  # of the latest updates, an hour's
+
 
 class Worker(Protocol):
     """Computes one update at a time."""
@@ -43,7 +45,7 @@ class InlineWorker:
         self._clock = clock
         self._result: Any | None = None
         self._error: Exception | None = None
-        self.durations: deque[float] = deque(maxlen=100_000)
+        self.durations: deque[float] = deque(maxlen=DURATIONS_KEPT)
 
     def submit(self, work: Callable[[], Any]) -> None:
         """Compute the work."""
@@ -81,7 +83,7 @@ class ThreadWorker:
         self._wait = wait
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="update")
         self._future: Future[Any] | None = None
-        self.durations: deque[float] = deque(maxlen=100_000)
+        self.durations: deque[float] = deque(maxlen=DURATIONS_KEPT)
 
     def submit(self, work: Callable[[], Any]) -> None:
         """Start the work in the thread."""

@@ -74,7 +74,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("updates.count", "", "updates of the window's network, one a second"),
     Metric("updates.accepted", "", "of them better than before in the second that followed"),
     Metric("updates.rejected.<reason>", "", "the others, by reason"),
-    Metric("updates.p50_ms", "ms", "time of one, median"),
+    Metric("updates.p50_ms", "ms", "time of one of the latest hour, median"),
     Metric("updates.p99_ms", "ms", "99th percentile"),
     Metric("replay.wall_s", "s", "time of the replay, without loading"),
     Metric("replay.realtime_factor", "", "`duration_s` over `wall_s`"),
