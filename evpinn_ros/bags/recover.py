@@ -16,6 +16,7 @@ from evpinn_ros.bags.mcap_copy import McapCopy
 from evpinn_ros.bags.mcap_part import LIBRARY
 from evpinn_ros.bags.mcap_scan import FileBytes
 from evpinn_ros.bags.metadata import (
+    METADATA,
     WrittenFile,
     WrittenTopic,
     as_yaml,
@@ -99,7 +100,8 @@ class RecoveredFile:
 def recover(source: Path, out: Path, progress: Progress | None = None) -> list[RecoveredFile]:
     """Save what a broken MCAP file, or a folder of them, still holds as a new bag.
 
-    A file that cannot be read stops no other. Interrupted, it leaves nothing that looks whole.
+    A file that cannot be read stops no other. Interrupted, or where the disk is full, it leaves
+    nothing behind.
 
     Args:
         source: MCAP file, or rosbag2 folder, with or without metadata.yaml.
@@ -120,9 +122,9 @@ def recover(source: Path, out: Path, progress: Progress | None = None) -> list[R
         if not files:
             raise InputError(_nothing(source, found))
         return found
-    except (InputError, KeyboardInterrupt):
-        for path in files:
-            path.unlink()
+    except (InputError, OSError, KeyboardInterrupt):
+        for path in (*files, out / METADATA):
+            path.unlink(missing_ok=True)
         with suppress(OSError):  # not empty: somebody else writes there too
             out.rmdir()
         raise

@@ -4,6 +4,7 @@ import errno
 import os
 from pathlib import Path
 import random
+import resource
 import struct
 import subprocess
 import sys
@@ -365,3 +366,16 @@ def test_a_damaged_message_index_costs_nothing(wholes, tmp_path):
         report, found = saved(tmp_path / str(place), data[:place] + b"\xee" + data[place + 1 :])
         assert found == messages_of(path)
         assert report.whole and report.lost_messages == 0 and report.lost_chunks == 0
+
+
+def test_a_full_disk_is_told_and_left_as_it_was(wholes, tmp_path):
+    out = tmp_path / "saved"
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (wholes["zstd"].stat().st_size // 2, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            recover(wholes["zstd"], out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not out.exists()
+    assert recover(wholes["zstd"], out)[0].whole
