@@ -128,6 +128,18 @@ QUANTITIES: Mapping[str, Quantity] = {
         _words("min max target limit"),
         {"%": 1.0, "pct": 1.0, "percent": 1.0, "fraction": 100.0},
     ),
+    # Taken by these names, or named with --column, alone: torque of foreign logs may be a request,
+    # that of an axle, or a percentage.
+    "motor_torque": Quantity(
+        "motor_torque_nm", frozenset(), frozenset(), frozenset(), {"nm": 1.0, "n m": 1.0}
+    ),
+    "motor_speed": Quantity(
+        "motor_speed_rad_s",
+        frozenset(),
+        frozenset(),
+        frozenset(),
+        {"rad/s": 1.0, "rpm": 2 * math.pi / 60},
+    ),
 }
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 SIGNED = ("current", "power")

@@ -1,8 +1,9 @@
 """A drive in a CSV file: the columns that `evpinn convert` takes, as readings.
 
 `t_s` and `speed_mps`, then `voltage_v` and `current_a` or `power_w`, and optionally `elevation_m`,
-`ambient_c`, `heating_w`, `aircon_w` and `soc_pct`, the state of charge. Here current and power are
-positive while the battery discharges. Columns of other names are guessed
+`ambient_c`, `heating_w`, `aircon_w`, `soc_pct`, the state of charge, and `motor_torque_nm` with
+`motor_speed_rad_s`. Here current and power are positive while the battery discharges, torque while
+it drives the car forward. Columns of other names are guessed
 (`evpinn_ros.bags.csv_columns`) or ignored.
 """
 
@@ -27,6 +28,7 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
+    MotorReading,
     Reading,
     SpeedReading,
     TemperatureReading,
@@ -129,6 +131,10 @@ class CsvDrive:
             yield AuxiliaryReading(
                 stamp_ns, cells.get("heating_w", 0.0), cells.get("aircon_w", 0.0)
             )
+
+        if "motor_torque_nm" in cells:
+            speed = cells.get("motor_speed_rad_s", math.nan)
+            yield MotorReading(stamp_ns, cells["motor_torque_nm"], speed)
 
     def _battery(self, cells: dict[str, float], stamp_ns: int) -> BatteryReading | None:
         """Voltage and current as measured; where one is missing, the current from power."""

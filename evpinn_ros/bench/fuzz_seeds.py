@@ -29,6 +29,7 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     Reading,
     SpeedReading,
@@ -49,6 +50,7 @@ READINGS: tuple[Reading, ...] = (
     PressureReading(START, 98e3),
     WindReading(START, 2.0),
     AuxiliaryReading(START, 500.0, 100.0),
+    MotorReading(START, 80.0, 400.0),
 )
 """One of each kind; the place in here chooses the type of a fuzzed message."""
 

@@ -17,6 +17,8 @@ PEOPLE: dict[str, tuple[str, float, int]] = {
     "voltage": ("V", 1.0, 1),
     "current": ("A", 1.0, 1),
     "state_of_charge": ("%", 100.0, 1),
+    "motor_torque": ("N m", 1.0, 0),
+    "motor_speed": ("rpm", 60 / (2 * math.pi), 0),
 }
 """Unit for people, how many of it are one in SI, and decimals."""
 

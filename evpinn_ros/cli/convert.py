@@ -57,7 +57,8 @@ def convert(
 
     Columns of a CSV file are found by their names and values; what was taken for what is told.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
-    optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct are taken as they are.
+    optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct, motor_torque_nm and
+    motor_speed_rad_s are taken as they are.
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
 

@@ -146,6 +146,15 @@ AUXILIARY_POWER = Topic(
     "optional: known loads by name, heating and others; heating counts below 20 degrees outside",
     "W",
 )
+MOTOR_TORQUE = Topic(
+    "vehicle/motor_torque",
+    NAMED_VECTOR_TYPE,
+    "can_bridge",
+    False,
+    "optional: `torque` of all motors together at their shaft, positive drives forward, and their "
+    "`speed`, left out where not known",
+    "N m, rad/s",
+)
 INPUTS = (
     SPEED,
     BATTERY,
@@ -157,6 +166,7 @@ INPUTS = (
     PRESSURE,
     WIND,
     AUXILIARY_POWER,
+    MOTOR_TORQUE,
 )
 
 PARAMETERS = Topic(

@@ -14,9 +14,11 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     TemperatureReading,
     WindReading,
+    motor_reading_plausible,
 )
 
 SLOPE_STD = 0.015  # 1-sigma of the slope of roads, between a plain and hills
@@ -42,6 +44,7 @@ RoadReading: TypeAlias = (
     AltitudeReading
     | AuxiliaryReading
     | GradeReading
+    | MotorReading
     | PressureReading
     | TemperatureReading
     | WindReading
@@ -60,6 +63,8 @@ def why_impossible(reading: RoadReading) -> str | None:
         case AuxiliaryReading():
             load, what = reading.heating + reading.others, "auxiliary"
             possible = reading.heating >= 0.0 and 0.0 <= load <= MAX_AUXILIARY
+        case MotorReading():
+            possible, what = motor_reading_plausible(reading), "motor_torque"
         case GradeReading():
             possible, what = abs(reading.grade) <= GRADE_LIMIT, "grade"
         case AltitudeReading():

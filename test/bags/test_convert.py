@@ -18,6 +18,7 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     Reading,
     SpeedReading,
@@ -38,6 +39,7 @@ READINGS = st.one_of(
     st.builds(PressureReading, STAMPS, NUMBERS),
     st.builds(WindReading, STAMPS, NUMBERS),
     st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
+    st.builds(MotorReading, STAMPS, NUMBERS, NUMBERS | st.just(math.nan)),
 )
 
 

@@ -12,6 +12,7 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
+    MotorReading,
     SpeedReading,
     TemperatureReading,
 )
@@ -29,8 +30,9 @@ def drive_of(folder: Path, text: str) -> CsvDrive:
 def test_all_columns(tmp_path):
     drive = drive_of(
         tmp_path,
-        "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w,soc_pct,x\n"
-        "0.5,10,400,50,1,570,-3,1500,250,80,7\n",
+        "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w,soc_pct,"
+        "motor_torque_nm,motor_speed_rad_s,x\n"
+        "0.5,10,400,50,1,570,-3,1500,250,80,-20,270,7\n",
     )
     stamp = START + 500_000_000
     expected = [
@@ -39,9 +41,17 @@ def test_all_columns(tmp_path):
         AltitudeReading(stamp, 570.0),
         TemperatureReading(stamp, -3.0),
         AuxiliaryReading(stamp, 1500.0, 250.0),
+        MotorReading(stamp, -20.0, 270.0),
     ]
     assert list(map(repr, drive.readings())) == list(map(repr, expected))  # NaN is not equal NaN
     assert drive.ignored == ("x",) and not drive.dropped
+
+
+def test_a_torque_needs_no_motor_speed_and_a_speed_alone_is_no_reading(tmp_path):
+    header = "t_s,speed_mps,power_w,motor_torque_nm,motor_speed_rad_s\n"
+    drive = drive_of(tmp_path, header + "0,1,400,50,\n1,1,400,,300\n")
+    (motor,) = (r for r in drive.readings() if isinstance(r, MotorReading))
+    assert repr(motor) == repr(MotorReading(START, 50.0))
 
 
 def batteries(drive: CsvDrive) -> list[tuple[float, float]]:
@@ -180,7 +190,7 @@ def test_real_drives():
     counts = {}
     for reading in trip.readings():
         counts[type(reading)] = counts.get(type(reading), 0) + 1
-    assert len({*counts.values()}) == 1 and len(counts) == 5 and not trip.dropped
+    assert len({*counts.values()}) == 1 and len(counts) == 6 and not trip.dropped
     charged = CsvDrive(DATA / "bmw_i3" / "TripA01.csv.gz", NOMINAL).readings()
     first = next(r for r in charged if isinstance(r, BatteryReading))
     assert first.state_of_charge == pytest.approx(0.869)
