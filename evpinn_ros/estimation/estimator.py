@@ -17,7 +17,6 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.estimation.calibration import BandCalibration
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
-from evpinn_ros.estimation.hybrid import HybridLearner
 from evpinn_ros.estimation.learner import (
     STATE_VERSION,
     Learner,
@@ -25,8 +24,11 @@ from evpinn_ros.estimation.learner import (
     PowerPrediction,
     gate,
 )
+from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.operating_range import OperatingRange
+from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.worker import Worker
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.sample import (
     Gap,
@@ -53,7 +55,7 @@ Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class Mode(str, Enum):
-    """Which learner: see `estimation.hybrid` and `estimation.paper`."""
+    """Which learner: see `estimation.pinn` and `estimation.paper`."""
 
     HYBRID = "hybrid"
     PAPER = "paper"
@@ -140,7 +142,9 @@ class OnlineEstimator:
         """Forget all that was learned; counters are kept."""
         self._worker.cancel()
         self._learner = _learner(self._vehicle, self._settings)
-        self._stream = SampleStream(self._settings.stream, self._vehicle.air_density)
+        self._stream = SampleStream(
+            self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
+        )
         kinds = (PowerKind.PREDICTED, PowerKind.SMOOTHED)
         self._bands = {kind: BandCalibration() for kind in kinds}
         self._seen = OperatingRange()
@@ -205,6 +209,10 @@ class OnlineEstimator:
     def linear_power(self) -> LinearPower | None:
         """What forecasts of plans need of the car; None in the paper's mode."""
         return self._learner.linear_power(self._stream.celsius)
+
+    def evidence(self) -> Evidence:
+        """What the data alone say of the parameters (see `estimation.evidence`)."""
+        return self._learner.evidence()
 
     def noticed(self) -> LearnerReport:
         """Changes of payload and suspicions."""
@@ -281,6 +289,9 @@ class OnlineEstimator:
                         self._seen.add(event.sample)
                 if self.enabled:
                     self._learner.observe(event.sample, event.power)
+            case Interval():
+                if self.enabled and self._stuck.suspected is None:
+                    self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
             case TimeJump():
@@ -292,7 +303,8 @@ class OnlineEstimator:
         prediction = self._learner.predict(sample)
         self._predictions[kind].append((sample, prediction))
         sigma = self._bands[kind].sigma(sample, prediction.sigma)
-        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma)
+        energy_sigma = prediction.energy_sigma
+        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma, energy_sigma)
 
     def _learn_bands(self, event: MeasuredSample) -> None:
         """Hold the predictions made for this moment against what was measured."""
@@ -312,7 +324,7 @@ class OnlineEstimator:
         self._tick_ns += (stamp_ns - self._tick_ns) // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
         if self._waiting:
             self._collect()
-        if not self._waiting and self.enabled and not self._silent_for(BATTERY_TIMEOUT_NS):
+        if not self._waiting and self.enabled:
             self._begin_update()
         yield replace(self.parameters(), stamp_ns=stamp_ns)
 
@@ -362,4 +374,4 @@ def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
         from evpinn_ros.estimation.paper import PaperLearner
 
         return PaperLearner(vehicle, seed=settings.seed, form=settings.regen_form)
-    return HybridLearner(vehicle, seed=settings.seed)
+    return PinnLearner(vehicle, seed=settings.seed)

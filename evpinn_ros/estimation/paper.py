@@ -133,7 +133,7 @@ class PaperLearner:
             return
         residual = power - self.predict(sample).power
         self._variance += (residual**2 - self._variance) / NOISE_MEMORY
-        self._window.add(Observation(sample, power, 0.0))
+        self._window.add(Observation(sample, power))
         self._last_ns = sample.stamp_ns
 
     def prepare_update(self) -> Callable[[], Trained] | None:

@@ -163,7 +163,6 @@ class History:
 
     def add_noticed(self, report: LearnerReport) -> None:
         """Take what the learner says of the car by now, if it says something new."""
-        report = report._replace(lag=math.nan, lag_std=math.nan)  # they change all the time
         if not self._noticed or self._noticed[-1].report[:4] != report[:4]:
             self._noticed.append(Noticed(self._now, report))
 

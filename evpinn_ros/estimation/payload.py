@@ -8,45 +8,48 @@ m/eta rests on what came after the stop alone. Once it differs from that before 
 than chance and by more than `LEAST_CHANGE`, the fork becomes the filter.
 
 What chance does is learned from the stops at which nothing changed: their changes over their
-sigmas have a root mean square (`Chance`) of about 1 in simulated town traffic, and of 4 on real
-roads whose hills and winds the filter does not know. A car whose stops are not known yet is told
-no change. `SIGNIFICANT` is far out because there are 5000 stops in 100 hours.
+sigmas have a root mean square (`Chance`). A car whose stops are not known yet is given no change.
+`SIGNIFICANT` is far out because there are 5000 stops in 100 hours.
 
-A change is told as soon as it is certain that there is one, and sharpened for `MOST_MOTION` since
-the stop. An earlier stop may be certain first, having seen both loads; so later stops that were on
-trial then go on, and the most significant has it. Undone: for `PROBATION` of motion a change is
-held against what the filter learns further. If m/eta comes back past half of it, the change is
-withdrawn; the next stop may also take it back.
+A change is reported as soon as it is certain that there is one, and sharpened for `MOST_MOTION`
+since the stop. An earlier stop may be certain first, having seen both loads; so later stops that
+were on trial then go on, and the most significant has it. Undone: for `PROBATION` of motion a
+change is compared with what the filter learns further. If m/eta comes back past half of it, the
+change is withdrawn; the next stop may also take it back.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import copy
+from dataclasses import asdict, dataclass, replace
 import math
 from typing import Any
 
-from evpinn_ros.estimation.published_filter import PublishedFilter
-from evpinn_ros.signals.sample import Sample
+import numpy as np
+
+from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.published import EnergySums, mass_over_eta, published
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
-STOP = 5.0  # s of standstill, or of silence, in which someone may get in or out
+STOP = 5.0  # s of standstill, or without intervals, in which someone may get in or out
 LOAD_SPREAD = 0.15  # 1-sigma of the logarithm of mass across a stop: full load of a passenger car
-LEAST_MOTION = 75.0  # s of motion after a stop before it is judged
+LEAST_MOTION = 70.0  # s of motion after a stop before it is judged
 MOST_MOTION = 120.0  # s of motion after which a stop is judged no more
 KNOWN = 0.02  # 1-sigma of the logarithm of m/eta that must be reached before and after
 SIGNIFICANT = 4.8  # sigmas
 LEAST_CHANGE = 85.0  # kg: one grown person with a bag
-LEAST_STOPS = 3.0  # without a change, before one is told
+LEAST_STOPS = 3.0  # without a change, before one is reported
 STOPS_KEPT = 40.0  # that what chance does is learned from, about an hour in town
-STOPS_BELIEVED = 8.0  # stops' worth of belief that sigmas are true
+PRIOR_STOPS = 8.0  # stops that the prior of true sigmas weighs
 FORKS = 4  # stops on trial at once
 PROBATION = 600.0  # s of motion in which a change may be withdrawn
 
 
 @dataclass(frozen=True, slots=True)
-class LoadChange:
+class PayloadChange:
     """A change of payload.
 
     Attributes:
@@ -76,16 +79,17 @@ class Chance:
     @property
     def scale(self) -> float:
         """By which sigmas are too small, at least 1."""
-        mean = (STOPS_BELIEVED + self.squares) / (STOPS_BELIEVED + self.stops)
+        mean = (PRIOR_STOPS + self.squares) / (PRIOR_STOPS + self.stops)
         return math.sqrt(max(1.0, mean))
 
 
 @dataclass(slots=True)
 class _Trial:
-    """A stop on trial: the fork that let go of the mass there, and log m/eta before it.
+    """A stop on trial.
 
-    `motion`, s since; `change` of log m/eta and its `significance` when it was found; `rival` of
-    the change found, when it was on trial already then.
+    `before`, log m/eta at it with 1-sigma and mass, kg; `motion`, s since; `change` of log m/eta
+    and its `significance` when it was found; `rival` of the change found, when it was on trial
+    already then.
     """
 
     stamp_ns: int
@@ -98,8 +102,8 @@ class _Trial:
     rival: bool = False
 
 
-class LoadDetector:
-    """See the module's text. Feed it every sample that the filter learns from, after the filter.
+class PayloadDetector:
+    """See the module's text. Feed it every interval that the filter learns from, after the filter.
 
     Attributes:
         change: the last change of payload, None when none was found or it was withdrawn.
@@ -109,13 +113,12 @@ class LoadDetector:
 
     def __init__(self) -> None:
         """Nothing known of any stop."""
-        self.change: LoadChange | None = None
+        self.change: PayloadChange | None = None
         self.found = self.withdrawn = 0
         self._chance = Chance()
-        self._trials: deque[tuple[_Trial, PublishedFilter]] = deque(maxlen=FORKS)
+        self._trials: deque[tuple[_Trial, CarFilter]] = deque(maxlen=FORKS)
         self._given_up: list[_Trial] = []  # as it seems now, stops without a change
         self._found: _Trial | None = None  # the change on probation
-        self._settled: tuple[float, float] | None = None
         self._standing = 0.0
         self._last_ns: int | None = None
 
@@ -126,28 +129,33 @@ class LoadDetector:
         self._last_ns = None
         self._standing = STOP
 
-    def push(
-        self, current: PublishedFilter, sample: Sample, power: float, step: float
-    ) -> PublishedFilter:
-        """Judge stops by one more sample; gives the filter to go on with, `current` or a fork."""
-        silent = 0.0 if self._last_ns is None else (sample.stamp_ns - self._last_ns) * 1e-9
-        self._last_ns = sample.stamp_ns
-        for _, fork in self._trials:
-            fork.advance(sample)
-            fork.update(sample, power, step)
-        if abs(sample.speed) < STANDSTILL_SPEED:
-            self._standing += step
-            return current
-        if max(self._standing, silent) >= STOP:
-            self._begin(current, sample)
-        self._standing = 0.0
-        self._watch(current, step)
-        return self._judge(current, step)
+    def copy(self) -> PayloadDetector:
+        """An independent copy."""
+        other = copy.copy(self)
+        other._chance, other._found = replace(self._chance), copy.copy(self._found)
+        other._trials = deque(
+            ((replace(trial), fork.copy()) for trial, fork in self._trials), maxlen=FORKS
+        )
+        other._given_up = [replace(trial) for trial in self._given_up]
+        return other
 
-    def take_settled(self) -> tuple[float, float] | None:
-        """A change that stood for `MOST_MOTION`: of log mass, and its 1-sigma; told once."""
-        settled, self._settled = self._settled, None
-        return settled
+    def learn(self, current: CarFilter, sums: EnergySums, interval: Interval) -> CarFilter:
+        """Judge stops by one more interval; gives the filter to go on with."""
+        last, self._last_ns = self._last_ns, interval.end_ns
+        unseen = 0.0 if last is None else (interval.start_ns - last) * 1e-9
+        for _, fork in self._trials:
+            fork.learn(interval)
+        steps = interval.steps
+        stands = steps.distance < STANDSTILL_SPEED * steps.duration
+        moved = interval.duration - float(steps.duration @ stands)
+        before = self._standing + (interval.duration if stands.all() else _leading(stands, steps))
+        if moved > 0.0 and max(before, unseen) >= STOP:
+            self._begin(current, sums, interval.start_ns)
+        self._standing = _trailing(stands, steps) if moved > 0.0 else before
+        if moved == 0.0:
+            return current
+        self._watch(current, sums, moved)
+        return self._judge(current, sums, moved)
 
     def export(self) -> dict[str, Any]:
         """State to save; stops on trial are given up with the process."""
@@ -160,27 +168,27 @@ class LoadDetector:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
         chance = Chance(**_finite(state["chance"]))
-        change = None if state["change"] is None else LoadChange(**_finite(state["change"]))
+        change = None if state["change"] is None else PayloadChange(**_finite(state["change"]))
         found = None if state["found"] is None else _Trial(**_finite(state["found"]))
         self._chance, self.change, self._found = chance, change, found
         self._standing = STOP  # the car may have stood since
 
-    def _begin(self, current: PublishedFilter, sample: Sample) -> None:
+    def _begin(self, current: CarFilter, sums: EnergySums, stamp_ns: int) -> None:
         """The car sets off again after a stop."""
-        log, std = current.mass_over_eta()
+        log, std = mass_over_eta(current, sums)
         if std > KNOWN:
             return
-        mass = current.published().parameters().mass
-        self._trials.append((_Trial(sample.stamp_ns, log, std, mass), current.fork(LOAD_SPREAD)))
+        mass = math.exp(float(published(current, sums).now.mean[2]))
+        self._trials.append((_Trial(stamp_ns, log, std, mass), current.fork(LOAD_SPREAD)))
 
-    def _judge(self, current: PublishedFilter, step: float) -> PublishedFilter:
+    def _judge(self, current: CarFilter, sums: EnergySums, moved: float) -> CarFilter:
         """Take the stop that the data speak for most."""
-        best: tuple[_Trial, PublishedFilter, float] | None = None
+        best: tuple[_Trial, CarFilter, float] | None = None
         for trial, fork in self._trials:
-            trial.motion += step
+            trial.motion += moved
             if trial.motion < LEAST_MOTION or self._chance.stops < LEAST_STOPS:
                 continue
-            log, std = fork.mass_over_eta()
+            log, std = mass_over_eta(fork, sums)
             trial.change = log - trial.before
             trial.significance = abs(trial.change) / self._spread(trial, std)
             enough = abs(trial.mass * math.expm1(trial.change)) >= LEAST_CHANGE
@@ -191,13 +199,13 @@ class LoadDetector:
                 best = trial, fork, std
         if best is not None:
             return self._take(*best)
-        self._give_up(step)
+        self._give_up(sums, moved)
         return current
 
-    def _take(self, trial: _Trial, fork: PublishedFilter, std: float) -> PublishedFilter:
-        """A change is found, or found to be of a later stop than it was thought."""
+    def _take(self, trial: _Trial, fork: CarFilter, std: float) -> CarFilter:
+        """A change is found, or found to be of a later stop than it seemed."""
         self.found += not trial.rival
-        self.change = self._load_change(trial, trial.change, std)
+        self.change = self._payload_change(trial, trial.change, std)
         self._found = trial
         later = [each for each in self._trials if each[0].stamp_ns > trial.stamp_ns]
         self._trials.clear()
@@ -205,30 +213,28 @@ class LoadDetector:
         self._given_up.clear()
         for each, _ in later:
             each.rival = True
-        fork.shift_mass(0.0, 0.0)
         return fork
 
-    def _give_up(self, step: float) -> None:
+    def _give_up(self, sums: EnergySums, moved: float) -> None:
         """Learn what chance does where nothing changed, once it is sure that nothing did."""
         while self._trials and self._trials[0][0].motion > MOST_MOTION:
             trial, fork = self._trials.popleft()
-            log, std = fork.mass_over_eta()
+            log, std = mass_over_eta(fork, sums)
             if std <= KNOWN and not trial.rival:
                 trial.significance = abs(log - trial.before) / math.hypot(std, trial.before_std)
                 self._given_up.append(trial)
         for trial in self._given_up:
-            trial.motion += step
+            trial.motion += moved
         while self._given_up and self._given_up[0].motion > 2 * MOST_MOTION:
             self._chance.learn(self._given_up.pop(0).significance)
 
-    def _watch(self, current: PublishedFilter, step: float) -> None:
+    def _watch(self, current: CarFilter, sums: EnergySums, moved: float) -> None:
         """Sharpen a change by what is learned after it, or withdraw it."""
         found = self._found
         if found is None or self.change is None:
             return
-        unsettled = found.motion <= MOST_MOTION
-        found.motion += step
-        log, std = current.mass_over_eta()
+        found.motion += moved
+        log, std = mass_over_eta(current, sums)
         change = log - found.before
         if found.motion > PROBATION:
             self._found = None
@@ -237,18 +243,27 @@ class LoadDetector:
             self.withdrawn += 1
             self._chance.learn(found.significance * self._chance.scale)  # chance did that
         elif found.motion <= MOST_MOTION:
-            self.change = self._load_change(found, change, std)
-        elif unsettled:
-            self._settled = change, self._spread(found, std)
+            self.change = self._payload_change(found, change, std)
 
     def _spread(self, trial: _Trial, std: float) -> float:
         """1-sigma of a change of log m / eta, from that of log m / eta now."""
         return self._chance.scale * math.hypot(std, trial.before_std)
 
-    def _load_change(self, trial: _Trial, change: float, std: float) -> LoadChange:
+    def _payload_change(self, trial: _Trial, change: float, std: float) -> PayloadChange:
         """The change of mass, kg, of a change of log m / eta, from the 1-sigma of this now."""
         delta = trial.mass * math.expm1(change)
-        return LoadChange(trial.stamp_ns, delta, trial.mass * self._spread(trial, std))
+        return PayloadChange(trial.stamp_ns, delta, trial.mass * self._spread(trial, std))
+
+
+def _leading(stands: np.ndarray, steps: Any) -> float:
+    """Seconds that the car stands at the begin of an interval in which it moves."""
+    return float(steps.duration[: int(np.argmin(stands))].sum())
+
+
+def _trailing(stands: np.ndarray, steps: Any) -> float:
+    """Seconds that it stands at its end."""
+    count = int(np.argmin(stands[::-1]))
+    return float(steps.duration[len(stands) - count :].sum())
 
 
 def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
