@@ -15,6 +15,7 @@ import math
 from typing import Any, NamedTuple
 
 from evpinn_ros.energy.course import Correction, Course, MeasuredStep, Prediction
+from evpinn_ros.energy.plausible import MAX_POWER, MOST_ENERGY, MOST_SECONDS, ROUNDING
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.saved import number, numbers, or_none, section
@@ -246,15 +247,16 @@ class EnergyMeter:
             InputError: something is missing or not a number; nothing is changed then.
         """
         measured, predicted = EnergyIntegral(self._timeout), EnergyIntegral(self._max_gap)
-        measured.restore(section(saved, "measured"))
-        predicted.restore(section(saved, "predicted"))
-        rknn, unmeasured_s = (number(saved, name) for name in ("rknn", "unmeasured_s"))
+        measured.restore(section(saved, "measured"), MAX_POWER)
+        predicted.restore(section(saved, "predicted"), MAX_POWER)
+        rknn = number(saved, "rknn", most=MAX_POWER * predicted.covered_s * ROUNDING)
+        unmeasured_s = number(saved, "unmeasured_s", most=MOST_SECONDS)
         measured_sigma, predicted_sigma, bridged_sigma, lasting_sigma = (
-            number(saved, f"{name}_sigma", may_be_unknown=True)
+            number(saved, f"{name}_sigma", may_be_unknown=True, most=MOST_ENERGY)
             for name in ("measured", "predicted", "bridged", "lasting")
         )
-        bridged = Bridge(*numbers(saved, "bridged", len(Bridge._fields)))
-        lasting = _lasting(numbers(saved, "lasting", 2))
+        bridged = Bridge(*numbers(saved, "bridged", [*3 * [MOST_ENERGY], MOST_SECONDS]))
+        lasting = _lasting(numbers(saved, "lasting", [MOST_SECONDS, MOST_SECONDS]))
         self._measured, self._predicted = measured, predicted
         self._rknn, self._rknn_power = CompensatedSum(rknn), math.nan
         self._measured_error = CorrelatedError(self._tau, measured_sigma)
