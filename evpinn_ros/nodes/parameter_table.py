@@ -162,10 +162,11 @@ ENERGY = (
     VEHICLE,
     Parameter(
         "integrator",
-        "trapezoid",
-        "What integrates the predicted power that bridges a silent battery: the trapezoid rule, "
-        "the more exact, or the paper's Runge-Kutta network. energy/state holds both.",
-        choices=("trapezoid", "rknn"),
+        "rknn",
+        "What integrates the predicted power that stands in for the battery, in a dropout and "
+        "between two slow samples: the paper's Runge-Kutta network, or the trapezoid rule. "
+        "energy/state holds both.",
+        choices=("rknn", "trapezoid"),
     ),
     Parameter(
         "max_gap",
