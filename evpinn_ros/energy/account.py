@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState
 from evpinn_ros.energy.plausible import (
@@ -27,7 +28,7 @@ from evpinn_ros.energy.saved import numbers, or_none, section
 from evpinn_ros.energy.silence import Silence
 from evpinn_ros.energy.trip import Stretch, TripLog
 from evpinn_ros.errors import InputError
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 
 STATE_VERSION = 1
 LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
@@ -111,6 +112,7 @@ class EnergyAccount:
         meter: integrates power, since the last reset.
         trip: distance and consumption.
         gauge: state of charge and capacity.
+        battery: its charge and voltage, for the end of a plan.
         reconciled: of the last silence of the battery that ended, None before.
         refused: readings of what no car can do, by reason, since the process began.
     """
@@ -124,6 +126,7 @@ class EnergyAccount:
             capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
         """
         self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
+        self.battery = BatteryModel(capacity)
         self._vehicle = vehicle
         self.refused: Counter[str] = Counter()
         self.reset()
@@ -133,6 +136,7 @@ class EnergyAccount:
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
+        self.battery.reset()
         self._begin(Totals(), 0.0, 0.0)
 
     def _begin(self, before: Totals, correction: float, variance_taken: float) -> None:
@@ -191,6 +195,11 @@ class EnergyAccount:
             self.refused["speed_out_of_range"] += 1
             return
         self.trip.push(stamp_ns, speed, self.meter.state.consumed)
+
+    def push_battery(self, reading: BatteryReading) -> None:
+        """Take what the battery tells of itself: state of charge, voltage and current."""
+        self.battery.push(reading)
+        self.push_charge(reading.stamp_ns, reading.state_of_charge)
 
     def push_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
@@ -301,6 +310,7 @@ class EnergyAccount:
             "meter": self.meter.exported(),
             "trip": self.trip.exported(),
             "charge": self.gauge.exported(),
+            "battery": self.battery.exported(),
             "correction": [self._correction, self._variance_taken],
             "before_reset": [or_none(value) for value in self._before_reset],
         }
@@ -319,6 +329,10 @@ class EnergyAccount:
         self.meter.restore(section(state, "meter"))
         self.trip.restore(section(state, "trip"))
         self.gauge.restore(section(state, "charge"))
+        if "battery" in state:  # files of before have none
+            self.battery.restore(section(state, "battery"))
+        else:
+            self.battery.reset()
         correction, variance_taken = numbers(state, "correction", [MOST_ENERGY, MOST_ENERGY**2])
         before = Totals(*numbers(state, "before_reset", MOST_COUNTED, may_be_unknown=True))
         if before.distance < 0 or before.variance < 0:

@@ -198,7 +198,7 @@ class EnergyNode(GuardedNode):
 
     def _on_battery(self, message: Any) -> None:
         reading = battery_reading(message)
-        self.account.push_charge(reading.stamp_ns, reading.state_of_charge)
+        self.account.push_battery(reading)
 
     def _on_model(self, message: Any) -> None:
         self.forecaster.hear_model(read_model(message, self._vehicle.key))
@@ -227,13 +227,15 @@ class EnergyNode(GuardedNode):
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
         charge, capacity = self.account.charge(), self.account.gauge.capacity
-        answer = self.forecaster.answer(plan, charge, capacity, self.now_ns())
+        answer = self.forecaster.answer(
+            plan, charge, capacity, self.now_ns(), self.account.battery
+        )
         result, self._charge_after = answer.forecast, answer.charge
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
         yield topics.FORECAST, forecast_bytes(header, times, *columns)
         if answer.charge.known:
-            reading = BatteryReading(0, math.nan, math.nan, answer.charge.value)
+            reading = BatteryReading(0, answer.voltage, math.nan, answer.charge.value)
             battery = battery_message(new_message, reading)
             battery.header = header
             yield topics.FORECAST_BATTERY, battery
