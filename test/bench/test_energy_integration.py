@@ -37,9 +37,10 @@ def test_a_bundled_drive_gives_every_figure_of_a_car(monkeypatch):
     assert rows[f"{silent}: median"].cases >= 2
     assert 0.0 < rows[f"{silent}: median"].figure <= rows[f"{silent}: worst"].figure < 50.0
     assert 0.0 <= rows[f"{silent}: in the 90 % band"].figure <= 100.0
-    for period in (1, 5):
+    # A battery every 5 s teaches nothing, and nothing was learned before this drive.
+    for period, most in ((1, 2.0), (5, 30.0)):
         slow = f"tesla_model_3_lr, battery every {period} s with 10% in gaps"
         network, rule = (rows[f"{slow}, {each.value}: worst"] for each in Integrator)
-        assert network.figure == pytest.approx(0.0, abs=2.0) and network.cases == 1
+        assert 0.0 < network.figure < most and network.cases == 1
         assert network.figure == pytest.approx(rule.figure, abs=0.1)
         assert network.figure != rule.figure
