@@ -25,6 +25,7 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 END = 50  # samples at the end whose mean voltage is the truth
 STEP = 1.0  # s of the plan
+LEEWAY = 10.0  # s by which the battery may be known for less than the plan lasts
 
 
 class BatteryRow(NamedTuple):
@@ -63,7 +64,7 @@ class BatteryBenchmark:
             forecast: of its energy, None for its measured power.
 
         Returns:
-            None where the drive tells no state of charge.
+            None where the drive does not tell its state of charge from its start to its end.
         """
         known = [
             reading
@@ -75,7 +76,10 @@ class BatteryBenchmark:
             return None
         self._account.begin_next_trip()
         self._account.push_battery(known[0])  # what is known when the plan is asked for
-        row = self._row(known, _driven(known) if forecast is None else forecast)
+        plan = _driven(known) if forecast is None else forecast
+        length = (known[-1].stamp_ns - known[0].stamp_ns) / NANOSECONDS
+        same = abs(length - (plan.time[-1] - plan.time[0])) <= LEEWAY
+        row = self._row(known, plan) if same else None
         for reading in known[1:]:
             self._account.push_measured(reading.stamp_ns, reading.power, 0.0)
             self._account.push_battery(reading)
