@@ -11,10 +11,12 @@ from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
+from evpinn_ros.energy.plausible import ROUNDING
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MAX_GAP = 2.0  # s
+MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
 SAVED = ("drawn", "regenerated", "covered_s", "gaps", "gap_s", "out_of_order", "not_finite")
 
 
@@ -167,16 +169,23 @@ class EnergyIntegral:
         """
         return {name: getattr(self, name) for name in SAVED}
 
-    def restore(self, saved: Mapping[str, float]) -> None:
+    def restore(self, saved: Mapping[str, float], most: float = math.inf) -> None:
         """Continue from what `exported` gave.
 
+        Args:
+            saved: the values by name.
+            most: power, W, that nothing integrated can have exceeded.
+
         Raises:
-            InputError: a value is missing, negative or not finite; nothing is changed then.
+            InputError: a value is missing, negative or not finite, or the integral is larger than
+                `most` would have made it in that time; nothing is changed then.
         """
         for name in SAVED:
             value = saved.get(name)
-            if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+            if not isinstance(value, (int, float)) or not 0 <= value <= MOST_COUNTED:
                 raise InputError(f"saved energy: '{name}' is {value!r}, expected a number >= 0")
+        if saved["drawn"] + saved["regenerated"] > most * saved["covered_s"] * ROUNDING:
+            raise InputError(f"saved energy: more than {most:g} all the time was integrated")
         self._last = None
         self._drawn = CompensatedSum(float(saved["drawn"]))
         self._regenerated = CompensatedSum(float(saved["regenerated"]))

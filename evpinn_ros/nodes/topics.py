@@ -303,7 +303,8 @@ FORECAST_BATTERY = Topic(
     BATTERY_TYPE,
     "energy",
     False,
-    "the battery at the end of the plan; not published while the state of charge is unknown",
+    "the battery at the end of the plan; not published while the state of charge is unknown. "
+    "Its voltage is NaN until a minute of voltage, current and state of charge was heard",
     "1",
 )
 DIAGNOSTICS = Topic(

@@ -39,7 +39,7 @@ class Chain:
         if isinstance(reading, SpeedReading):
             self.account.push_speed(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
-            self.account.push_charge(reading.stamp_ns, reading.state_of_charge)
+            self.account.push_battery(reading)
         for output in self.estimator.push(reading):
             yield output
             if not isinstance(output, PowerEstimate):

@@ -70,7 +70,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
     energy = table("energy")
     assert (energy["max_gap"].default, energy["max_gap"].upper) == (MAX_GAP, STEP_LIMIT)
     assert set(energy["integrator"].choices) == {member.value for member in Integrator}
-    assert energy["integrator"].default == Integrator.TRAPEZOID.value
+    assert energy["integrator"].default == Integrator.RKNN.value
     speed = energy["nominal_speed"]
     assert (speed.default, speed.upper) == (NOMINAL_SPEED, MAX_SPEED)
 
@@ -84,7 +84,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
         ("estimator", "seed", True, "a whole number"),
         ("estimator", "seed", -1, "outside"),
         ("estimator", "mode", "clever", "not one of hybrid, paper"),
-        ("energy", "integrator", "simpson", "not one of trapezoid, rknn"),
+        ("energy", "integrator", "simpson", "not one of rknn, trapezoid"),
         ("estimator", "vehicle", "tesla", "no vehicle named 'tesla'"),
         ("estimator", "time_jump_threshold", 0.3, "above allowed_lateness"),
         ("can_bridge", "can_profile", "vw", "no CAN profile named 'vw'"),
