@@ -44,6 +44,7 @@ setup(
         "matplotlib",
         "mcap",
         "numpy",
+        "polars",
         "python-can[multicast]",
         "pyyaml",
         "rich",
