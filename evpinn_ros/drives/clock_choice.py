@@ -11,7 +11,7 @@ from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.numbers import Style
 from evpinn_ros.drives.quantities import QUANTITIES, score
 from evpinn_ros.drives.survey import Survey
-from evpinn_ros.drives.times import NONE, Clock, Unwrapped, clock_of_numbers, clock_of_text
+from evpinn_ros.drives.times import DAY_NS, NONE, Clock, Unwrapped, clock_of_numbers, clock_of_text
 
 
 def choose_clock(
@@ -55,12 +55,12 @@ def _clock(column: Column, survey: Survey, styles: Mapping[int, Style]) -> Clock
 
 
 def _is_day_alone(clock: Clock, survey: Survey) -> bool:
-    """Whether the column holds dates without a clock."""
-    return (
-        clock.kind == "date"
-        and len(clock.columns) == 1
-        and ":" not in "".join(survey.cells[clock.columns[0]][:20])
-    )
+    """Whether the column holds dates without a clock, or with that of midnight."""
+    if clock.kind != "date" or len(clock.columns) > 1:
+        return False
+    stamps = clock.stamps([survey.cells[clock.columns[0]]])
+    known = stamps[stamps != NONE]
+    return known.size > 1 and not (known % DAY_NS).any()
 
 
 def _merit(clock: Clock, survey: Survey, header: Sequence[str]) -> tuple[float, ...]:

@@ -24,6 +24,9 @@ LEAST_SEGMENTS = 3  # from one step of the odometer to the next
 SAG = 0.3  # correlation of current and voltage from which on the battery's resistance is seen
 LEAST_SAGS = 30  # steps of both
 STANDING = 1000.0  # m by the odometer that a speed of zero throughout contradicts
+LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass
+USUAL_MASS = 2000.0  # kg
+WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
 HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
 
 FloatArray = NDArray[np.float64]
@@ -50,9 +53,10 @@ def with_units(
     done = {name: _by_app(column, header) for name, column in found.items()}
     if "odometer" in done and not done["odometer"].unit:
         done["odometer"] = done["odometer"].measured_in("km", Unit(1e3), "assumed")
+    if "power" in done and not done["power"].unit and not _is_known(done["power"]):
+        done["power"] = _power_unit(done["power"], cells["power"].value)
     if "speed" in done and not _is_known(done["speed"]):
-        road, odometer = _road(done, cells), done.get("odometer")
-        done["speed"] = _speed_unit(done["speed"], cells["speed"], road, odometer)
+        done["speed"] = _speed_unit(done["speed"], cells, _road(done, cells), done)
     for name in SIGNED:
         if name in done and _is_guessed(done[name]):
             positive, shows = _sign(cells[name], done["speed"], cells)
@@ -114,7 +118,38 @@ def _road(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:
     return float(np.quantile(ratios, 0.25))
 
 
-def _speed_unit(column: Column, signal: Signal, road: float, odometer: Column | None) -> Column:
+def _mass(speed: Signal, power: Signal) -> float:
+    """Power over speed times acceleration in the file's units of speed; NaN where they differ.
+
+    The change of kinetic energy is most of a car's power, so this is its mass, kg, where the
+    speed is in m/s, and a thirteenth of it where it is in km/h.
+    """
+    times, change = accelerations(speed)
+    kinetic = change * at_times(speed, times)
+    drawn = at_times(power, times)
+    known = np.isfinite(kinetic) & np.isfinite(drawn)
+    if known.sum() < LEAST_EVENTS or not kinetic[known].any() or not np.ptp(drawn[known]):
+        return np.nan
+    spread = np.cov(kinetic[known], drawn[known])
+    if abs(spread[0, 1]) < LIKE * np.sqrt(spread[0, 0] * spread[1, 1]):
+        return np.nan
+    return float(abs(spread[0, 1]) / spread[0, 0])
+
+
+def _power_of(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signal | None:
+    """Power of the battery, W, its sign unknown."""
+    if {"voltage", "current"} <= cells.keys():
+        current = cells["current"]
+        return Signal(current.time, current.value * at_times(cells["voltage"], current.time))
+    if "power" in cells:
+        return Signal(cells["power"].time, cells["power"].value * found["power"].factor)
+    return None
+
+
+def _speed_unit(
+    column: Column, cells: Mapping[str, Signal], road: float, found: Mapping[str, Column]
+) -> Column:
+    signal, odometer = cells["speed"], found.get("odometer")
     units = QUANTITIES["speed"].units
     if road > 0:
         ratios = {text: abs(np.log(units[text].factor / road)) for text in ("km/h", "mph", "m/s")}
@@ -124,6 +159,13 @@ def _speed_unit(column: Column, signal: Signal, road: float, odometer: Column | 
     if odometer is not None and odometer.why == "by its name":
         text = "mph" if odometer.unit.startswith("mi") else "km/h"
         return column.measured_in(text, units[text], "as the unit of the odometer")
+    power = _power_of(found, cells)
+    mass = _mass(signal, power) if power is not None else np.nan
+    if mass > 0:
+        masses = {text: mass / units[text].factor ** 2 for text in ("km/h", "m/s")}
+        text = min(masses, key=lambda each: abs(np.log(masses[each] / USUAL_MASS)))
+        if abs(np.log(masses[text] / USUAL_MASS)) < np.log(3.0):
+            return column.measured_in(text, units[text], "by the power that accelerating takes")
     value = signal.value[np.isfinite(signal.value)]
     fastest = float(np.abs(value).max(initial=0.0))
     changes = np.sort(np.abs(accelerations(signal)[1]))
@@ -221,6 +263,15 @@ def _say_sign(column: Column, positive: bool, shows: str) -> Column:
         unit=text if positive else f"-{text}",
         why=f"{'positive' if positive else 'negative'} while it discharges, {shows}",
     )
+
+
+def _power_unit(column: Column, values: FloatArray) -> Column:
+    """Watts, or kilowatts where they would not move a car."""
+    units = QUANTITIES["power"].units
+    known = np.abs(values[np.isfinite(values)])
+    largest = float(np.quantile(known, 0.99)) if known.size else 0.0
+    text = "kw" if 0 < largest < WEAKEST else "w"
+    return column.measured_in(text, units[text], f"by its size, up to {largest:.3g}")
 
 
 def _charge_unit(column: Column, values: FloatArray) -> Column:

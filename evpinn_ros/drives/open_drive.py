@@ -5,13 +5,22 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from evpinn_ros.drives.formats import is_table
+from evpinn_ros.drives.formats import (
+    MEASUREMENT_SUFFIX,
+    PARQUET_SUFFIXES,
+    SHEET_SUFFIXES,
+    TABLE_SUFFIXES,
+    TEXT_SUFFIXES,
+    suffix_of,
+)
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import Reading
 
 if TYPE_CHECKING:
+    from evpinn_ros.drives.survey import Table
     from evpinn_ros.drives.table_drive import TableDrive
 
 NOMINAL_VOLTAGE = 350.0  # V, of a car that is not known
@@ -26,9 +35,12 @@ class DriveSource:
         dropped: what was not used, by reason; complete once the readings are exhausted.
     """
 
-    def __init__(self, path: Path, drive: TableDrive) -> None:
-        """Wrap what was opened."""
+    def __init__(
+        self, path: Path, drive: TableDrive, folder: TemporaryDirectory[str] | None = None
+    ) -> None:
+        """Wrap what was opened; the folder of what was unpacked is kept as long."""
         self.path, self.drive = path, drive
+        self._folder = folder
         self.dropped: Counter[str] = drive.dropped
         self._problem: str | None = None
 
@@ -63,7 +75,7 @@ class DriveSource:
 def open_drive(
     path: Path, nominal_voltage: float = NOMINAL_VOLTAGE, columns: Sequence[str] = ()
 ) -> DriveSource:
-    """Open a table of a drive: CSV and the like, a spreadsheet, Parquet.
+    """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
 
     Args:
         path: of the file.
@@ -75,9 +87,37 @@ def open_drive(
     """
     # polars takes a quarter of a second: whoever opens no table does not wait for it.
     from evpinn_ros.drives.table_drive import TableDrive
-    from evpinn_ros.drives.text_table import TextTable
 
     path = Path(path)
-    if not is_table(path):
-        raise InputError(f"{path}: no table of a drive")
-    return DriveSource(path, TableDrive(TextTable(path), path, nominal_voltage, columns))
+    table, folder = _table(path)
+    try:
+        return DriveSource(path, TableDrive(table, path, nominal_voltage, columns), folder)
+    except InputError:
+        if folder is not None:
+            folder.cleanup()
+        raise
+
+
+def _table(path: Path) -> tuple[Table, TemporaryDirectory[str] | None]:
+    """The rows of a file, and the folder that they need."""
+    from evpinn_ros.drives.sheets import ParquetTable, SheetTable
+    from evpinn_ros.drives.text_table import TextTable
+
+    suffix = suffix_of(path)
+    if suffix in TEXT_SUFFIXES:
+        return TextTable(path), None
+    if path.suffix.lower() == ".gz":
+        raise InputError(f"{path}: unpack it first")
+    if suffix in SHEET_SUFFIXES:
+        return SheetTable(path), None
+    if suffix in PARQUET_SUFFIXES:
+        return ParquetTable(path), None
+    if suffix == MEASUREMENT_SUFFIX:
+        from evpinn_ros.drives.measurement import signals_of
+
+        folder = TemporaryDirectory()
+        if signals := signals_of(path, Path(folder.name)):
+            return TextTable(signals), folder
+        folder.cleanup()
+        raise InputError(f"{path}: no signal of a drive in it")
+    raise InputError(f"{path}: no table of a drive; known are {', '.join(TABLE_SUFFIXES)}")

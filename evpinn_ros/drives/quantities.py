@@ -149,7 +149,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         _phrases("power,pwr,leistung,w,kw"),
         (),
         _phrases("est"),
-        _phrases("can," + _NO_POWER),
+        _phrases("can,no,on," + _NO_POWER),
         _POWER,
     ),
     "aircon": Quantity(

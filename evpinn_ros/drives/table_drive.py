@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from evpinn_ros.drives.clock_choice import choose_clock
 from evpinn_ros.drives.column import Column, check_columns, columns_by_name
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
+from evpinn_ros.drives.long_form import LongTable, long_form
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
 from evpinn_ros.drives.quantities import QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import RowReadings
@@ -26,6 +27,7 @@ from evpinn_ros.drives.times import (
     RELATIVE_BELOW_S,
     Unwrapped,
     date_of_name,
+    start_of_comments,
 )
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
@@ -51,7 +53,7 @@ class TableDrive:
         at_nominal_voltage: battery readings made from power alone; likewise.
         no_speed: speed is zero throughout while the odometer goes on, so it is not used.
         first_bad: the first cell that could not be read, with the way to mend it; likewise.
-        dated: whether the stamps are of the day of the drive, and by what: `log`, `name` or "".
+        dated: what tells the day of the drive: `log`, `name` of the file, or "" for nothing.
     """
 
     def __init__(
@@ -81,6 +83,9 @@ class TableDrive:
         self._nominal_voltage = nominal_voltage
         try:
             self._head = find_head(table)
+            if long := long_form(self._head):
+                self._table = LongTable(table, self._head, long)
+                self._head = find_head(self._table)
             header = self._head.names
             found = columns_by_name(header, chosen)
             check_columns(found, header)
@@ -92,7 +97,7 @@ class TableDrive:
             for column in found
         )
         places = sorted({column.place for column in found})
-        survey = look_through(table, self._head, places, FEW_ROWS if own else None)
+        survey = look_through(self._table, self._head, places, FEW_ROWS if own else None)
         self._survey = survey
         self._styles = _styles(survey)
         self.clock = choose_clock(found, survey, self._styles, header)
@@ -101,7 +106,11 @@ class TableDrive:
         self.rules = self._ruled(found, own)
         self.columns = tuple(rule.name for rule in self.rules)
         used = {rule.place for rule in self.rules} | set(self.clock.columns)
-        self.ignored = tuple(name for i, name in enumerate(header) if i not in used and name)
+        others = self._table.others if isinstance(self._table, LongTable) else []
+        self.ignored = (
+            *(name for i, name in enumerate(header) if i not in used and name),
+            *others,
+        )
         self._start_ns, self.dated = self._start()
 
     def readings(self) -> Iterator[Reading]:
@@ -254,11 +263,15 @@ class TableDrive:
                     break
         if clock.dated:
             return 0, "log"
-        if clock.kind == "time of day":
-            day = date_of_name(self.path.name, first)
-            return (day, "name") if day is not None else (DRIVE_START_NS, "")
         if first >= RELATIVE_BELOW_S * NANOSECONDS:
             return 0, "log"
+        # A time of day, or seconds since midnight as Car Scanner's long form has them.
+        day = date_of_name(self.path.name, first, certain=clock.kind == "time of day")
+        if day is not None:
+            return day, "name"
+        started = start_of_comments(self._head.comments)
+        if started is not None and clock.kind == "number":
+            return started - first, "log"
         return DRIVE_START_NS, ""
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import polars as pl
 
 from evpinn_ros.drives.numbers import POINT, Style, to_floats
+from evpinn_ros.drives.quantities import QUANTITIES
 from evpinn_ros.signals.readings import NANOSECONDS
 
 NONE = np.iinfo(np.int64).min  # where there is no time
@@ -43,7 +44,7 @@ _ZONES = ("", "%z")
 # Torque's "GPS Time", the text of a Java date: Mon Dec 17 17:46:23 GMT+01:00 2018.
 _JAVA = ("%a-%b-%d %H:%M:%S GMT%z %Y", "%a-%b-%d %H:%M:%S UTC %Y")
 
-_NS = {"s": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "ns": 1.0, "min": 6e10, "h": 3.6e12}
+_NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
 
 
@@ -107,6 +108,8 @@ class Clock:
 def _joined(cells: Sequence[Sequence[str]]) -> pl.Series:
     """Date and time of each row in one cell, their signs made uniform."""
     text = pl.Series("", cells[0], dtype=pl.String).str.strip_chars()
+    if len(cells) > 1:  # a spreadsheet's date is one of midnight
+        text = text.str.replace(r"[T ]00:00(:00(\.0+)?)?$", "")
     for other in cells[1:]:
         more = pl.Series("", other, dtype=pl.String).str.strip_chars()
         text = text + " " + more
@@ -269,12 +272,27 @@ class Unwrapped:
         return found
 
 
-def date_of_name(stem: str, first_ns: int) -> int | None:
+def start_of_comments(comments: Sequence[str]) -> int | None:
+    """The moment that a line above the header tells, ns; None without one.
+
+    OBD Fusion begins with `# StartTime = 10/14/2017 01:20:36.0000 PM` and counts from there.
+    """
+    for comment in comments:
+        if match := re.search(r"start\w*\s*(?:time)?\s*[=:]\s*(.+)", comment, re.IGNORECASE):
+            cells = [match[1].strip(' ,;"')]
+            clock = clock_of_text((0,), [cells])
+            if clock is not None and clock.kind == "date":
+                return int(clock.stamps([cells])[0])
+    return None
+
+
+def date_of_name(stem: str, first_ns: int, *, certain: bool) -> int | None:
     """Midnight of the date in a file's name, ns; None without one, or where its clock differs.
 
     Args:
         stem: of the file, as `2023-11-19_12-40-45` of Car Scanner.
-        first_ns: the first time of day in the file.
+        first_ns: the first time in the file.
+        certain: whether that is a time of day; otherwise the name must have the same one.
     """
     match = re.search(
         r"(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?:[ T_-]+([0-2]\d)[-_.:]?([0-5]\d))?", stem
@@ -284,6 +302,8 @@ def date_of_name(stem: str, first_ns: int) -> int | None:
     try:
         day = datetime(int(match[1]), int(match[2]), int(match[3]), tzinfo=timezone.utc)
     except ValueError:
+        return None
+    if match[4] is None and not certain:
         return None
     if match[4] is not None:
         named = (int(match[4]) * 60 + int(match[5])) * 60 * NANOSECONDS

@@ -14,10 +14,12 @@ from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.gvret import HEADER as GVRET_HEADER
 from evpinn_ros.can.logs import LOG_SUFFIXES, LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.drives import open_drive
-from evpinn_ros.drives.formats import is_table, suffix_of
+from evpinn_ros.drives.formats import MEASUREMENT_SUFFIX, is_table, suffix_of
+from evpinn_ros.drives.measurement import holds_signals
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
@@ -172,6 +174,8 @@ def is_drive_table(path: Path) -> bool:
     """
     if path.is_dir() or not is_table(path):
         return False
+    if suffix_of(path) == MEASUREMENT_SUFFIX:
+        return holds_signals(path)
     if suffix_of(path) != ".csv":
         return True
     opener = gzip.open if path.suffix == ".gz" else Path.open
@@ -180,4 +184,4 @@ def is_drive_table(path: Path) -> bool:
             header = file.readline(10_000)
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: {error}") from error
-    return FRAME_COLUMN.encode() not in header
+    return FRAME_COLUMN.encode() not in header and GVRET_HEADER.encode() not in header

@@ -77,7 +77,7 @@ def test_no_units_at_all_and_milliseconds(tmp_path):
     check(drive)
     why = {rule.quantity: (rule.unit, rule.why) for rule in drive.rules}
     assert why["time"] == ("ms", "by the step between rows")
-    assert why["speed"] == ("km/h", "by how fast it changes")
+    assert why["speed"] == ("km/h", "by the power that accelerating takes")
     assert drive.ignored == ("rpm",)
 
 
