@@ -14,10 +14,9 @@ from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, results, writing
-from evpinn_ros.cli.csv_columns import explain_columns
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, complete_vehicle
-from evpinn_ros.drives.open_drive import DriveSource
+from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.drives.quantities import QUANTITIES
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import Source, open_source
@@ -75,8 +74,7 @@ def convert(
     with Interruption() as interruption:
         dropped = _write(source, out, interruption)
         dropped.update(source.dropped)
-        if isinstance(source, DriveSource):
-            _explain_csv(source, car.nominal_voltage)
+        explain_notes(source)
         for reason, count in sorted(dropped.items()):
             note(f"{source_path}: {count} readings dropped: {reason}")
         if source.problem:
@@ -96,17 +94,6 @@ def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str
         kept = takewhile(lambda _: not interruption.asked, chain(begun, readings))
         with writing(out), BagWriter(out) as writer:
             return write_readings(kept, writer)
-
-
-def _explain_csv(source: DriveSource, nominal_voltage: float) -> None:
-    drive = source.drive
-    if drive.ignored and not any(rule.why for rule in drive.rules):  # else it is told already
-        note(f"{source.path}: columns not used: {', '.join(drive.ignored)}")
-    if drive.at_nominal_voltage:
-        note(
-            f"{source.path}: {drive.at_nominal_voltage} battery readings hold power alone; "
-            f"their voltage is the nominal {nominal_voltage:g} V"
-        )
 
 
 def _change_storage(source: Path, out: Path, storage: Storage) -> None:

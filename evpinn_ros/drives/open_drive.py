@@ -49,6 +49,21 @@ class DriveSource:
         """Where the file breaks off; rows that are wrong in themselves are dropped and counted."""
         return self._problem
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of how it was read; complete once exhausted."""
+        drive, notes = self.drive, []
+        if drive.no_speed:
+            notes.append("speed is 0 throughout while the odometer goes on, so it is not used")
+        if drive.at_nominal_voltage:
+            notes.append(
+                f"{drive.at_nominal_voltage} battery readings hold power alone; their voltage is "
+                f"the nominal {drive.nominal_voltage:g} V"
+            )
+        if drive.first_bad:
+            notes.append(drive.first_bad)
+        return tuple(notes)
+
     def readings(self) -> Iterator[Reading]:
         """The readings in order of time, up to where the file can be read.
 

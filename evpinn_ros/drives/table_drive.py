@@ -50,7 +50,9 @@ class TableDrive:
         clock: how the time is read.
         dropped: rows and cells that `readings` left out, by reason; complete at its end.
         rows: below the header that were read, and `used`, those that gave a reading; likewise.
+        nominal_voltage: V, taken where a row has power alone.
         at_nominal_voltage: battery readings made from power alone; likewise.
+        zoned: the times name a zone, or count since 1970: the stamps are UTC.
         no_speed: speed is zero throughout while the odometer goes on, so it is not used.
         first_bad: the first cell that could not be read, with the way to mend it; likewise.
         dated: what tells the day of the drive: `log`, `name` of the file, or "" for nothing.
@@ -80,7 +82,7 @@ class TableDrive:
         self.at_nominal_voltage = 0
         self.first_bad: str | None = None
         self.no_speed = False
-        self._nominal_voltage = nominal_voltage
+        self.nominal_voltage = nominal_voltage
         try:
             self._head = find_head(table)
             if long := long_form(self._head):
@@ -112,6 +114,7 @@ class TableDrive:
             *others,
         )
         self._start_ns, self.dated = self._start()
+        self.zoned = self.clock.zoned
 
     def readings(self) -> Iterator[Reading]:
         """The readings in order of time; an empty cell makes none.
@@ -125,7 +128,7 @@ class TableDrive:
         clock = self.clock
         assert clock is not None
         unwrapped = Unwrapped(clock.twelve_hours) if clock.kind == "time of day" else None
-        makers = RowReadings(self.rules, self._nominal_voltage, self.dropped)
+        makers = RowReadings(self.rules, self.nominal_voltage, self.dropped)
         for batch in self._batches():
             stamps = clock.stamps([self._cells(batch, place) for place in clock.columns])
             self._count_times(batch, stamps)

@@ -1,4 +1,4 @@
-"""What was made of the columns of a CSV file, in words."""
+"""What was made of the columns of a table, in words."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from evpinn_ros.replay.sources import Source
 
 
 def explain_columns(source: Source) -> None:
-    """Say what was guessed of a CSV file; nothing where all names are ours."""
+    """Say what was guessed of a table; of one with our own names what is not used."""
     if not isinstance(source, DriveSource):
         return
     drive = source.drive
     guessed = [rule for rule in drive.rules if rule.why]
     if not guessed:
+        if drive.ignored:
+            note(f"{source.path}: columns not used: {', '.join(drive.ignored)}")
         return
     note(f"{source.path}: columns were found by their names and values:")
     for rule in drive.rules:
@@ -22,6 +24,12 @@ def explain_columns(source: Source) -> None:
     if drive.ignored:
         note(f"  not used: {', '.join(drive.ignored)}")
     note("  if one is wrong: --column speed='NAME:km/h', --column current='NAME:-A', ...")
+
+
+def explain_notes(source: Source) -> None:
+    """Say what turned out on reading."""
+    for text in getattr(source, "notes", ()):
+        note(text if text.startswith(str(source.path)) else f"{source.path}: {text}")
 
 
 def _line(rule: Column) -> str:
