@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from datetime import date, datetime, time
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 import zipfile
 
 import polars as pl
@@ -16,6 +16,8 @@ from evpinn_ros.errors import InputError
 
 MOST_EMPTY = 1000  # rows in a row that hold nothing: the sheet is over
 EMPTY_ABOVE = 50  # rows above the header
+MOST_EMPTY_BYTES = 1 << 20  # of XML without a value
+_PIECE = 1 << 16
 MOST_UNPACKED = 4 << 30  # bytes that the parts of a workbook may claim
 MOST_RATIO = 200
 ROWS_AT_ONCE = 20_000
@@ -42,6 +44,29 @@ class SheetTable:
         unpacked = sum(part.file_size for part in parts)
         if unpacked > MOST_UNPACKED or unpacked > MOST_RATIO * path.stat().st_size + (1 << 20):
             raise InputError(f"{path}: unpacks to over {MOST_RATIO} times its size")
+        self._check_sheets()
+
+    def _check_sheets(self) -> None:
+        """Refuse sheets of nothing: openpyxl would read them to their end before the first row."""
+        with zipfile.ZipFile(self.path) as archive:
+            for name in archive.namelist():
+                if not name.startswith("xl/worksheets/") or not name.endswith(".xml"):
+                    continue
+                with archive.open(name) as part:
+                    self._check_part(part)
+
+    def _check_part(self, part: IO[bytes]) -> None:
+        empty = 0  # bytes since the last value
+        measured = begun = False
+        while piece := part.read(_PIECE):
+            # Excel says first how large a sheet is, so openpyxl need not count its rows.
+            measured = measured or b"<dimension" in piece
+            if b"<v" in piece or b"<t" in piece:
+                empty, begun = 0, True
+                continue
+            empty += len(piece)
+            if empty > MOST_EMPTY_BYTES and not (begun and measured and b"</row>" in piece):
+                raise InputError(f"{self.path}: more than {MOST_EMPTY_BYTES} bytes of empty cells")
 
     def rows(self) -> Iterator[Row]:
         """The rows that hold something, numbered as in the sheet.

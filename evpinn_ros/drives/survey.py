@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
@@ -14,7 +14,8 @@ from evpinn_ros.errors import InputError
 
 HEADER_WITHIN = 60  # rows
 LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
-NARROW_SHARE = 0.2  # of narrower ones, which leave out empty cells at the end
+NARROW_SHARE = 0.05  # of narrower ones, which leave out empty cells at the end
+ROWS_THAT_TELL = 2000  # whether a table can be read at all
 MOST_CELLS = 1_000_000  # kept
 
 Row = tuple[int, list[str]]
@@ -110,12 +111,16 @@ class Survey:
         """Whether a row of so many cells is one of this table and not torn."""
         if width == self.width:
             return True
-        share = LEAST_SHARE if width > self.width else NARROW_SHARE
-        return self.widths[width] >= max(3.0, share * self.widths.total())
+        least, share = (3, LEAST_SHARE) if width > self.width else (10, NARROW_SHARE)
+        return self.widths[width] >= max(least, share * self.widths.total())
 
 
 def look_through(
-    table: Table, head: Head, wanted: Sequence[int], limit: int | None = None
+    table: Table,
+    head: Head,
+    wanted: Sequence[int],
+    early: Callable[[Survey], None],
+    limit: int | None = None,
 ) -> Survey:
     """Keep the cells of the wanted columns, every k-th row of a long table.
 
@@ -123,24 +128,36 @@ def look_through(
         table: to read.
         head: of it.
         wanted: places of columns.
+        early: called after some rows; it may raise, so that a bomb is not read to its end.
         limit: of rows to look at; all when None.
     """
     widths: Counter[int] = Counter()
     kept: list[tuple[str, ...]] = []
     most = max(1000, MOST_CELLS // max(1, len(wanted)))
     stride = 1
-    with suppress(InputError):  # where the file breaks off is told on reading
-        for index, (_, row) in enumerate(islice(data_rows(table, head), limit)):
-            width = len(row)
-            widths[width] += 1
-            if index % stride:
-                continue
-            kept.append(tuple(row[i] if i < width else "" for i in wanted))
-            if len(kept) > most:
-                kept, stride = kept[::2], 2 * stride
-    columns = list(zip(*kept, strict=True)) if kept else [()] * len(wanted)
-    cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
-    return Survey(cells, widths, len(head.names))
+
+    def seen() -> Survey:
+        columns = list(zip(*kept, strict=True)) if kept else [()] * len(wanted)
+        cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
+        return Survey(cells, widths, len(head.names))
+
+    for index, (_, row) in enumerate(_until_broken(islice(data_rows(table, head), limit))):
+        width = len(row)
+        widths[width] += 1
+        if index == ROWS_THAT_TELL:
+            early(seen())
+        if index % stride:
+            continue
+        kept.append(tuple(row[i] if i < width else "" for i in wanted))
+        if len(kept) > most:
+            kept, stride = kept[::2], 2 * stride
+    return seen()
+
+
+def _until_broken(rows: Iterator[Row]) -> Iterator[Row]:
+    """The rows up to where the file breaks off, which is told on reading."""
+    with suppress(InputError):
+        yield from rows
 
 
 def data_rows(table: Table, head: Head) -> Iterator[Row]:

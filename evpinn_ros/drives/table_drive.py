@@ -99,7 +99,12 @@ class TableDrive:
             for column in found
         )
         places = sorted({column.place for column in found})
-        survey = look_through(self._table, self._head, places, FEW_ROWS if own else None)
+
+        def early(seen: Survey) -> None:
+            if choose_clock(found, seen, _styles(seen), header) is None:
+                raise InputError(f"{path}: {_no_time(found, seen)}")
+
+        survey = look_through(self._table, self._head, places, early, FEW_ROWS if own else None)
         self._survey = survey
         self._styles = _styles(survey)
         self.clock = choose_clock(found, survey, self._styles, header)
