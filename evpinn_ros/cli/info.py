@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.contents import Contents, contents
@@ -72,7 +73,7 @@ def _lines(found: Contents) -> Iterator[str]:
         told = f", {column.unit}, {column.why}" if column.why else ""
         yield f"  {column.quantity}: column {column.name!r}{told}"
     if found.unused:
-        yield f"  columns not used: {', '.join(found.unused)}"
+        yield f"  columns not used: {shorter(found.unused)}"
     if found.frames:
         fits = f"profile {found.profile}" if found.profile else "no profile that is known"
         yield f"  CAN frames: {fits} fits"

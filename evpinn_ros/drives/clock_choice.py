@@ -11,7 +11,14 @@ from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.numbers import Style
 from evpinn_ros.drives.quantities import QUANTITIES, score
 from evpinn_ros.drives.survey import Survey
-from evpinn_ros.drives.times import DAY_NS, NONE, Clock, Unwrapped, clock_of_numbers, clock_of_text
+from evpinn_ros.drives.times import (
+    DAY_NS,
+    NONE,
+    Clock,
+    clock_of_numbers,
+    clock_of_text,
+    is_newest_first,
+)
 
 
 def choose_clock(
@@ -65,8 +72,10 @@ def _is_day_alone(clock: Clock, survey: Survey) -> bool:
 
 def _merit(clock: Clock, survey: Survey, header: Sequence[str]) -> tuple[float, ...]:
     stamps = clock.stamps([survey.cells[place] for place in clock.columns])
-    if clock.kind == "time of day":
-        stamps = Unwrapped(clock.twelve_hours).add(stamps)
+    if is_newest_first(stamps[stamps != NONE]):
+        stamps = stamps[::-1]
+    if unwrapped := clock.unwrapped:
+        stamps = unwrapped.add(stamps)
     known = stamps[stamps != NONE]
     steps = np.diff(known)
     return (

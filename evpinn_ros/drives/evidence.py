@@ -140,7 +140,9 @@ def _power_of(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signa
     """Power of the battery, W, its sign unknown."""
     if {"voltage", "current"} <= cells.keys():
         current = cells["current"]
-        return Signal(current.time, current.value * at_times(cells["voltage"], current.time))
+        scale = found["voltage"].factor * found["current"].factor
+        volts = at_times(cells["voltage"], current.time)
+        return Signal(current.time, scale * current.value * volts)
     if "power" in cells:
         return Signal(cells["power"].time, cells["power"].value * found["power"].factor)
     return None

@@ -13,9 +13,6 @@ from collections.abc import Iterator, Sequence
 from evpinn_ros.drives.quantities import QUANTITIES, score
 from evpinn_ros.drives.survey import Head, Row, Table
 
-_NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")
-_VALUES = ("value", "reading", "wert", "val")
-_UNITS = ("units", "unit", "einheit")
 MOST_SIGNALS = 10_000
 
 
@@ -82,16 +79,3 @@ class LongTable:
     def _unit_of(self, row: Sequence[str]) -> str:
         unit = self._unit
         return row[unit] if unit is not None and unit < len(row) else ""
-
-
-def long_form(head: Head) -> tuple[int, int, int | None] | None:
-    """The columns of names, values and units of a long table; None where it is none."""
-    names = [name.strip().lower() for name in head.names]
-
-    def place(known: Sequence[str]) -> int | None:
-        return next((names.index(each) for each in known if each in names), None)
-
-    name, value = place(_NAMES), place(_VALUES)
-    if name is None or value is None or name == value:
-        return None
-    return name, value, place(_UNITS)

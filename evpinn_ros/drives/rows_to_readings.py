@@ -21,6 +21,8 @@ from evpinn_ros.signals.readings import (
 
 AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that says nothing
 
+MOST = 1e12  # of anything in SI; beyond, products would be infinite
+
 FloatArray = NDArray[np.float64]
 NAN = math.nan
 
@@ -125,7 +127,7 @@ class RowReadings:
             if volt != volt:
                 volt = self._nominal_voltage
                 self.at_nominal_voltage += 1
-            amp = power / volt
+            amp = power / volt if abs(power) < MOST else NAN
         if volt != volt and amp != amp and charge != charge:
             return None
         for name, value in (("voltage", volt), ("current", amp), ("charge", charge)):

@@ -12,6 +12,10 @@ from typing import Protocol
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, score
 from evpinn_ros.errors import InputError
 
+# The columns of a table with one value a row.
+NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")
+VALUES = ("value", "reading", "wert", "val")
+UNITS = ("units", "unit", "einheit")
 HEADER_WITHIN = 60  # rows
 LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
 NARROW_SHARE = 0.05  # of narrower ones, which leave out empty cells at the end
@@ -64,6 +68,19 @@ def find_head(table: Table) -> Head:
     return Head(names, number, comments)
 
 
+def long_form(head: Head) -> tuple[int, int, int | None] | None:
+    """The columns of names, values and units of a long table; None where it is none."""
+    names = [name.strip().lower() for name in head.names]
+
+    def place(known: Sequence[str]) -> int | None:
+        return next((names.index(each) for each in known if each in names), None)
+
+    name, value = place(NAMES), place(VALUES)
+    if name is None or value is None or name == value:
+        return None
+    return name, value, place(UNITS)
+
+
 def _names_some(row: Sequence[str]) -> bool:
     """Whether two cells of a row or more are names of quantities."""
     names = [cell.strip() for cell in row if 0 < len(cell) < 100]
@@ -74,7 +91,7 @@ def _names_some(row: Sequence[str]) -> bool:
         for name in names
         if name == known.column or score(quantity, name) > 0
     }
-    return len(found) >= 2
+    return len(found) >= 2 or ("time" in found and long_form(Head(names, 0)) is not None)
 
 
 def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from itertools import islice
 import math
 from pathlib import Path
@@ -15,18 +14,18 @@ from numpy.typing import NDArray
 from evpinn_ros.drives.clock_choice import choose_clock
 from evpinn_ros.drives.column import Column, check_columns, columns_by_name
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
-from evpinn_ros.drives.long_form import LongTable, long_form
+from evpinn_ros.drives.long_form import LongTable
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
 from evpinn_ros.drives.quantities import QUANTITIES, Unit
-from evpinn_ros.drives.rows_to_readings import RowReadings
-from evpinn_ros.drives.survey import Survey, Table, data_rows, find_head, look_through
+from evpinn_ros.drives.rows_to_readings import MOST, RowReadings
+from evpinn_ros.drives.survey import Survey, Table, data_rows, find_head, long_form, look_through
 from evpinn_ros.drives.times import (
     DRIVE_START_NS,
     LAST_TIME_NS,
     NONE,
     RELATIVE_BELOW_S,
-    Unwrapped,
     date_of_name,
+    is_newest_first,
     start_of_comments,
 )
 from evpinn_ros.errors import InputError
@@ -110,6 +109,10 @@ class TableDrive:
         self.clock = choose_clock(found, survey, self._styles, header)
         if self.clock is None:
             raise InputError(f"{path}: {_no_time(found, survey)}")
+        self._newest_first = self._is_newest_first()
+        if self._newest_first:
+            for cells in survey.cells.values():
+                cells.reverse()
         self.rules = self._ruled(found, own)
         self.columns = tuple(rule.name for rule in self.rules)
         used = {rule.place for rule in self.rules} | set(self.clock.columns)
@@ -132,7 +135,7 @@ class TableDrive:
         self.first_bad = None
         clock = self.clock
         assert clock is not None
-        unwrapped = Unwrapped(clock.twelve_hours) if clock.kind == "time of day" else None
+        unwrapped = clock.unwrapped
         makers = RowReadings(self.rules, self.nominal_voltage, self.dropped)
         for batch in self._batches():
             stamps = clock.stamps([self._cells(batch, place) for place in clock.columns])
@@ -177,7 +180,12 @@ class TableDrive:
             except InputError as error:
                 broken.append(error)
 
-        yield from _batched(until_broken())
+        if self._newest_first:  # databases export so; there is no end to begin from in a stream
+            whole = list(until_broken())
+            whole.reverse()
+            yield from _batched(iter(whole))
+        else:
+            yield from _batched(until_broken())
         if broken:
             raise broken[0]
 
@@ -206,7 +214,7 @@ class TableDrive:
                 self.dropped[f"{QUANTITIES[rule.quantity].column}_not_a_number"] += 1
                 self._say_bad(batch[i][0], rule, cells[i], "is no number")
         values = values * rule.factor + rule.offset
-        values[~np.isfinite(values)] = math.nan
+        values[~(np.abs(values) < MOST)] = math.nan
         return values
 
     def _count_times(self, batch: Batch, stamps: NDArray[np.int64]) -> None:
@@ -227,6 +235,11 @@ class TableDrive:
                 f"--column {rule.quantity}=NAME takes another column"
             )
 
+    def _is_newest_first(self) -> bool:
+        assert self.clock is not None
+        stamps = self.clock.stamps([self._survey.cells[place] for place in self.clock.columns])
+        return is_newest_first(stamps[stamps != NONE])
+
     def _ruled(self, found: Sequence[Column], own: bool) -> tuple[Column, ...]:
         """The columns with units and signs, in the order of the file."""
         clock = self.clock
@@ -241,8 +254,8 @@ class TableDrive:
         used = {column.quantity: column for column in found if column.quantity != "time"}
         if not own:
             stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
-            if clock.kind == "time of day":
-                stamps = Unwrapped(clock.twelve_hours).add(stamps)
+            if unwrapped := clock.unwrapped:
+                stamps = unwrapped.add(stamps)
             there = stamps[stamps != NONE]
             times = seconds(stamps, int(there[0]) if there.size else 0)
             times[stamps == NONE] = np.nan
@@ -260,15 +273,9 @@ class TableDrive:
         """What is added to the times of the clock, ns, and what tells the date."""
         clock = self.clock
         assert clock is not None
-        rows = _batched(islice(data_rows(self._table, self._head), 1000))
-        first = NONE
-        with suppress(InputError):
-            for batch in rows:
-                stamps = clock.stamps([self._cells(batch, place) for place in clock.columns])
-                there = stamps[stamps != NONE]
-                if there.size:
-                    first = int(there[0])
-                    break
+        stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
+        known = stamps[stamps != NONE]
+        first = int(known[0]) if known.size else NONE
         if clock.dated:
             return 0, "log"
         if first >= RELATIVE_BELOW_S * NANOSECONDS:

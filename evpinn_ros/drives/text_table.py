@@ -87,8 +87,8 @@ class TextTable:
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"{self.path}: {reason}") from error
         lines = [line for line in lines if line.strip()]
-        if lines and lines[0].strip().strip('"').lower().startswith("sep="):
-            said = lines[0].strip().strip('"')[4:]
+        if lines and _says_separator(lines[0]):
+            said = lines[0].strip('\ufeff"\r\n ')[4:]
             return said[:1] or "\t"
         counts = {
             sign: Counter(_outside_quotes(line, sign) for line in lines) for sign in SEPARATORS
@@ -123,6 +123,8 @@ class _Lines:
         blank = 0
         for line in lines:
             self.number += 1
+            if self.number == 1 and _says_separator(line):
+                continue
             if not line.strip("\r\n\t ,;"):
                 blank += 1
                 if blank > MOST_BLANK:
@@ -137,6 +139,11 @@ class _Lines:
                 continue
             blank = 0
             yield line.replace("\0", "")
+
+
+def _says_separator(line: str) -> bool:
+    """Whether it is the first line of a file that Excel shall split rightly: `sep=;`."""
+    return line.lstrip('\ufeff"').lower().startswith("sep=")
 
 
 def _outside_quotes(line: str, sign: str) -> int:

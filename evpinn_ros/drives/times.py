@@ -7,16 +7,17 @@ and jumps least. polars reads the cells by it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from itertools import product
 import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 import polars as pl
 
-from evpinn_ros.drives.numbers import POINT, Style, to_floats
+from evpinn_ros.drives.numbers import MISSING, POINT, Style, to_floats
 from evpinn_ros.drives.quantities import QUANTITIES
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -29,6 +30,7 @@ DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
 SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
+MOSTLY = 0.8  # of the steps between rows
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
 # Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
@@ -60,6 +62,9 @@ class Clock:
         zoned: the cells name a zone or are seconds since 1970, so the stamps are UTC.
         why: this was chosen, for people.
         backwards: steps back in what was looked at.
+        twelve: hours are counted to twelve.
+        style: of numbers.
+        daily: numbers begin anew at midnight.
     """
 
     columns: tuple[int, ...]
@@ -71,11 +76,14 @@ class Clock:
     backwards: int = 0
     twelve: bool = False
     style: Style = POINT
+    daily: bool = False
 
     @property
-    def twelve_hours(self) -> bool:
-        """Whether the clock begins anew at noon, for nothing tells the half of the day."""
-        return self.kind == "time of day" and self.twelve and "%p" not in self.formats
+    def unwrapped(self) -> Unwrapped | None:
+        """What makes the times run on where the clock begins anew; None where it does not."""
+        if self.kind != "time of day" and not self.daily:
+            return None
+        return Unwrapped(self.twelve and "%p" not in self.formats)
 
     @property
     def dated(self) -> bool:
@@ -120,7 +128,8 @@ def _joined(cells: Sequence[Sequence[str]]) -> pl.Series:
         .str.replace(r"^(\d{1,4}-\w{1,9}-\d{1,4}),?[T ,]+", "$1 ")
         .str.replace(r"(:\d\d)[,](\d+)", "$1.$2")
         .str.replace(r"\s*([AaPp])\.?\s?[Mm]\.?", " ${1}M")
-        .str.replace(r"(\d)\s*Z$", "$1+0000")
+        .str.replace(r"^(20\d{6})[T_ ]?(\d\d)(\d\d)(\d\d)$", "$1 $2:$3:$4")
+        .str.replace(r"(\d)\s*(Z|UTC|GMT)$", "$1+0000")
         .str.replace(r"(:[\d.]+)\s+([+-]\d\d)", "$1$2")
         .str.replace(r"([+-]\d\d)$", "${1}00")
         .str.replace(r"^(\d+:\d+:\d+):(\d{3})\b", "$1.$2")
@@ -130,10 +139,27 @@ def _joined(cells: Sequence[Sequence[str]]) -> pl.Series:
 def _parsed(text: pl.Series, formats: str) -> NDArray[np.int64]:
     if formats.startswith(("%H", "%I")):
         parsed = text.str.to_time(formats, strict=False).to_physical()
+    elif ":" not in formats:
+        days = text.str.to_date(formats, strict=False).to_physical().cast(pl.Int64)
+        parsed = pl.select(
+            pl.when(days.abs() < LAST_TIME_NS // DAY_NS).then(days * DAY_NS)
+        ).to_series()
     else:
-        parsed = text.str.to_datetime(formats, strict=False, time_unit="us").to_physical() * 1000
-        # Where digits below a microsecond matter, stamps are numbers.
+        micros = text.str.to_datetime(formats, strict=False, time_unit="us").to_physical()
+        # Digits below a microsecond are for logs whose stamps are numbers.
+        far = micros.abs() > LAST_TIME_NS // 1000
+        parsed = pl.select(pl.when(~far).then(micros * 1000)).to_series()
     return parsed.fill_null(NONE).to_numpy().astype(np.int64)
+
+
+def is_newest_first(times: NDArray[Any]) -> bool:
+    """Whether times run backwards on the whole, as a database exports them."""
+    steps = np.diff(times)
+    return steps.size >= 3 and float(np.mean(steps < 0)) > MOSTLY
+
+
+def _forward(times: NDArray[Any]) -> NDArray[Any]:
+    return times[::-1] if is_newest_first(times) else times
 
 
 def clock_of_numbers(
@@ -142,8 +168,12 @@ def clock_of_numbers(
     """The clock of a column of numbers; None where most cells are none."""
     values = to_floats(cells, style)
     known = values[np.isfinite(values)]
-    if known.size == 0 or known.size < ENOUGH * sum(bool(cell.strip()) for cell in cells):
+    filled = [cell for cell in cells if cell.strip().lower() not in MISSING]
+    if known.size == 0 or known.size < ENOUGH * len(filled):
         return None
+    if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
+        return None  # 20240305070809 is a date
+    known = _forward(known)
     steps = np.diff(known)
     backwards = int((steps < 0).sum())
     size = float(np.median(np.abs(known)))
@@ -154,15 +184,35 @@ def clock_of_numbers(
             (column,), "number", "", name, True, "since 1970, by its size", backwards, style=style
         )
     if unit is not None:
-        return Clock((column,), "number", "", unit, False, "by its name", backwards, style=style)
+        return Clock(
+            (column,),
+            "number",
+            unit=unit,
+            why="by its name",
+            backwards=backwards,
+            style=style,
+            daily=_begins_anew(known * _NS[unit]),
+        )
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
     name = "s"
     if step > SLOWEST_STEP:
         name = "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
     return Clock(
-        (column,), "number", "", name, False, "by the step between rows", backwards, style=style
+        (column,),
+        "number",
+        unit=name,
+        why="by the step between rows",
+        backwards=backwards,
+        style=style,
+        daily=_begins_anew(known * _NS[name]),
     )
+
+
+def _begins_anew(times_ns: NDArray[np.float64]) -> bool:
+    """Whether times are those of a day, and midnight passes."""
+    inside = times_ns.min() >= 0 and times_ns.max() <= DAY_NS
+    return bool(inside and (np.diff(times_ns) < -0.9 * DAY_NS).any())
 
 
 def clock_of_text(columns: tuple[int, ...], cells: Sequence[Sequence[str]]) -> Clock | None:
@@ -183,7 +233,7 @@ def clock_of_text(columns: tuple[int, ...], cells: Sequence[Sequence[str]]) -> C
         stamps = stamps[stamps != NONE]
         if stamps.size < 0.5 * len(text) or (with_date and not _plausible(stamps)):
             continue
-        steps = np.diff(stamps)
+        steps = np.diff(_forward(stamps))
         backwards = int((steps < 0).sum())
         if not with_date and not twelve:
             hours = stamps // (3600 * NANOSECONDS)
@@ -207,16 +257,7 @@ def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
     rivals = [other for m, other in found[1:] if m[:4] == merit[:4] and other.why != clock.why]
     if rivals and clock.why:
         said = f"{clock.why}; could be {rivals[0].why} as well"
-        clock = Clock(
-            clock.columns,
-            clock.kind,
-            clock.formats,
-            clock.unit,
-            clock.zoned,
-            said,
-            clock.backwards,
-            clock.twelve,
-        )
+        clock = replace(clock, why=said)
     return clock
 
 
@@ -237,6 +278,7 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
         for order in orders
         for date, clock, zone in product(_DATES[order], clocks, _ZONES)
     ]
+    dated += [(order, date) for order in orders for date in _DATES[order]]
     return [*dated, *(("", pattern) for pattern in _JAVA)]
 
 
