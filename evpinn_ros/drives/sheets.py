@@ -83,7 +83,8 @@ class SheetTable:
             book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
             try:
                 for sheet in book.worksheets:
-                    if any(True for _ in islice(self._of_sheet(sheet), 2)):
+                    first = list(islice(self._of_sheet(sheet), 2))
+                    if len(first) == 2 or sheet is book.worksheets[-1]:  # a line alone is a note
                         yield from self._of_sheet(sheet)
                         return
             finally:
