@@ -40,6 +40,7 @@ class RowReadings:
     ) -> None:
         """Begin; what is left out is counted in `dropped`."""
         self.used = self.at_nominal_voltage = 0
+        self._is_sorted = False
         self._nominal_voltage = nominal_voltage
         self._dropped = dropped
         self._last: dict[str, int] = {}
@@ -65,6 +66,7 @@ class RowReadings:
             return found
 
         self._limit(values)
+        self._is_sorted = self._sorted(stamps[rows])
         table = zip(
             stamps[rows].tolist(),
             *(
@@ -99,6 +101,14 @@ class RowReadings:
                 found.append(AuxiliaryReading(stamp, heat if heat == heat else 0.0, others))
             self.used += bool(found)
             yield from found
+
+    def _sorted(self, stamps: NDArray[np.int64]) -> bool:
+        """Whether each row is later than all before it, so that none needs to be asked."""
+        newest = max(self._last.values(), default=-1)
+        found = stamps.size > 0 and stamps[0] > newest and bool((np.diff(stamps) > 0).all())
+        if found:
+            self._last = dict.fromkeys((*self._last, "newest"), int(stamps[-1]))
+        return found
 
     def _limit(self, values: Mapping[str, FloatArray]) -> None:
         """Take out what no sensor measures."""
@@ -137,6 +147,8 @@ class RowReadings:
 
     def _is_new(self, name: str, stamp: int) -> bool:
         """Whether it is later than the last of its kind; those that are not are counted."""
+        if self._is_sorted:
+            return True
         if stamp <= self._last.get(name, -1):
             self._dropped["time_not_increasing"] += 1
             return False

@@ -20,7 +20,8 @@ HEADER_WITHIN = 60  # rows
 LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
 NARROW_SHARE = 0.05  # of narrower ones, which leave out empty cells at the end
 ROWS_THAT_TELL = 2000  # whether a table can be read at all
-MOST_CELLS = 1_000_000  # kept
+MOST_CELLS = 500_000  # kept
+MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
 
 Row = tuple[int, list[str]]
 
@@ -146,7 +147,7 @@ def look_through(
         head: of it.
         wanted: places of columns.
         early: called after some rows; it may raise, so that a bomb is not read to its end.
-        limit: of rows to look at; all when None.
+        limit: of rows to look at, `MOST_ROWS` when None.
     """
     widths: Counter[int] = Counter()
     kept: list[tuple[str, ...]] = []
@@ -158,7 +159,8 @@ def look_through(
         cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
         return Survey(cells, widths, len(head.names))
 
-    for index, (_, row) in enumerate(_until_broken(islice(data_rows(table, head), limit))):
+    looked = islice(data_rows(table, head), min(limit or MOST_ROWS, MOST_ROWS))
+    for index, (_, row) in enumerate(_until_broken(looked)):
         width = len(row)
         widths[width] += 1
         if index == ROWS_THAT_TELL:
@@ -180,7 +182,11 @@ def _until_broken(rows: Iterator[Row]) -> Iterator[Row]:
 def data_rows(table: Table, head: Head) -> Iterator[Row]:
     """The rows below the header, without comments and further headers."""
     again = head.names[:5]  # an app that was restarted writes its header again
+    first, begin = head.names[0], head.row
     for number, row in table.rows():
-        is_header = row[0] == again[0] and [cell.strip() for cell in row[:5]] == again
-        if number > head.row and not is_header and not row[0].startswith("#"):
-            yield number, row
+        cell = row[0]
+        if number <= begin or cell[:1] == "#":
+            continue
+        if cell.strip() == first and [each.strip() for each in row[:5]] == again:
+            continue
+        yield number, row

@@ -7,20 +7,21 @@ from collections import Counter
 from collections.abc import Iterator
 import csv
 import gzip
-import io
 from itertools import islice
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 import zlib
 
 from evpinn_ros.errors import InputError
-from evpinn_ros.text_lines import bounded_lines
+from evpinn_ros.text_lines import LONGEST_LINE
 
 MOST_COLUMNS = 10_000
 MOST_BLANK = 100_000  # lines in a row
 SEPARATORS = ",;\t|"
 LOOKED_AT = 20  # lines that tell the separator
 LOOKED_AT_BYTES = 4096
+PIECE = 1 << 18  # bytes read at once
+BLANK = "\r\n\t ,;"  # what a row of nothing is made of
 
 READ_ERRORS = (OSError, EOFError, zlib.error, ValueError, csv.Error)  # ValueError: no text
 
@@ -63,26 +64,27 @@ class TextTable:
             InputError: it cannot be read further.
         """
         self.torn = 0
-        line = _Lines()
+        lines = _Lines()
         try:
             with self._open() as file:
-                reader = csv.reader(line.whole(bounded_lines(file)), delimiter=self.separator)
+                reader = csv.reader(lines.whole(self._texts(file)), delimiter=self.separator)
                 for row in reader:
                     if len(row) > MOST_COLUMNS:
                         raise ValueError(f"a row of more than {MOST_COLUMNS} columns")
-                    yield line.number, row
+                    yield lines.number, row
         except READ_ERRORS as error:
-            where = f"{self.path}:{line.number + 1}" if line.number else str(self.path)
+            where = f"{self.path}:{lines.number + 1}" if lines.number else str(self.path)
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"{where}: {reason}") from error
         finally:
-            self.torn = line.torn
+            self.torn = lines.torn
 
     def _separator(self) -> str:
         """What a line `sep=;` says, or the sign that most lines have in the same number."""
         try:
             with self._open() as file:
-                lines = list(islice(bounded_lines(file), LOOKED_AT))
+                pieces = _pieces(self._texts(file))
+                lines = list(islice((line for piece, _ in pieces for line in piece), LOOKED_AT))
         except READ_ERRORS as error:
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"{self.path}: {reason}") from error
@@ -100,17 +102,21 @@ class TextTable:
 
         return max(SEPARATORS, key=merit) if lines else ","
 
-    def _open(self) -> IO[str]:
-        opener = gzip.open if self.path.suffix.lower() == ".gz" else Path.open
-        if not self._encoding:
-            with opener(self.path, "rb") as file:
-                self._encoding = _encoding(file.read(LOOKED_AT_BYTES))
-        return io.TextIOWrapper(
-            opener(self.path, "rb"),
-            encoding=self._encoding,
-            errors="evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace",
-            newline="",
-        )
+    def _open(self) -> IO[bytes]:
+        opener: Any = gzip.open if self.path.suffix.lower() == ".gz" else Path.open
+        file: IO[bytes] = opener(self.path, "rb")
+        return file
+
+    def _texts(self, file: Any) -> Iterator[str]:
+        """The text of the file, piece by piece; what comes before a damage is not lost."""
+        data = file.read1(PIECE)
+        self._encoding = self._encoding or _encoding(data[:LOOKED_AT_BYTES])
+        errors = "evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace"
+        decoder = codecs.getincrementaldecoder(self._encoding)(errors)
+        while data:
+            yield decoder.decode(data)
+            data = file.read1(PIECE)
+        yield decoder.decode(b"", final=True)
 
 
 class _Lines:
@@ -119,26 +125,43 @@ class _Lines:
     def __init__(self) -> None:
         self.number, self.torn = 0, 0
 
-    def whole(self, lines: Iterator[str]) -> Iterator[str]:
-        blank = 0
-        for line in lines:
-            self.number += 1
-            if self.number == 1 and _says_separator(line):
-                continue
-            if not line.strip("\r\n\t ,;"):
-                blank += 1
-                if blank > MOST_BLANK:
-                    raise ValueError(f"more than {MOST_BLANK} blank lines")
-                continue
-            # No app writes a cell of two lines; an odd quote would swallow all that follows.
-            if line.count('"') % 2:
-                self.torn += 1
-                blank += 1
-                if blank > MOST_BLANK:
-                    raise ValueError("a quote that is never closed")
-                continue
-            blank = 0
-            yield line.replace("\0", "")
+    def whole(self, texts: Iterator[str]) -> Iterator[str]:
+        """The lines that hold a row, read some at a time: line by line takes as long as the rest.
+
+        Raises:
+            ValueError: a line without an end, or nothing but blank ones.
+        """
+        useless = 0  # lines since the last row
+        for piece, quotes in _pieces(texts):
+            for line in piece:
+                self.number += 1
+                if not line.strip(BLANK):
+                    useless += 1
+                # No app writes a cell of two lines; an odd quote would swallow all that follows.
+                elif quotes and line.count('"') % 2:
+                    useless, self.torn = useless + 1, self.torn + 1
+                elif self.number > 1 or not _says_separator(line):
+                    useless = 0
+                    yield line
+                if useless > MOST_BLANK:
+                    what = "a quote that is never closed" if quotes else "nothing"
+                    raise ValueError(f"more than {MOST_BLANK} lines of {what}")
+
+
+def _pieces(texts: Iterator[str]) -> Iterator[tuple[list[str], bool]]:
+    """Whole lines, some at a time, and whether there are quotes in them."""
+    rest = ""
+    for text in texts:
+        rest += text
+        if rest.endswith("\r") and len(rest) < LONGEST_LINE:  # a line feed may follow
+            continue
+        text = rest.replace("\r\n", "\n").replace("\r", "\n").replace("\0", "")
+        *lines, rest = text.split("\n")
+        if max(map(len, lines), default=0) > LONGEST_LINE or len(rest) > LONGEST_LINE:
+            raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
+        yield lines, '"' in text
+    if rest:
+        yield [rest], '"' in rest
 
 
 def _says_separator(line: str) -> bool:
