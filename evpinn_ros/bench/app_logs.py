@@ -23,14 +23,15 @@ from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, Sp
 
 LONGEST_STEP = 15.0  # s; what is longer is a gap
 LEAST_WAY = 3000.0  # m by an odometer of whole kilometres
-LEAST_CHARGE = 0.02  # of the battery, for a change of it that means something
+LEAST_CHARGE = 0.03  # of the battery, for a change of it that means something
 WATT_HOURS = 3600.0
 MEGABYTE = 1e6
 
 FloatArray = NDArray[np.float64]
 
-# Where apps tell what the battery holds: remaining kWh, or the capacity in 1/10000 Ah.
+# Where apps tell the capacity: as remaining kWh, or in 1/10000 Ah; and power of their own.
 REMAINING, AMPERE_HOURS, ODOMETER = "Battery DC Capacity (kWh)", "AHr", "Odo(km)"
+OWN_POWER = "HV EV Battery Power (kW)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,8 @@ class LogRead:
         odometer: m over the same time.
         energy: by voltage times current, J, where the state of charge tells it too.
         charge: J over the same time.
+        power: by the log's own column of power, J; NaN where it has none.
+        same: by voltage times current over the same time, J.
     """
 
     name: str
@@ -62,6 +65,8 @@ class LogRead:
     odometer: float
     energy: float
     charge: float
+    power: float
+    same: float
 
 
 def read_log(path: Path) -> LogRead:
@@ -91,6 +96,7 @@ def read_log(path: Path) -> LogRead:
         odometer,
         energy,
         charge,
+        *_own_power(readings, drive),
     )
 
 
@@ -133,51 +139,79 @@ def _ways(readings: list[Reading], drive: TableDrive) -> tuple[float, float]:
         return math.nan, math.nan
     ways = _between(speed, at[steps])[0]
     whole = _between(moving, at[steps])[1]
-    odometer = 1000.0 * np.diff(value[steps])[whole].sum()
-    return (ways[whole].sum(), odometer) if odometer >= LEAST_WAY else (math.nan, math.nan)
+    counted_m = 1000.0 * np.diff(value[steps])[whole]
+    odometer = float(counted_m.sum())
+    if odometer < LEAST_WAY:
+        return math.nan, math.nan
+    # The median of the pieces: a GPS that freezes falsifies some of them and no others.
+    return float(np.median(ways[whole] / counted_m)) * odometer, odometer
 
 
-def _energies(readings: list[Reading], drive: TableDrive) -> tuple[float, float]:
-    """Energy by voltage and current, and by what the car says that the battery holds, J."""
+def _own_power(readings: list[Reading], drive: TableDrive) -> tuple[float, float]:
+    """Energy by the log's own column of power, and by ours over the same time, J."""
+    own = drive.series([OWN_POWER]).get(OWN_POWER)
+    power = _power(readings)
+    if own is None or power is None:
+        return math.nan, math.nan
+    known = np.isfinite(own.value) & (own.time >= power.time[0]) & (own.time <= power.time[-1])
+    own = Signal(own.time[known], own.value[known] * 1000)
+    theirs, whole = _between(own, own.time)
+    ours, also = _between(power, own.time)
+    return float(theirs[whole & also].sum()), float(ours[whole & also].sum())
+
+
+def _power(readings: list[Reading]) -> Signal | None:
+    """Voltage at the times of current, times current, W; None where there is too little."""
     batteries = [r for r in readings if isinstance(r, BatteryReading)]
     voltage = _signal((r.stamp_ns, r.voltage) for r in batteries)
     current = _signal((r.stamp_ns, -r.current) for r in batteries)
     if current.time.size < 2 or voltage.time.size < 2:
+        return None
+    power = current.value * at_times(voltage, current.time)
+    known = np.isfinite(power)
+    return Signal(current.time[known], power[known]) if known.sum() > 1 else None
+
+
+def _energies(readings: list[Reading], drive: TableDrive) -> tuple[float, float]:
+    """Energy by voltage and current, and by what the car says that the battery holds, J."""
+    power = _power(readings)
+    if power is None:
         return math.nan, math.nan
-    power = Signal(current.time, current.value * at_times(voltage, current.time))
-    power = Signal(power.time[np.isfinite(power.value)], power.value[np.isfinite(power.value)])
+    batteries = [r for r in readings if isinstance(r, BatteryReading)]
+    voltage = _signal((r.stamp_ns, r.voltage) for r in batteries)
     held = _held(batteries, voltage, drive)
-    if held is None or held.time.size < 2 or power.time.size < 2:
+    if held is None:
         return math.nan, math.nan
     inside = (held.time >= power.time[0]) & (held.time <= power.time[-1])
     held = Signal(held.time[inside], held.value[inside])
     begins = np.flatnonzero(np.diff(held.time) > LONGEST_STEP) + 1
     ends = np.array([0, *begins, held.time.size])
-    energy = charge = moved = 0.0
+    energy = charge = 0.0
     for first, last in zip(ends[:-1], ends[1:] - 1, strict=True):
         found, whole = _between(power, held.time[[first, last]])
         if last > first and whole[0]:
             energy += found[0]
             charge += held.value[first] - held.value[last]
-            moved += abs(held.value[first] - held.value[last])
     full = float(np.max(held.value)) / max(
         (r.state_of_charge for r in batteries if r.state_of_charge > 0), default=1.0
     )
-    return (energy, charge) if moved >= LEAST_CHARGE * full else (math.nan, math.nan)
+    return (energy, charge) if abs(charge) >= LEAST_CHARGE * full else (math.nan, math.nan)
 
 
 def _held(batteries: list[BatteryReading], voltage: Signal, drive: TableDrive) -> Signal | None:
-    """What the battery holds, J: the car's own kWh, or its charge at the voltage of the moment."""
+    """What the battery holds by its state of charge and its capacity, J."""
     columns = drive.series([REMAINING, AMPERE_HOURS])
+    share = _signal((r.stamp_ns, r.state_of_charge) for r in batteries)
+    share = Signal(share.time[share.value > 0], share.value[share.value > 0])
+    if share.time.size < 2:
+        return None
     if REMAINING in columns:
-        held = columns[REMAINING]
-        known = np.isfinite(held.value) & np.isfinite(held.time)
-        return Signal(held.time[known], held.value[known] * 1000 * WATT_HOURS)
+        # The car's kWh for its percents wander by a tenth within a drive: their median.
+        ratio = columns[REMAINING].value / at_times(share, columns[REMAINING].time)
+        return Signal(share.time, share.value * np.nanmedian(ratio) * 1000 * WATT_HOURS)
     if AMPERE_HOURS not in columns:
         return None
     capacity = float(np.nanmedian(columns[AMPERE_HOURS].value)) / 1e4
-    share = _signal((r.stamp_ns, r.state_of_charge) for r in batteries)
-    share = Signal(share.time[share.value > 0], share.value[share.value > 0])
     mean = np.nan_to_num(at_times(voltage, share.time), nan=float(np.mean(voltage.value)))
     steps = np.diff(share.value) * 0.5 * (mean[1:] + mean[:-1]) * capacity * WATT_HOURS
     start = share.value[0] * mean[0] * capacity * WATT_HOURS

@@ -67,11 +67,16 @@ def _show(found: list[LogRead], refused: int) -> None:
     for name, pairs in (
         ("distance against the odometer", [(log.way, log.odometer) for log in found]),
         ("energy against the charge", [(log.energy, log.charge) for log in found]),
+        ("energy against the log's own power", [(log.same, log.power) for log in found]),
     ):
         known = [pair for pair in pairs if math.isfinite(pair[0])]
         if known:
             one, other = (sum(column) for column in zip(*known, strict=True))
-            results.print(f"{name}: {len(known)} logs, {one / other - 1:+.1%} together")
+            each = sorted(pair[0] / pair[1] - 1 for pair in known if pair[1])
+            results.print(
+                f"{name}: {len(known)} logs, {one / other - 1:+.1%} together, "
+                f"{each[len(each) // 2]:+.1%} in the median"
+            )
 
 
 def _measure(megabytes: int, rows: list[dict[str, float]]) -> None:

@@ -33,6 +33,8 @@ class LongTable:
         """
         self._table, self._head = table, head
         self._name, self._value, self._unit = places
+        self._last = max(place for place in places if place is not None)
+        self._narrow = 0
         self._time = [i for i, name in enumerate(head.names) if score("time", name) > 0]
         self._columns: dict[tuple[str, str], int] = {}
         self.others: list[str] = []
@@ -42,14 +44,18 @@ class LongTable:
     @property
     def torn(self) -> int:
         """Lines that are no row."""
-        return int(getattr(self._table, "torn", 0))
+        return self._narrow + int(getattr(self._table, "torn", 0))
 
     def rows(self) -> Iterator[Row]:
         """The header, then a row for each value of a signal that has a column."""
         yield self._head.row, self._names
         width = len(self._names)
+        self._narrow = 0
         for number, row in self._table.rows():
-            if number <= self._head.row or len(row) <= max(self._value, self._name):
+            if number <= self._head.row:
+                continue
+            if len(row) <= self._last:
+                self._narrow += 1
                 continue
             place = self._columns.get((row[self._name], self._unit_of(row)))
             if place is None:
@@ -63,7 +69,7 @@ class LongTable:
     def _find(self) -> None:
         seen: set[tuple[str, str]] = set()
         for number, row in self._table.rows():
-            if number <= self._head.row or len(row) <= max(self._value, self._name):
+            if number <= self._head.row or len(row) <= self._last:
                 continue
             key = row[self._name], self._unit_of(row)
             if key in seen or len(seen) >= MOST_SIGNALS:
@@ -77,5 +83,4 @@ class LongTable:
                 self.others.append(name)
 
     def _unit_of(self, row: Sequence[str]) -> str:
-        unit = self._unit
-        return row[unit] if unit is not None and unit < len(row) else ""
+        return row[self._unit] if self._unit is not None else ""
