@@ -27,7 +27,7 @@ def convert(
     source_path: Annotated[
         Path,
         typer.Argument(
-            metavar="IN", help="CSV, CAN log (.log, .asc, ...), bag of topics or of CAN frames."
+            metavar="IN", help="Log of an app (CSV, xlsx, ...), CAN log, bag of topics or frames."
         ),
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
@@ -44,7 +44,7 @@ def convert(
     column: Annotated[
         list[str] | None,
         typer.Option(
-            help="Of a CSV file: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative while "
+            help="Of a table: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative while "
             "it discharges. " + f"Quantities: {', '.join(QUANTITIES)}."
         ),
     ] = None,
@@ -55,7 +55,7 @@ def convert(
 ) -> None:
     """Convert a recorded drive into a rosbag2 bag: MCAP of our topics.
 
-    Columns of a CSV file are found by their names and values; what was taken for what is told.
+    Columns of a table are found by their names and values; what was taken for what is told.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
     optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct are taken as they are.
 

@@ -27,7 +27,7 @@ def info(
     inputs: Annotated[list[Path], typer.Argument(help="Bags, CAN logs or tables (CSV, xlsx...).")],
     column: Annotated[
         list[str] | None,
-        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
     ] = None,
     as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:

@@ -47,7 +47,7 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 def replay(
     inputs: Annotated[
-        list[Path], typer.Argument(help="Bags, CAN logs or CSV files of one car, in order.")
+        list[Path], typer.Argument(help="Bags, CAN logs or tables of one car, in order.")
     ],
     vehicle: VehicleOption = "generic",
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
@@ -83,7 +83,7 @@ def replay(
     ] = 1,
     column: Annotated[
         list[str] | None,
-        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
     ] = None,
     can_profile: CanProfileOption = None,
     trust_profile: Annotated[
