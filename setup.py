@@ -44,6 +44,7 @@ setup(
         "matplotlib",
         "mcap",
         "numpy",
+        "polars",
         "python-can[multicast]",
         "pyyaml",
         "rich",
@@ -76,6 +77,8 @@ setup(
         "bench": ["deepxde"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
+        # Reads spreadsheets of drives.
+        "tables": ["openpyxl"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
         # Serves `evpinn run --foxglove` and `evpinn view`.
@@ -83,7 +86,7 @@ setup(
         # Nothing more than the package itself; asking for it is no mistake.
         "report": [],
         # By this name `colcon test` knows that pytest is meant.
-        "test": ["hypothesis", "pyserial", "pytest", "pytest-timeout"],
+        "test": ["hypothesis", "openpyxl", "pyserial", "pytest", "pytest-timeout"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",

@@ -18,6 +18,7 @@ COMMANDS = (
     "fuzz",
     "report",
     "recover",
+    "logs",
     "faults",
 )  # each a function in `bench_<name>.py`
 

@@ -17,9 +17,9 @@ import typer
 from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, results, write_json, writing
-from evpinn_ros.cli.csv_columns import explain_columns
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
+from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import parameter_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import Mode
@@ -47,7 +47,7 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 def replay(
     inputs: Annotated[
-        list[Path], typer.Argument(help="Bags, CAN logs or CSV files of one car, in order.")
+        list[Path], typer.Argument(help="Bags, CAN logs or tables of one car, in order.")
     ],
     vehicle: VehicleOption = "generic",
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
@@ -83,7 +83,7 @@ def replay(
     ] = 1,
     column: Annotated[
         list[str] | None,
-        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
     ] = None,
     can_profile: CanProfileOption = None,
     trust_profile: Annotated[
@@ -197,6 +197,7 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
     found = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
+    explain_notes(source)
     if not has_battery(result.drive):
         note(f"evpinn: {source.path}: no battery voltage and current; nothing could be learned")
     results.print(
