@@ -74,7 +74,7 @@ setup(
         # `evpinn fleet`: Parquet, and Dask for a cluster.
         "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
-        "bench": ["deepxde"],
+        "bench": ["deepxde", "eclipse-sumo", "libsumo"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.

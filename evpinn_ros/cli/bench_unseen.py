@@ -17,8 +17,10 @@ from evpinn_ros.bench.unseen.run import (
     recorded_core,
     run_tasks,
 )
-from evpinn_ros.bench.unseen.table import age_table, energy_table
-from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.bench.unseen.sumo_cars import sumo_is_there
+from evpinn_ros.bench.unseen.table import age_table, energy_table, truth_table
+from evpinn_ros.bench.unseen.truth import KINDS
+from evpinn_ros.cli.console import note, progress_bar, results, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.errors import InputError
 
@@ -51,7 +53,10 @@ def unseen(
     names = [*_names(methods), *(method or ())]
     for name in names:
         find_method(name)
-    chosen = _chosen(_names(cars), cars_in(data))
+    there = [*cars_in(data), *(() if "=" in data else KINDS)]
+    if not sumo_is_there():
+        note("evpinn: eclipse-sumo and libsumo are not installed, so there are no cars by SUMO")
+    chosen = _chosen(_names(cars), there)
     tasks = [Task(data, car, name) for car in chosen for name in names]
     found: dict[str, Any] = {}
     try:
@@ -95,5 +100,8 @@ def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
         entry["methods"][RECORDED] = methods[RECORDED] = recorded
     title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
     results.print(f"\n{title}", markup=False)
-    results.print(energy_table(methods))
-    results.print(age_table(methods))
+    if "carried" in methods[names[0]]:
+        results.print(energy_table(methods))
+        results.print(age_table(methods))
+    if "truth" in methods[names[0]]:
+        results.print(truth_table(methods))

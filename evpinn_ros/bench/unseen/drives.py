@@ -9,6 +9,13 @@ from pathlib import Path
 
 from evpinn_ros.bench.logs import find_logs
 from evpinn_ros.bench.unseen.lines import Line, Span, battery_power, common, speed_line
+from evpinn_ros.bench.unseen.sumo_cars import (
+    SUMO_CARS,
+    simulate_sumo,
+    sumo_is_there,
+    sumo_truth,
+)
+from evpinn_ros.bench.unseen.truth import CARRIED_VEHICLE, carried_drives
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -99,22 +106,36 @@ FOLDERS = {
 }
 
 
+SIMULATED = "simulated"
+
+
 def cars_in(data: str) -> list[str]:
-    """Names of the cars whose drives lie in a folder; PATH=VEHICLE is one car of its own."""
+    """Names of the cars whose drives lie in a folder, and of those that are simulated.
+
+    PATH=VEHICLE is one car of its own. Cars by SUMO are among them where it is installed.
+    """
     root = Path(data)
     if not root.exists() and "=" in data:
         return [data]
     if not root.is_dir():
         raise InputError(f"{data}: no such folder")
-    return [key for key, folder in FOLDERS.items() if any(root.glob(folder.pattern))]
+    recorded = [key for key, folder in FOLDERS.items() if any(root.glob(folder.pattern))]
+    return [*recorded, SIMULATED, *(SUMO_CARS if sumo_is_there() else ())]
 
 
 def load_car(data: str, key: str) -> Car:
-    """Read the drives of a car.
+    """Read or simulate the drives of a car.
 
     Raises:
         InputError: none of them can be read.
     """
+    if key == SIMULATED:
+        drives = tuple(Drive(f"{i}", readings) for i, readings in enumerate(carried_drives()))
+        return Car(key, load_vehicle(CARRIED_VEHICLE), drives)
+    if key in SUMO_CARS:
+        readings, trace = simulate_sumo(key)
+        generic = load_vehicle("generic")
+        return Car(key, generic, (Drive(key, readings),), sumo_truth(key, trace, generic))
     if key not in FOLDERS:
         path, _, vehicle = key.rpartition("=")
         car = load_vehicle(vehicle.partition(",")[0])

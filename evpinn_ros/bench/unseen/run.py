@@ -10,11 +10,20 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evpinn_ros.bench.truth import VEHICLES
 from evpinn_ros.bench.unseen.baselines import BASELINES
 from evpinn_ros.bench.unseen.drives import Car, load_car
 from evpinn_ros.bench.unseen.method import Factory, OnlineChain
 from evpinn_ros.bench.unseen.protocols import run_car
 from evpinn_ros.bench.unseen.summary import summary
+from evpinn_ros.bench.unseen.truth import (
+    DRIVES,
+    KINDS,
+    SECONDS,
+    errors,
+    run_truth,
+    truth_summary,
+)
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
 
@@ -64,8 +73,15 @@ def find_method(name: str) -> Factory:
 def run_task(task: Task) -> Result:
     """Score one method on one car."""
     one_thread()
+    factory = find_method(task.method)
+    if task.car in KINDS:
+        scores: dict[str, Any] = {"truth": run_truth(task.car, factory)}
+        return Result(task, ", ".join(VEHICLES), DRIVES, DRIVES * SECONDS / 3600.0, scores)
     car = _car(task.data, task.car)
-    scores = summary(run_car(car, find_method(task.method)))
+    run = run_car(car, factory)
+    scores = summary(run)
+    if car.truth:
+        scores["truth"] = truth_summary([errors(run.combinations, car.truth)])
     return Result(task, car.vehicle.key, len(car.drives), car.hours, scores)
 
 

@@ -18,6 +18,13 @@ ENERGY_COLUMNS = (
     "600 s:\ngross %",
     "in 90 %\nwidth %",
 )
+TRUTH_COLUMNS = {
+    "mass_over_eta": "m/eta",
+    "regeneration": "eta mu",
+    "rolling_over_eta": "C_rr m/eta",
+    "drag_area_over_eta": "A C_d/eta",
+    "p_aux": "p_aux",
+}
 AGES = ("0.1", "1", "10", "60", "600")
 
 
@@ -52,6 +59,24 @@ def age_table(methods: Mapping[str, Mapping[str, Any]]) -> Table:
         )
         table.add_row(name, *cells)
     return table
+
+
+def truth_table(methods: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Bias, percent (W for p_aux), and how often the 95 % interval holds the truth."""
+    table = Table("bias %; 95 % covers %", *TRUTH_COLUMNS.values())
+    for name, scores in methods.items():
+        found = scores["truth"]
+        if found:
+            cells = (_truth_cell(key, found.get(key)) for key in TRUTH_COLUMNS)
+            table.add_row(name, *cells)
+    return table
+
+
+def _truth_cell(name: str, found: Mapping[str, Any] | None) -> str:
+    if found is None:
+        return "-"
+    bias = f"{found['bias']:+.0f} W" if name == "p_aux" else f"{found['bias_percent']:+.1f}"
+    return f"{bias}; {found['covered_percent']:.0f}"
 
 
 def _cell(scores: Mapping[str, Any] | None, key: str, form: str = "1f") -> str:

@@ -71,6 +71,8 @@ class WeakFormLeastSquares:
         self._prior = (prior.drag_area_over_eta, rolling, mass, vehicle.rotating_mass_factor)
         self.mean, self._spread = np.array(table).T
         self.covariance = np.diag(self._spread**2)
+        self._driven, self._braked = np.zeros((2, self.mean.size))  # sums of rows so far
+        self._nudges = np.diag(1e-3 * self._spread)
         self._stream = StepStream(vehicle)
         self._noise = (NOISE_WEIGHT, NOISE_WEIGHT)  # sum of squares, number
         self._scale = (DRIVES_WEIGHT, DRIVES_WEIGHT)  # the same of whole drives
@@ -163,6 +165,7 @@ class WeakFormLeastSquares:
         self._interval_s += step.dt
         self._variance += noise
         self._drive = self._drive + row * step.dt
+        (self._braked if row[5] or row[3] else self._driven)[:] += row * step.dt
         self._drive_energy += step.power * step.dt
         self._drive_variance += noise * MEMORY
         if self._interval_s >= self._length:
@@ -190,15 +193,31 @@ class WeakFormLeastSquares:
         self.covariance = (covariance + covariance.T) / 2
 
     def combinations(self) -> Mapping[str, Estimate]:
-        """The coefficients that are combinations of the car's parameters."""
-        std = np.sqrt(np.diag(self.covariance))
-        mass, braking = self.mean[2], self.mean[3]
-        gradient = np.array([-braking / mass**2, 1 / mass])
-        back = math.sqrt(gradient @ self.covariance[2:4, 2:4] @ gradient)
-        return {
-            "mass_over_eta": (float(mass), float(std[2])),
-            "regeneration": (float(braking / mass), back),
-            "rolling_over_eta": (float(self.mean[1]), float(std[1])),
-            "drag_area_over_eta": (float(self.mean[0]), float(std[0])),
-            "p_aux": (float(self.mean[4]), float(std[4])),
-        }
+        """The combinations of the car's parameters.
+
+        1/eta holds the loss with force squared, by its share of the energy that was spent in
+        driving so far; the share that comes back in braking holds it likewise.
+        """
+        found = self._combined(self.mean)
+        gradient = np.array([self._combined(self.mean + each) - found for each in self._nudges])
+        sizes = np.diag(self._nudges)[:, None]
+        std = np.sqrt(np.diag((gradient / sizes).T @ self.covariance @ (gradient / sizes)))
+        names = (
+            "mass_over_eta",
+            "regeneration",
+            "rolling_over_eta",
+            "drag_area_over_eta",
+            "p_aux",
+        )
+        pairs = zip(found.tolist(), std.tolist(), strict=True)
+        return dict(zip(names, pairs, strict=True))
+
+    def _combined(self, mean: np.ndarray) -> np.ndarray:
+        """The five combinations of a mean, shape (5,)."""
+        parts, back = mean * self._driven, mean * self._braked
+        lossless = parts[:3].sum()
+        factor = 1 + parts[6] / lossless if lossless > 0 else 1.0
+        offered = back[:2].sum() + mean[2] * self._braked[3]
+        returned = back[[0, 1, 3, 5, 6]].sum()
+        share = returned / (offered * factor) if offered < 0 else mean[3] / mean[2]
+        return np.array((mean[2] * factor, share, mean[1] * factor, mean[0] * factor, mean[4]))
