@@ -45,6 +45,7 @@ setup(
         "matplotlib",
         "mcap",
         "numpy",
+        "polars",
         "python-can[multicast]",
         "pyyaml",
         "rich",

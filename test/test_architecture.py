@@ -29,7 +29,7 @@ LAYERS = [
         "nodes.plan_messages",
         "nodes.estimate_messages",
     },
-    {"bags"},
+    {"bags", "drives"},
     {"simulation"},
     {"replay"},
     {"reproduction", "fleet"},

@@ -10,7 +10,6 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.bags.convert import reported, write_readings
-from evpinn_ros.bags.csv_columns import QUANTITIES
 from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
@@ -18,8 +17,10 @@ from evpinn_ros.cli.console import note, progress_bar, results, writing
 from evpinn_ros.cli.csv_columns import explain_columns
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, complete_vehicle
+from evpinn_ros.drives.open_drive import DriveSource
+from evpinn_ros.drives.quantities import QUANTITIES
 from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import CsvSource, Source, open_source
+from evpinn_ros.replay.sources import Source, open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
 
@@ -74,7 +75,7 @@ def convert(
     with Interruption() as interruption:
         dropped = _write(source, out, interruption)
         dropped.update(source.dropped)
-        if isinstance(source, CsvSource):
+        if isinstance(source, DriveSource):
             _explain_csv(source, car.nominal_voltage)
         for reason, count in sorted(dropped.items()):
             note(f"{source_path}: {count} readings dropped: {reason}")
@@ -97,7 +98,7 @@ def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str
             return write_readings(kept, writer)
 
 
-def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:
+def _explain_csv(source: DriveSource, nominal_voltage: float) -> None:
     drive = source.drive
     if drive.ignored and not any(rule.why for rule in drive.rules):  # else it is told already
         note(f"{source.path}: columns not used: {', '.join(drive.ignored)}")

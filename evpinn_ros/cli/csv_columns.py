@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from evpinn_ros.bags.csv_columns import Column
 from evpinn_ros.cli.console import note
-from evpinn_ros.replay.sources import CsvSource, Source
+from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.open_drive import DriveSource
+from evpinn_ros.replay.sources import Source
 
 
 def explain_columns(source: Source) -> None:
     """Say what was guessed of a CSV file; nothing where all names are ours."""
-    if not isinstance(source, CsvSource):
+    if not isinstance(source, DriveSource):
         return
     drive = source.drive
     guessed = [rule for rule in drive.rules if rule.why]

@@ -10,12 +10,13 @@ from pathlib import Path
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag, open_can_log
 from evpinn_ros.bags.convert import reported
-from evpinn_ros.bags.csv_columns import Column
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.profile import bundled_profiles
+from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import CsvSource, is_drive_table, open_source
+from evpinn_ros.replay.sources import is_drive_table, open_source
 from evpinn_ros.replay.usable import Flow, Usable, usable
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 
@@ -81,7 +82,7 @@ def contents(
 
     Args:
         path: of it.
-        columns: of a CSV file that are told, see `evpinn_ros.bags.csv_columns.columns_of`.
+        columns: of a CSV file that are told, see `evpinn_ros.drives.column.columns_by_name`.
         progress: is told the seconds of the drive done.
 
     Raises:
@@ -139,7 +140,7 @@ def _with_drive(
         return replace(found, notes=(str(error),))
     return replace(
         found,
-        columns=source.drive.rules if isinstance(source, CsvSource) else (),
+        columns=source.drive.rules if isinstance(source, DriveSource) else (),
         drive=drive,
         dropped=source.dropped,
         notes=(source.problem,) if source.problem else (),
