@@ -9,6 +9,7 @@ from pathlib import Path
 
 from evpinn_ros.bench.logs import find_logs
 from evpinn_ros.bench.unseen.lines import Line, Span, battery_power, common, speed_line
+from evpinn_ros.bench.unseen.splitting import split
 from evpinn_ros.bench.unseen.sumo_cars import (
     SUMO_CARS,
     simulate_sumo,
@@ -100,12 +101,15 @@ FOLDERS = {
     "model3": Folder("tesla_model3/*.csv", "tesla_model_3_lr"),
     "i3": Folder("bmw_i3/*.csv.gz", "bmw_i3"),
     "i3_speed": Folder("bmw_i3/*.csv.gz", "bmw_i3", speed_only=True),
+    "e208": Folder("peugeot_e208_car_scanner/*.csv.gz", "generic"),
+    "leaf2013": Folder("nissan_leaf_2013_leafspy/*.csv.gz", "nissan_leaf"),
     "can_model3": Folder("can/tesla_model3_2019/decoded*.csv", "tesla_model_3_lr"),
     "can_model_s": Folder("can/tesla_model_s_2017/decoded*.csv", "tesla_model_s"),
     "can_leaf": Folder("can/nissan_leaf_62kwh/decoded*.csv", "nissan_leaf"),
 }
 
 
+LOG_PART = ":"  # between the name of a log and the number of its drive
 SIMULATED = "simulated"
 
 
@@ -157,9 +161,10 @@ def _drives(
 ) -> Iterator[Drive]:
     for path, profile in sources:
         readings = tuple(filter(keep, open_source(path, car, profile).readings()))
-        drive = Drive(path.name.split(".")[0], readings)
-        if readings and drive.spans:
-            yield drive
+        for number, part in enumerate(split(readings), start=1):
+            drive = Drive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)
+            if drive.spans:
+                yield drive
 
 
 def _speed_and_battery(reading: Reading) -> bool:

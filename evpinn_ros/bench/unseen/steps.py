@@ -22,7 +22,7 @@ SMOOTHED = 7  # speeds whose mean is taken: 0.3 s to either side at 10 Hz; best 
 HALF = SMOOTHED // 2
 SMOOTHED_BELOW = 0.25  # s between speeds
 LEAST_STEP = 0.095  # s; faster speeds are left out
-MAX_STEP, MAX_SPEED = 15.0, 100.0  # s, m/s
+MAX_STEP, MAX_SPEED = 30.0, 100.0  # s, m/s
 KEPT = 4000  # battery samples
 
 

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.bench.unseen.drives import LOG_PART
 from evpinn_ros.bench.unseen.protocols import CarRun, Scored
 from evpinn_ros.bench.unseen.scores import AGES, MEANS, QUANTILE_90, PartScore
 
+MOST_LEFT_OUT = 0.1  # share of the parts that a method may leave without a prediction
 ONLINE_AGE = "0.1"
 
 
@@ -20,6 +22,7 @@ def summary(run: CarRun) -> dict[str, Any]:
     carried = run.carried[1:] if len(run.carried) > 1 else run.carried
     return {
         "carried": _energies(carried),
+        "carried_logs": _by_log(carried),
         "withheld": _energies(run.withheld),
         "dropout_600": _energies(run.long),
         "online": _online(run),
@@ -33,22 +36,24 @@ def summary(run: CarRun) -> dict[str, Any]:
 
 
 def _energies(parts: Sequence[Scored]) -> dict[str, Any] | None:
-    """Scores over parts; None when a method left one of them out or there is none.
+    """Scores over parts; None when a method left out more than `MOST_LEFT_OUT` of them.
 
     Errors of energy are percent without their sign: of net energy by the measured net energy and
     by the measured gross energy of the part. `rmse_w` is the mean over the parts, `rmse_pooled_w`
     and those of means are over all samples.
     """
-    scores = [each.score for each in parts if each.score.gross > 0]
-    if not scores or not all(score.valid for score in scores):
+    known = [each.score for each in parts if each.score.gross > 0]
+    scores = [score for score in known if score.valid]
+    if not scores or len(scores) < (1 - MOST_LEFT_OUT) * len(known):
         return None
     by_net = np.array([100 * abs(one.error / one.net) if one.net else math.nan for one in scores])
     by_gross = np.array([100 * abs(one.error) / one.gross for one in scores])
     widths = [200 * QUANTILE_90 * one.sigma / one.gross for one in scores]
-    known = [one for one in scores if math.isfinite(one.sigma)]
-    inside = 100 * np.mean([one.inside_90 for one in known]) if known else math.nan
+    bounded = [one for one in scores if math.isfinite(one.sigma)]
+    inside = 100 * np.mean([one.inside_90 for one in bounded]) if bounded else math.nan
     return {
         "parts": len(scores),
+        "left_out": len(known) - len(scores),
         "net_median_percent": _number(np.nanmedian(by_net)),
         "net_mean_percent": _number(np.nanmean(by_net)),
         "gross_median_percent": _number(np.median(by_gross)),
@@ -64,6 +69,28 @@ def _energies(parts: Sequence[Scored]) -> dict[str, Any] | None:
     }
 
 
+def _by_log(carried: Sequence[Scored]) -> dict[str, float | None] | None:
+    """Errors of the net energy of whole logs, percent, where a log holds several drives.
+
+    Drives that run downhill have a net energy near zero, which no percentage is of use for.
+    """
+    logs: dict[str, list[PartScore]] = {}
+    known = [each for each in carried if each.score.valid]
+    for each in known:
+        logs.setdefault(each.drive.split(LOG_PART)[0], []).append(each.score)
+    if len(known) < (1 - MOST_LEFT_OUT) * len(carried) or len(logs) in (0, len(known)):
+        return None
+    errors = [
+        100 * abs(sum(one.error for one in scores) / sum(one.net for one in scores))
+        for scores in logs.values()
+    ]
+    return {
+        "logs": len(logs),
+        "net_median_percent": _number(np.median(errors)),
+        "net_mean_percent": _number(np.mean(errors)),
+    }
+
+
 def _online(run: CarRun) -> dict[str, Any] | None:
     """Errors of power while the battery is measured; its energy is then no prediction."""
     found = _energies(run.online)
@@ -73,8 +100,8 @@ def _online(run: CarRun) -> dict[str, Any] | None:
 def _by_age(run: CarRun) -> dict[str, dict[str, float | None] | None]:
     """RMSE, W, and error of the energy since the last battery sample, percent of gross."""
     found: dict[str, dict[str, float | None] | None] = {ONLINE_AGE: None}
-    online = [each.score for each in run.online if each.score.gross > 0]
-    if online and all(score.valid for score in online):
+    online = [each.score for each in run.online if each.score.valid]
+    if online:
         absolute, gross = (sum(getattr(one, n) for one in online) for n in ("absolute", "gross"))
         found[ONLINE_AGE] = {
             "rmse_w": _pooled([one.squares for one in online]),
