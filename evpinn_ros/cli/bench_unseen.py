@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+from rich.console import Console
 import typer
 
 from evpinn_ros.bench.unseen.drives import cars_in
@@ -23,6 +24,8 @@ from evpinn_ros.bench.unseen.truth import KINDS
 from evpinn_ros.cli.console import note, progress_bar, results, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.errors import InputError
+
+TABLE_WIDTH = 140  # characters; narrower ones would break the numbers
 
 
 def unseen(
@@ -100,8 +103,11 @@ def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
         entry["methods"][RECORDED] = methods[RECORDED] = recorded
     title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
     results.print(f"\n{title}", markup=False)
+    wide = results
+    if results.width < TABLE_WIDTH:
+        wide = Console(width=TABLE_WIDTH, highlight=False, stderr=results.stderr)
     if "carried" in methods[names[0]]:
-        results.print(energy_table(methods))
-        results.print(age_table(methods))
+        wide.print(energy_table(methods))
+        wide.print(age_table(methods))
     if "truth" in methods[names[0]]:
-        results.print(truth_table(methods))
+        wide.print(truth_table(methods))

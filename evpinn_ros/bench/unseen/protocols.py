@@ -20,7 +20,7 @@ from evpinn_ros.bench.unseen.scores import PartScore, Track, score_part
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 FIRST_CUT, CUT_STEP, DROPOUT, LONG_DROPOUT = 250.0, 50.0, 200.0, 600.0  # s
-SPARSE_STEP, MANY_HOURS = 200.0, 1.0  # s between cuts of a car that drove for longer, h
+SPARSE_STEP, MANY_HOURS = 200.0, 0.5  # s between cuts of a car that drove for longer, h
 SHORT_DRIVE = 100.0  # s; a drive too short for any dropout of 200 s is cut once, at its half
 WARM_UP = 120.0  # s of a drive whose online predictions are not scored
 AFTER_END = 10.0  # s that a copy reads on, for predictions that lag

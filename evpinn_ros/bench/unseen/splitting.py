@@ -18,6 +18,7 @@ from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
 LONGEST_PAUSE = 600.0  # s
 LEAST_CHARGING, CHARGING_POWER = 120.0, 300.0  # s, W
+EPSILON = 1e-3  # s, so that the first and last moment of charging belong to it
 STANDING = 0.3  # m/s
 LEAST_DISTANCE = 1000.0  # m
 
@@ -52,7 +53,7 @@ def _driving(readings: Sequence[Reading]) -> list[Span]:
     for stand in _standing(speed.time, speed.value):
         known = [part.length for part in common(power.spans(), [stand])]
         if known and -power.over(stand) > CHARGING_POWER * sum(known):
-            between.append(stand)
+            between.append(Span(stand.begin - EPSILON, stand.end + EPSILON))
     ends = [-math.inf, *(end for span in sorted(between) for end in span), math.inf]
     return [Span(begin, end) for begin, end in zip(ends[::2], ends[1::2], strict=True)]
 
