@@ -9,6 +9,7 @@ car.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 import math
 from typing import Any, NamedTuple
 
@@ -82,12 +83,20 @@ def run_truth(key: str, factory: Factory) -> dict[str, dict[str, Any]]:
     return truth_summary(found)
 
 
-def truth_drives(key: str) -> Iterator[SimulatedDrive]:
+@lru_cache(maxsize=1)
+def truth_drives(key: str) -> tuple[SimulatedDrive, ...]:
     """The drives of a kind, of cars of three models in turn; no height, as on most cars."""
-    for number in range(DRIVES):
-        vehicle = load_vehicle(VEHICLES[number % len(VEHICLES)])
-        seed = FIRST_SEED + number
-        yield simulate(KINDS[key], vehicle, SECONDS, seed, can_profile=PROFILE)
+    vehicles = [load_vehicle(name) for name in VEHICLES]
+    return tuple(
+        simulate(
+            KINDS[key],
+            vehicles[number % len(vehicles)],
+            SECONDS,
+            FIRST_SEED + number,
+            can_profile=PROFILE,
+        )
+        for number in range(DRIVES)
+    )
 
 
 def carried_drives() -> Iterator[tuple[Reading, ...]]:
