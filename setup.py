@@ -25,6 +25,7 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],
+        f"{NAME}.bench.unseen": ["core_8a8cbe7.json"],
         f"{NAME}.energy": ["rknn_weights.npz"],
         f"{NAME}.report": ["browser/*.*", "browser/uplot/*"],
     },
@@ -74,7 +75,7 @@ setup(
         # `evpinn fleet`: Parquet, and Dask for a cluster.
         "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
-        "bench": ["deepxde"],
+        "bench": ["deepxde", "eclipse-sumo", "libsumo"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
         # Reads spreadsheets of drives.

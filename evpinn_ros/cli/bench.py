@@ -10,6 +10,7 @@ COMMANDS = (
     "training",
     "online",
     "carried",
+    "unseen",
     "truth",
     "can",
     "energy",
