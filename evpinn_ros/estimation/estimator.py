@@ -26,6 +26,7 @@ from evpinn_ros.estimation.learner import (
     gate,
 )
 from evpinn_ros.estimation.operating_range import OperatingRange
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.sample import (
@@ -75,12 +76,14 @@ class EstimatorSettings:
     Attributes:
         mode: hybrid or paper.
         regen_form: reading of eq. 21; `paper` alone has the choice.
+        paper_optimizer: of `paper`.
         seed: of the networks.
         stream: how readings become samples.
     """
 
     mode: Mode = Mode.HYBRID
     regen_form: RegenForm = RegenForm.RECOVERY
+    paper_optimizer: PaperOptimizer = PaperOptimizer.ADAM
     seed: int = 0
     stream: StreamSettings = field(default_factory=StreamSettings)
 
@@ -361,5 +364,10 @@ def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
         # Imported here: it alone needs torch, which takes longer to load than all else together.
         from evpinn_ros.estimation.paper import PaperLearner
 
-        return PaperLearner(vehicle, seed=settings.seed, form=settings.regen_form)
+        return PaperLearner(
+            vehicle,
+            seed=settings.seed,
+            form=settings.regen_form,
+            optimizer=settings.paper_optimizer,
+        )
     return HybridLearner(vehicle, seed=settings.seed)
