@@ -23,6 +23,7 @@ from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import parameter_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.parameter_file import read_parameter_file
@@ -51,6 +52,10 @@ def replay(
     ],
     vehicle: VehicleOption = "generic",
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
+    optimizer: Annotated[
+        PaperOptimizer | None,
+        typer.Option(help="Of mode paper; as published if not given."),
+    ] = None,
     params: Annotated[
         Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
     ] = None,
@@ -100,7 +105,7 @@ def replay(
     # One thread, so that the same bag gives the same bits and other cores stay free.
     one_thread()
     car = load_vehicle(vehicle)
-    settings = estimator_settings(_parameters(params, mode))
+    settings = estimator_settings(_parameters(params, mode, optimizer))
     open_input = partial(
         open_source,
         vehicle=car,
@@ -141,13 +146,19 @@ def replay(
         raise typer.Exit(1)
 
 
-def _parameters(params: Path | None, mode: Mode | None) -> dict[str, Value]:
+def _parameters(
+    params: Path | None, mode: Mode | None, optimizer: PaperOptimizer | None
+) -> dict[str, Value]:
     """Parameters of the node `estimator`: defaults, the file over them, the command over both."""
     values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
     if params is not None:
         values.update(read_parameter_file(params, "estimator"))
     if mode is not None:
         values["mode"] = mode.value
+    if optimizer is not None:
+        if values["mode"] != Mode.PAPER.value:
+            raise InputError("--optimizer: mode paper alone has the choice; add --mode paper")
+        values["paper_optimizer"] = optimizer.value
     return values
 
 

@@ -26,6 +26,7 @@ from evpinn_ros.estimation.learner import (
 )
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.operating_range import OperatingRange
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.interval import Interval
@@ -77,12 +78,14 @@ class EstimatorSettings:
     Attributes:
         mode: hybrid or paper.
         regen_form: reading of eq. 21; `paper` alone has the choice.
+        paper_optimizer: of `paper`.
         seed: of the networks.
         stream: how readings become samples.
     """
 
     mode: Mode = Mode.HYBRID
     regen_form: RegenForm = RegenForm.RECOVERY
+    paper_optimizer: PaperOptimizer = PaperOptimizer.ADAM
     seed: int = 0
     stream: StreamSettings = field(default_factory=StreamSettings)
 
@@ -373,5 +376,10 @@ def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
         # Imported here: it alone needs torch, which takes longer to load than all else together.
         from evpinn_ros.estimation.paper import PaperLearner
 
-        return PaperLearner(vehicle, seed=settings.seed, form=settings.regen_form)
+        return PaperLearner(
+            vehicle,
+            seed=settings.seed,
+            form=settings.regen_form,
+            optimizer=settings.paper_optimizer,
+        )
     return PinnLearner(vehicle, seed=settings.seed)

@@ -114,6 +114,12 @@ ESTIMATOR = (
         choices=("printed", "recovery", "wheel_power"),
     ),
     Parameter(
+        "paper_optimizer",
+        "adam",
+        "How mode paper trains: adam, as published, or gauss_newton, nearer to the least loss.",
+        choices=("adam", "gauss_newton"),
+    ),
+    Parameter(
         "smoothing_lag",
         0.3,
         "How much later speed power/smoothed waits for.",

@@ -64,6 +64,11 @@ METRICS: tuple[Metric, ...] = (
     Metric("vehicle", "", "key of the vehicle file"),
     Metric("mode", "", "`hybrid` or `paper`"),
     *_under("power", _SMOOTHED),
+    Metric(
+        "power.floor_w",
+        "W",
+        "of mode `paper`: least `rmse_w` of any fixed function of speed, chosen with hindsight",
+    ),
     *_under("power_now", _POWER),
     *_under("energy", _ENERGY),
     Metric("withheld.from_s", "s", "from here on the battery was hidden"),

@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.estimator import EstimatorStatus
+from evpinn_ros.estimation.estimator import EstimatorStatus, Mode
 from evpinn_ros.replay.history import Drive, PowerSeries
 
 MAX_MEASURED_STEP = 2.5  # s; power is not held to be known between readings further apart
 WINDOW, WINDOW_STEP = 300.0, 10.0  # s, of the worst stretch of energy
 NULL_HOLD_OUT = 0.2  # share held out in the random split
 NULL_SEED = 0
+FLOOR_BINS = 50  # of speed, each with at least ten predictions
 
 
 class Span(NamedTuple):
@@ -124,6 +125,23 @@ def null_scores(drive: Drive, span: Span) -> dict[str, float | None]:
     }
 
 
+def speed_floor(drive: Drive, span: Span) -> float | None:
+    """Least RMSE, W, of any fixed function of speed alone, chosen with hindsight; None if unknown.
+
+    The mean of measured power in each of `FLOOR_BINS` bins of as many predictions each. For the
+    newest moment the network of `mode: paper` is such a function, for its other input, the age, is
+    then always 0; it beats the floor only by changing from second to second.
+    """
+    chosen = scored(drive, drive.smoothed, span)
+    if chosen.sum() < 10 * FLOOR_BINS:
+        return None
+    time = drive.smoothed.time[chosen]
+    power = measured_at(drive, time)[0]
+    order = np.argsort(np.interp(time, *drive.speed.T), kind="stable")
+    rest = [each - each.mean() for each in np.array_split(power[order], FLOOR_BINS)]
+    return float(np.sqrt(np.mean(np.concatenate(rest) ** 2)))
+
+
 def metrics(
     *,
     path: str,
@@ -148,6 +166,9 @@ def metrics(
         "mode": mode,
         **drive_scores(drive, warm_up, withheld_from),
     }
+    end = drive.duration if withheld_from is None else withheld_from
+    floor = speed_floor(drive, Span(warm_up, end)) if mode == Mode.PAPER.value else None
+    found["power"]["floor_w"] = floor
     found["parameters"] = _parameters(drive)
     found["updates"] = _updates(status)
     found["replay"] = {

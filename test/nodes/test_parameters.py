@@ -14,6 +14,7 @@ from evpinn_ros.energy.quadrature import MAX_GAP
 from evpinn_ros.energy.rknn import STEP_LIMIT
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameter_file import check_parameter_file, read_parameter_file
@@ -58,12 +59,14 @@ def test_choices_and_defaults_are_those_of_the_cores():
     for name, kind in (
         ("mode", Mode),
         ("regen_form", RegenForm),
+        ("paper_optimizer", PaperOptimizer),
         ("grade_source", GradeSource),
         ("time_jump_policy", JumpPolicy),
     ):
         assert set(estimator[name].choices) == {member.value for member in kind}
     assert estimator["mode"].default == settings.mode.value
     assert estimator["regen_form"].default == settings.regen_form.value
+    assert estimator["paper_optimizer"].default == settings.paper_optimizer.value
     assert estimator["grade_source"].default == settings.stream.grade_source.value
     for name in ("smoothing_lag", "allowed_lateness", "max_gap"):
         assert estimator[name].default == getattr(settings.stream, name)

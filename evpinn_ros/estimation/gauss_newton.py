@@ -19,6 +19,8 @@ import torch
 
 from evpinn_ros.estimation.network import PowerNetwork
 
+LEAST_DAMPING = 1e-3  # of `levenberg_marquardt`, which keeps what the samples do not determine
+LESS, MORE = 1.0 / 3.0, 5.0  # factors of the damping after a step that helped, and any other
 MOST_DAMPING = 1.0  # of the mean diagonal; beyond it a step is no more than a gradient's
 
 
@@ -62,6 +64,51 @@ def gauss_newton_step(
             return step if torch.isfinite(step).all() else torch.zeros_like(step)
         damping *= 10.0
     return torch.zeros_like(network.vector())
+
+
+@torch.no_grad()
+def levenberg_marquardt(
+    network: PowerNetwork,
+    inputs: torch.Tensor,
+    target: torch.Tensor,
+    steps: int,
+    damping: float,
+) -> float:
+    """Bring the output of a network nearer to a target, in a fixed number of trials.
+
+    A step is taken only when it lessens the mean square of the residual; the damping falls after
+    such a step and rises after any other (Marquardt, 1963).
+
+    Args:
+        network: changed in place, never for the worse.
+        inputs: shape (n, inputs).
+        target: wanted output, shape (n,).
+        steps: solutions of the system of n unknowns.
+        damping: to begin with, over the mean of the diagonal of J J^T.
+
+    Returns:
+        The damping to go on with.
+    """
+    moved = True
+    for _ in range(steps):
+        if moved:
+            weights = network.vector()
+            output, activations, derivatives = network.sweep(inputs)
+            least = torch.mean((target - output) ** 2)
+            system = gram(activations, derivatives)
+        damped = system.clone()
+        damped.diagonal().add_(damping * system.diagonal().mean())
+        factor, failed = torch.linalg.cholesky_ex(damped)
+        dual = torch.cholesky_solve((target - output)[:, None], factor)
+        network.load_vector(weights + _weights(activations, derivatives, dual))
+        error = torch.mean((target - network(inputs)) ** 2)
+        moved = bool(not failed and error < least)  # an error that is not finite is no better
+        if moved:
+            damping = max(LESS * damping, LEAST_DAMPING)
+        else:
+            damping = min(MORE * damping, MOST_DAMPING)
+            network.load_vector(weights)
+    return damping
 
 
 def _weights(

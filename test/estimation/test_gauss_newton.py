@@ -1,13 +1,22 @@
 """The step in the space of residuals is the dense least-squares step."""
 
+from itertools import pairwise
+import math
+
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 import torch
 
-from evpinn_ros.estimation.network import PowerNetwork
+from evpinn_ros.estimation.gauss_newton import (
+    LEAST_DAMPING,
+    MOST_DAMPING,
+    gauss_newton_step,
+    gram,
+    levenberg_marquardt,
+)
+from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
 from evpinn_ros.estimation.window_network import WindowNetwork
-from evpinn_ros.reproduction.gauss_newton import gauss_newton_step, gram
 
 WIDTHS = (2, 6, 5, 1)
 
@@ -77,3 +86,26 @@ def test_hopeless_system_gives_no_step(broken: str) -> None:
         (inputs * torch.nan, target) if broken == "inputs" else (inputs, target * torch.nan)
     )
     assert not gauss_newton_step(network, inputs, target, 1e-3).any()
+
+
+def test_marquardt_never_makes_it_worse_and_comes_near_where_adam_does_not():
+    network = PowerNetwork(PAPER_WIDTHS, seed=2, dtype=torch.float32)
+    spread_over_time(network, torch.Generator().manual_seed(2), -1.0, 0.0, 0.1)
+    inputs = torch.stack((torch.rand(200), torch.linspace(-1.0, 0.0, 200)), dim=1)
+    target = torch.sin(12.0 * inputs[:, 1]) * inputs[:, 0]
+    errors, damping = [], 1e-2
+    for _ in range(12):
+        damping = levenberg_marquardt(network, inputs, target, 4, damping)
+        errors.append(float(torch.mean((network(inputs) - target).detach() ** 2)))
+        assert LEAST_DAMPING <= damping <= MOST_DAMPING
+    assert all(after <= before for before, after in pairwise(errors))
+    assert errors[-1] < 0.01 * float(torch.var(target))
+
+
+def test_marquardt_refuses_what_is_not_finite():
+    network = PowerNetwork((2, 8, 1), seed=0, dtype=torch.float32)
+    before = network.vector()
+    inputs = torch.rand(20, 2)
+    damping = levenberg_marquardt(network, inputs, torch.full((20,), math.nan), 3, 1e-2)
+    assert torch.equal(network.vector(), before) and damping == MOST_DAMPING
+    assert levenberg_marquardt(network, inputs, torch.zeros(20), 0, 0.5) == 0.5
