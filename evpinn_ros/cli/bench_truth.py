@@ -10,7 +10,6 @@ import numpy as np
 from rich.table import Table
 import typer
 
-from evpinn_ros.bench.coverage import filter_alone
 from evpinn_ros.bench.floor import ASKED, floors
 from evpinn_ros.bench.truth import (
     VEHICLES,
@@ -40,10 +39,6 @@ def truth(
     from_priors: Annotated[
         bool, typer.Option(help="Draw cars from the priors: are the intervals true?")
     ] = False,
-    alone: Annotated[
-        bool,
-        typer.Option("--filter-alone", help="Cars that are what the filter believes, no others."),
-    ] = False,
     rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
     altitude: Annotated[bool, typer.Option(help="With a barometer.")] = False,
     floor: Annotated[
@@ -62,9 +57,6 @@ def truth(
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
     figures: dict[str, Any] = {}
     try:
-        if alone:
-            _show(figures, summaries(filter_alone(VEHICLES, seeds)))
-            return
         compared = compare(
             kind,
             VEHICLES,

@@ -4,9 +4,9 @@ All hypotheses hold the same states (`car_state`). They differ in what no car kn
 hilly and windy its roads are and how much its auxiliary load wanders. Each is weighted by how well
 it predicted the intervals so far (their evidence), so the widths of all intervals are learned.
 
-Slope that no sensor reports is the derivative of a height that stays bounded: a Matern-3/2 process
-along the road (Rasmussen and Williams, 2006, eq. 4.17), so it has no mean and does not compete with
-rolling resistance. Where height is measured, the same process is the error of that height.
+Slope that no sensor reports is the derivative of a height that stays bounded: a Matern-3/2
+process along the road (Rasmussen and Williams, 2006, eq. 4.17), so it has no mean and does not
+compete with rolling resistance. Where height is measured, the process is the error of that height.
 
 While the battery is silent, the predicted energy is a state too: its covariance with all others
 makes its interval exact, however long that lasts.
@@ -276,7 +276,7 @@ class CarFilter:
     # How -------------------------------------------------------------------------------------
 
     def _begin_offsets(self) -> None:
-        self.state = replace_states(self.state, dict(self._drive_variance))
+        self.state = replace_states(self.state, self._drive_variance)
         self._seconds = 0.0
 
     def _begin_road(self, height_known: bool) -> None:
@@ -340,7 +340,7 @@ class CarFilter:
         slopes, _, _ = self._scales()
         rate = math.sqrt(3.0) / self._slope_length
         road = {State.HEIGHT: (slopes / rate) ** 2, State.SLOPE: slopes**2, State.CLIMB: 0.0}
-        self.state = replace_states(self.state, {int(key): value for key, value in road.items()})
+        self.state = replace_states(self.state, road)
 
     def _spent(self, interval: Interval) -> Spent:
         return spent(

@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.estimation.calibration import BandCalibration
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
+from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.learner import (
     STATE_VERSION,
     Learner,
@@ -24,7 +25,6 @@ from evpinn_ros.estimation.learner import (
     PowerPrediction,
     gate,
 )
-from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.pinn import PinnLearner

@@ -6,7 +6,8 @@ Arrays carry leading axes for the hypotheses of a bank: means have shape (..., n
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,8 +74,13 @@ def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
     return Gaussian(mean, state.covariance - change)
 
 
-def replace_states(state: Gaussian, variances: dict[int, np.ndarray | float]) -> Gaussian:
-    """The state with some entries forgotten: zero, with a variance and no correlation."""
+def replace_states(state: Gaussian, variances: Mapping[Any, Any]) -> Gaussian:
+    """The state with some entries forgotten: zero, and without correlation.
+
+    Args:
+        state: before it.
+        variances: of each entry by its index, a number or of shape (...).
+    """
     mean, covariance = state.mean.copy(), state.covariance.copy()
     for index, variance in variances.items():
         mean[..., index] = 0.0

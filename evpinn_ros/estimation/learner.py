@@ -36,14 +36,14 @@ class LearnerReport(NamedTuple):
 
     Attributes:
         payload_change: the last change of payload, None when none was found.
-        paypayload_changes: changes found.
-        paypaypayload_changes_withdrawn: of them, changes that later data took back.
+        payload_changes: changes found.
+        payload_changes_withdrawn: of them, changes that later data took back.
         suspicion: name of a fault of the signals that the data speak for, or None.
     """
 
     payload_change: PayloadChange | None = None
-    paypayload_changes: int = 0
-    paypaypayload_changes_withdrawn: int = 0
+    payload_changes: int = 0
+    payload_changes_withdrawn: int = 0
     suspicion: str | None = None
 
 

@@ -34,12 +34,14 @@ import numpy as np
 import torch
 
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.gauss_newton import levenberg_marquardt
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.estimation.window import Batch, Observation, SlidingWindow, batch
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
@@ -82,9 +84,7 @@ class Tensors(NamedTuple):
     air_density: torch.Tensor
     known_auxiliary: torch.Tensor
     power: torch.Tensor
-    slope: torch.Tensor
     head_wind: torch.Tensor
-    course: torch.Tensor
 
 
 class Trained(NamedTuple):
@@ -158,6 +158,13 @@ class PaperLearner:
         self._variance += (residual**2 - self._variance) / NOISE_MEMORY
         self._window.add(Observation(sample, power))
         self._last_ns = sample.stamp_ns
+
+    def add_interval(self, interval: Interval) -> None:
+        """Nothing: the paper learns from samples."""
+
+    def evidence(self) -> Evidence:
+        """Nothing that a population could use: no prior holds the paper's parameters."""
+        return NO_EVIDENCE
 
     def prepare_update(self) -> Callable[[], Trained] | None:
         """Train a copy on a snapshot of the window, by a fixed number of steps."""

@@ -91,6 +91,12 @@ def deviations(source: Published) -> dict[str, float]:
     return dict(zip(PARAMETER_NAMES, away.tolist(), strict=True))
 
 
+def identifiable_shares(source: Published) -> Identifiable:
+    """Share of the prior's variance that is left in each combination."""
+    combined = _combined(source)
+    return Identifiable(*(combined[name].share for name in IDENTIFIABLE_NAMES))
+
+
 class StateHysteresis:
     """States that do not flicker: what holds goes on holding a little beyond where it began."""
 

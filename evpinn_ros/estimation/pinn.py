@@ -5,7 +5,7 @@ and a tanh network (`residual_network`) under a physics prior. The states are le
 of intervals (the weak form), the weights from what physics leaves at each sample. The states are
 conditioned once a second on the intervals that ended in it, in a thread beside the callbacks; the
 same filter solved again over a window of the last minute, linearised anew, was measured and gains
-nothing. The network's weights return to their prior within ten seconds: that is its sliding window.
+nothing. The network's weights return to their prior within ten seconds: its sliding window.
 
 While the battery is silent the network fades and the energy of the intervals, with the exact
 heights and speeds of the weak form, leads: power is corrected by what it missed.
@@ -25,7 +25,6 @@ from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.forecast_model import linear_power
-from evpinn_ros.estimation.gaussian import Gaussian
 from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN, GradeSuspicion
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
@@ -83,10 +82,11 @@ class LearnedCar:
         other.gated = Counter()
         other.end_ns, other.measured = self.end_ns, self.measured
         for interval in intervals:
-            other._learn(interval)
+            other.learn(interval)
         return other
 
-    def _learn(self, interval: Interval) -> None:
+    def learn(self, interval: Interval) -> None:
+        """Take one more interval, its battery measured or not."""
         conditions = interval.conditions
         self.loads.push(conditions.load, conditions.celsius, interval.duration)
         reason = _why_not(interval)

@@ -86,7 +86,8 @@ class EnergySums:
         values = [float(value) for value in saved]
         if len(values) != 5 or not all(0.0 <= value <= MOST_ENERGY for value in values):
             raise ValueError("the saved energies are out of range")
-        return cls(*values)
+        driven, driven_force, braked, braked_force, recovered = values
+        return cls(driven, driven_force, braked, braked_force, recovered)
 
 
 class Published(NamedTuple):
@@ -108,13 +109,11 @@ def published(car: CarFilter, sums: EnergySums) -> Published:
     whole = car.mixture()
     matrix, offset = _affine(car, sums, whole.mean)
     prior = Gaussian(car.prior.mean, np.diag(car.prior.std**2))
-    return Published(
-        *(
-            Gaussian(matrix @ each.mean + offset, matrix @ each.covariance @ matrix.T)
-            for each in (whole, prior)
-        ),
-        car.constants.frontal_area,
+    now, before = (
+        Gaussian(matrix @ each.mean + offset, matrix @ each.covariance @ matrix.T)
+        for each in (whole, prior)
     )
+    return Published(now, before, car.constants.frontal_area)
 
 
 def mass_over_eta(car: CarFilter, sums: EnergySums) -> tuple[float, float]:

@@ -5,7 +5,7 @@ paper) of speed, acceleration and its profile. All weights are learned by an ext
 at every sample: Gauss-Newton with an arrival cost, one step a sample (Bell and Cathey, 1993).
 
 The prior pulls N to zero, so physics says what it can say (lambda of eq. 22 is the noise's
-variance over that of the prior). Whether the network is heard is learned: it stands beside one that
+variance over that of the prior). Whether the network counts is learned: it stands beside one that
 says zero, and the two are weighted by their evidence.
 
 The prior is also what weights return to, within `MEMORY`: the network holds what this road, this

@@ -57,8 +57,10 @@ class BatteryTrack:
 
     def add(self, stamp_ns: int, voltage: float, current: float) -> bool:
         """Insert V and A, either NaN where not measured; False when nothing was new."""
-        parts = ((self._voltage, voltage), (self._current, current))
-        return any([track.add(stamp_ns, x) for track, x in parts if not math.isnan(x)])
+        new = False
+        for track, value in ((self._voltage, voltage), (self._current, current)):
+            new |= not math.isnan(value) and track.add(stamp_ns, value)
+        return new
 
     def next_ns(self, stamp_ns: int) -> int | None:
         """First moment from which on both are known at `stamp_ns`, None while one is not."""

@@ -23,8 +23,8 @@ import numpy as np
 from evpinn_ros.signals.battery import BatteryTrack
 from evpinn_ros.signals.height import REACH, HeightProfile
 from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS, SpeedTrack
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.motor import MotorTrack
+from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.road import Conditions, Road
 
 STEP = 1.0  # s, shortest step within an interval

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import math
 
 from evpinn_ros.signals.battery import BatteryTrack
-from evpinn_ros.signals.interval import Interval, IntervalBuilder
+from evpinn_ros.signals.interval import IntervalBuilder
 from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS, CausalDifferentiator, SpeedTrack
 from evpinn_ros.signals.motor import MotorTrack
 from evpinn_ros.signals.readings import (

@@ -1,9 +1,10 @@
 """Battery power of one car as numbers that add up: what an estimator gives and a forecast takes.
 
 Power at a moment is a sum of features of the moment, each times a coefficient, and what is not
-known of the coefficients is a sum of independent directions, each of one sigma. So energy along a trip is one product with the
-integrals of the features, and its variance the sum of the squares of the products with the
-directions: an error of a coefficient is wrong in the same sense for the whole trip.
+known of the coefficients is a sum of independent directions, each of one sigma. So energy along a
+trip is one product with the integrals of the features, and its variance the sum of the squares of
+the products with the directions: an error of a coefficient is wrong in the same sense for the
+whole trip.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 # With drag (air_density v^3 / 2, per m^2), rolling (g v cos(grade), per kg of mass times c_rr) and
-# force (v (g sin(grade) + factor a), per kg): apart for a car that drives and one that brakes, whose
-# recuperation fades at a walking pace (`FADE_SPEED`).
+# force (v (g sin(grade) + factor a), per kg): apart for a car that drives and one that brakes,
+# whose recuperation fades at a walking pace (`FADE_SPEED`).
 FADE_SPEED = 3.5  # m/s, below it recuperation fades, none is left at `FADE_END`
 FADE_END = 0.5  # m/s
 CREEPING = 0.3  # m/s, slower the drivetrain stands
