@@ -180,13 +180,15 @@ class EnergyAccount:
             self.reconciled = reconcile(ended, UNKNOWN)
             self._awaits_charge = (ended, self._charge_before)
 
-    def push_predicted(self, stamp_ns: int, power: float, sigma: float) -> bool:
-        """Take one prediction of power and its 1-sigma, W; gives whether it can be one."""
+    def push_predicted(
+        self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
+    ) -> bool:
+        """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
         if not power_is_possible(power, sigma):
             self.refused["power_out_of_range"] += 1
             return False
         self._see(stamp_ns)
-        self.meter.push_predicted(stamp_ns, power, sigma)
+        self.meter.push_predicted(stamp_ns, power, sigma, energy_sigma)
         return True
 
     def push_speed(self, stamp_ns: int, speed: float) -> None:

@@ -137,10 +137,22 @@ class EnergyMeter:
         by_network = self._integrator is Integrator.RKNN
         self._course = Course(self._max_gap, self._network if by_network else None)
         self._silence_error = CorrelatedError(self._tau)
+        self._energy_sigma = math.nan
         self._anchor = self._predicted_parts()
 
-    def push_predicted(self, stamp_ns: int, power: float, sigma: float) -> None:
-        """Take one prediction of power and its 1-sigma, W."""
+    def push_predicted(
+        self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
+    ) -> None:
+        """Take one prediction of power.
+
+        Args:
+            stamp_ns: its moment.
+            power: W.
+            sigma: its 1-sigma, W.
+            energy_sigma: 1-sigma of the energy predicted since the battery was last measured, J,
+                where the estimator knows it; NaN where it is to be guessed from `sigma`.
+        """
+        self._energy_sigma = energy_sigma
         dropped = self._predicted.dropped
         step = self._predicted.push(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
@@ -186,21 +198,24 @@ class EnergyMeter:
     def _end_silence(self, stamp_ns: int) -> Silence:
         ended = self._silence_until(stamp_ns)
         self._silences = self._silences.after(ended)
-        if ended.duration > self._timeout:
+        if ended.duration > self._measured.longest_step:
             self.last_silence = ended
         return ended
 
     def _silence_until(self, stamp_ns: int) -> Silence:
         """The silence since the last word of the battery, as if it ended at this stamp."""
         bridge = self._predicted_parts().less(self._anchor)
-        short = self._silence_error.sigma
-        sigma = math.hypot(short, self.lasting.value * bridge.gross)
+        if math.isfinite(self._energy_sigma):
+            short = sigma = self._energy_sigma
+        else:
+            short = self._silence_error.sigma
+            sigma = math.hypot(short, self.lasting.value * bridge.gross)
         return Silence(stamp_ns, self._silence(stamp_ns), bridge, short, sigma)
 
     def silent_at(self, stamp_ns: int) -> bool:
         """Whether the battery has said nothing within its timeout before this stamp."""
         heard = self._measured.last_stamp_ns is not None
-        return not heard or self._silence(stamp_ns) > self._timeout
+        return not heard or self._silence(stamp_ns) > self._measured.longest_step
 
     @property
     def measuring(self) -> bool:

@@ -118,11 +118,12 @@ class Rknn:
         Args:
             power: P(t), W, a float or shape (n,); so are all others.
             power_next: P(t + dt), W.
-            dt: s, at most `STEP_LIMIT`.
+            dt: s; beyond `STEP_LIMIT`, as beyond `POWER_LIMIT`, Simpson's rule stands in.
             power_mid: P(t + dt/2), W; None for the mean of both ends.
         """
         middle = (power + power_next) / 2 if power_mid is None else power_mid
         beyond = np.abs([power, middle, power_next]).max(axis=0) > POWER_LIMIT
+        beyond = beyond | (np.asarray(dt) > STEP_LIMIT)
         p0, p1, p2 = (np.clip(p, -POWER_LIMIT, POWER_LIMIT) for p in (power, middle, power_next))
         energy = energy_step(slopes(self.networks, p0, p1, p2, dt), dt)
         if not np.any(beyond):

@@ -87,12 +87,13 @@ class PowerEstimate:
         stamp_ns: the moment.
         power: W.
         sigma: its 1-sigma, W.
-        energy_sigma: 1-sigma of the energy predicted since the battery was last measured, J; NaN
-            while it is measured, and where it is not known.
+        energy: predicted since the battery was last measured, J; NaN while it is measured.
+        energy_sigma: its 1-sigma, J; NaN where it is not known.
     """
 
     kind: PowerKind
     stamp_ns: int
     power: float
     sigma: float
+    energy: float = math.nan
     energy_sigma: float = math.nan

@@ -190,8 +190,10 @@ class OnlineEstimator:
             self._stuck.push(reading)
         believed = taken and self._stuck.suspected != BATTERY_STUCK
         if isinstance(reading, BatteryReading) and believed:
-            sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * reading.power)
-            yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, reading.power, sigma)
+            power = self._stream.measured_power(reading)
+            if power is not None:
+                sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power)
+                yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
         for event in events:
             yield from self._handle(event)
         newest_ns = self._stream.newest_ns
@@ -306,8 +308,14 @@ class OnlineEstimator:
         prediction = self._learner.predict(sample)
         self._predictions[kind].append((sample, prediction))
         sigma = self._bands[kind].sigma(sample, prediction.sigma)
-        energy_sigma = prediction.energy_sigma
-        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma, energy_sigma)
+        yield PowerEstimate(
+            kind,
+            sample.stamp_ns,
+            prediction.power,
+            sigma,
+            prediction.energy,
+            prediction.energy_sigma,
+        )
 
     def _learn_bands(self, event: MeasuredSample) -> None:
         """Hold the predictions made for this moment against what was measured."""

@@ -23,11 +23,13 @@ STATE_VERSION = 5
 class PowerPrediction(NamedTuple):
     """Battery power, W, and the model's own 1-sigma, W, not yet calibrated.
 
-    `energy_sigma`, J: of the energy predicted since the battery was last measured, NaN unknown.
+    `energy`, J, is predicted since the battery was last measured, `energy_sigma` its 1-sigma, J;
+    NaN where they are not known.
     """
 
     power: float
     sigma: float
+    energy: float = math.nan
     energy_sigma: float = math.nan
 
 

@@ -201,7 +201,7 @@ class PinnLearner:
         if not sample.profile:
             return PowerPrediction(power, sigma)
         power += self._debt.repay(sample.stamp_ns, power)
-        return PowerPrediction(power, sigma, self._unmeasured[1])
+        return PowerPrediction(power, sigma, *self._unmeasured)
 
     def observe(self, sample: Sample, power: float) -> None:
         """Let the network learn from a measured sample."""
@@ -309,7 +309,7 @@ class PinnLearner:
         """Use this car from now on; its mixture is what samples are predicted by."""
         self._car = car
         self._mixture = car.filter.mixture()
-        self._unmeasured = (0.0, math.nan) if car.measured else car.filter.unmeasured()
+        self._unmeasured = (math.nan, math.nan) if car.measured else car.filter.unmeasured()
 
     def _physics(self, sample: Sample) -> PowerPrediction:
         """Power of the physics alone, W, and its 1-sigma, W."""

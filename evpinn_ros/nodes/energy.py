@@ -24,7 +24,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
     meter_status,
     plan_status,
 )
-from evpinn_ros.nodes.estimate_messages import energy_messages, summary_messages
+from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.messages import (
@@ -137,7 +137,8 @@ class EnergyNode(GuardedNode):
         if "power" not in vector.values:
             raise BadMessage("no_power")
         power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
-        item = topic, vector.stamp_ns, power, sigma
+        energy_sigma = vector.sigmas.get(UNMEASURED_ENERGY, math.nan)
+        item = topic, vector.stamp_ns, power, sigma, energy_sigma
         if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
             self._push(*item)
             return
@@ -148,11 +149,13 @@ class EnergyNode(GuardedNode):
             else:
                 self._push(*passed)
 
-    def _push(self, topic: Topic, stamp_ns: int, power: float, sigma: float) -> None:
+    def _push(
+        self, topic: Topic, stamp_ns: int, power: float, sigma: float, energy_sigma: float
+    ) -> None:
         if topic is topics.POWER_MEASURED:
             self.account.push_measured(stamp_ns, power, sigma)
             return
-        if not self.account.push_predicted(stamp_ns, power, sigma):
+        if not self.account.push_predicted(stamp_ns, power, sigma, energy_sigma):
             return
         self.forecaster.hear_sigma(sigma)
         self.publish(energy_messages(new_message, self.account.state))

@@ -46,7 +46,9 @@ class Chain:
                 continue
             if output.kind is PowerKind.SMOOTHED:
                 self._follow_time(output.stamp_ns)
-                self.account.push_predicted(output.stamp_ns, output.power, output.sigma)
+                self.account.push_predicted(
+                    output.stamp_ns, output.power, output.sigma, output.energy_sigma
+                )
                 yield self.account.state
                 summary = self.account.tick()
                 if summary is not None:

@@ -7,6 +7,7 @@ power. How far apart two readings may be to be joined follows the rate at which 
 
 from __future__ import annotations
 
+from bisect import bisect_right
 import math
 from typing import NamedTuple
 
@@ -61,6 +62,13 @@ class BatteryTrack:
         for track, value in ((self._voltage, voltage), (self._current, current)):
             new |= not math.isnan(value) and track.add(stamp_ns, value)
         return new
+
+    def latest_voltage(self, stamp_ns: int) -> float | None:
+        """Last voltage before a moment, V; None where it is too long ago."""
+        index = bisect_right(self._voltage.stamps, stamp_ns) - 1
+        if index < 0 or stamp_ns - self._voltage.stamps[index] > self._voltage.cadence.gap_ns:
+            return None
+        return self._voltage.values[index]
 
     def next_ns(self, stamp_ns: int) -> int | None:
         """First moment from which on both are known at `stamp_ns`, None while one is not."""

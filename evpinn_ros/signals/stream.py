@@ -136,6 +136,15 @@ class SampleStream:
         """Nanoseconds without the battery after which it counts as silent, by its own rate."""
         return self._battery.gap_ns
 
+    def measured_power(self, reading: BatteryReading) -> float | None:
+        """Power that a reading measures, W; of a current alone, with the latest voltage."""
+        if math.isnan(reading.current):
+            return None
+        if not math.isnan(reading.voltage):
+            return reading.power
+        voltage = self._battery.latest_voltage(reading.stamp_ns)
+        return None if voltage is None else -voltage * reading.current
+
     def push(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""
         match reading:

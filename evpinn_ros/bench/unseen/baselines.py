@@ -190,7 +190,7 @@ class FastKalman(StepMethod):
 
     def predict(self, step: Step) -> Prediction:
         """Power of the present state; its error is taken to last for the whole dropout."""
-        power, sigma, _ = self._filter.predict(_sample(step))
+        power, sigma, *_ = self._filter.predict(_sample(step))
         self._silent[0] += sigma * step.dt
         return Prediction(step.middle_ns, power, sigma, energy_sigma=float(self._silent[0]))
 
