@@ -1,11 +1,11 @@
 """The layouts of apps, as their exports or their readers show them; clocks, units, refusals."""
 
 from datetime import datetime, timedelta, timezone
+import gzip
 import math
 from pathlib import Path
 import zipfile
 
-import openpyxl
 import polars as pl
 import pytest
 
@@ -149,6 +149,7 @@ def typed():
 
 
 def test_parquet_and_spreadsheets(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
     columns = typed()
     pl.DataFrame({**columns, "nested": [[1]] * SECONDS}).write_parquet(tmp_path / "d.parquet")
     book = openpyxl.Workbook()
@@ -289,8 +290,7 @@ SHEET = (
 
 
 def test_tables_of_nothing_are_refused_at_once(tmp_path):
-    import gzip
-
+    openpyxl = pytest.importorskip("openpyxl")
     bombs = {
         "columns.csv.gz": b",".join([b"a"] * 600_000),
         "row.csv.gz": b'time,speed,power\n"' + b"x" * (LONGEST_LINE + 9),
