@@ -277,7 +277,9 @@ class TableDrive:
         named = time.name == QUANTITIES["time"].column
         if not named:
             unit = clock.unit or clock.kind
-            time = time.measured_in(unit, _plain(clock.unit), "as told" if told else clock.why)
+            time = time.measured_in(
+                unit, _plain(clock.unit), "as told" if told else clock.why or "by its cells"
+            )
         used = {column.quantity: column for column in found if column.quantity != "time"}
         if not own:
             stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
