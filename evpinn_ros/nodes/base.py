@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from evpinn_ros.errors import printable
 from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
@@ -231,5 +232,5 @@ class GuardedNode(Node):
         if not self.context.ok():
             return  # the shutdown came in the middle of a callback
         if text not in self._faults:
-            self.get_logger().error(f"{text} {detail}".strip())
+            self.get_logger().error(printable(f"{text} {detail}".strip()))
         self._faults[text] += 1

@@ -13,7 +13,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.errors import InputError, printable
 from evpinn_ros.nodes.base import GuardedNode
 
 SWITCH_INTERVAL = 5e-4
@@ -110,5 +110,5 @@ def _end_process() -> NoReturn:
 
 
 def _fail(reason: str) -> int:
-    sys.stderr.write(" ".join(reason.split()) + "\n")
+    print(printable(" ".join(reason.split())), file=sys.stderr)
     return 1

@@ -37,7 +37,7 @@ def drive_figure(
         withheld_from: s from which on the battery was withheld, drawn as a boundary.
     """
     figure = Figure(figsize=(12, 11), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)  # it may be the name of a file
     grid = figure.add_gridspec(5, 2, height_ratios=(0.7, 1.2, 1, 1, 1))
     _draw_speed(figure.add_subplot(grid[0, :]), drive)
     _draw_power(figure.add_subplot(grid[1, :]), drive)
