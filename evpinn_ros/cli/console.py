@@ -24,6 +24,7 @@ from rich.progress import (
 from rich.text import Text
 
 from evpinn_ros.cli.plain_table import PlainTable
+from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError, printable
 
 Report = Callable[[float], None]  # takes what is done, seconds of the drive if not told otherwise
@@ -76,7 +77,8 @@ def write_json(path: Path, found: Any) -> None:
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text + "\n", encoding="utf-8")
+        with replaced(path) as draft:
+            draft.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
-import json
 from pathlib import Path
 import shlex
 import sys
@@ -16,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import torch
 import typer
 
-from evpinn_ros.cli.console import TITLE, RateColumn, note, notes, say, show
+from evpinn_ros.cli.console import TITLE, RateColumn, note, notes, say, show, write_json
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
@@ -178,8 +177,7 @@ def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str)
             "log": {"path": str(log), "delay_s": read.delay, "dropped": dict(read.dropped)},
             **results_of(outcome),
         }
-        text = json.dumps(found, indent=1, allow_nan=False)
-        numbers.write_text(text + "\n", encoding="utf-8")
+        write_json(numbers, found)
         write_estimator_state(state, outcome)
         write_vehicle_file(vehicle, outcome, log.name)
     except OSError as error:

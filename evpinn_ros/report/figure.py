@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
+from evpinn_ros.durable import replaced
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
@@ -58,7 +59,8 @@ def drive_figure(
 def save_figure(figure: Figure, path: Path) -> None:
     """Write the picture as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    with replaced(path) as draft:
+        figure.savefig(draft, dpi=110, format="png")
 
 
 def _draw_speed(axes: Axes, drive: Drive) -> None:
