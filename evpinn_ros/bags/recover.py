@@ -244,8 +244,8 @@ def _save(
 ) -> None:
     if not piece.found.count:
         return
-    if piece.chunk is not None:
-        copy.copy(*piece.chunk, piece.found, salvage.definitions)
+    if piece.packed is not None and piece.block.head is not None:
+        copy.copy(piece.block.head, piece.packed, piece.found, salvage.definitions)
         one.chunks += 1
     else:
         copy.pack(piece.content, piece.found, salvage.definitions)
