@@ -12,7 +12,7 @@ import typer
 
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.cli.afterwards import reported
-from evpinn_ros.cli.options import CanProfileOption, VehicleOption
+from evpinn_ros.cli.options import CanProfileOption, OriginOption, VehicleOption
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.state_keeper import state_path
@@ -83,6 +83,7 @@ def run(
     foxglove_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Likewise; 0 for any.")
     ] = PORT,
+    foxglove_origin: OriginOption = None,
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
@@ -124,7 +125,7 @@ def run(
             parameters,
             record=record,
             split=split,
-            foxglove=(foxglove_host, foxglove_port) if foxglove else None,
+            foxglove=(foxglove_host, foxglove_port, foxglove_origin or ()) if foxglove else None,
             beside=beside,
             ros_args=ros_args,
         )
