@@ -14,11 +14,19 @@ from evpinn_ros.bags.writer import Split
 from evpinn_ros.cli.afterwards import reported
 from evpinn_ros.cli.options import CanProfileOption, OriginOption, VehicleOption
 from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.state_keeper import state_path
 from evpinn_ros.report.foxglove import LOOPBACK, PORT
 
 MEGABYTE = 1e6
+
+
+def learned_before(state: Path | None, params: Path | None) -> Path | None:
+    """The state file that the estimator starts from: the command's, or that of its parameters."""
+    if state is None and params is not None:
+        return state_path(str(read_parameter_file(params, "estimator").get("state_file", "")))
+    return state_path(str(state or ""))
 
 
 def run(
@@ -117,7 +125,7 @@ def run(
         if report is not None:
             learning = {"--vehicle": vehicle, "--mode": mode and mode.value, "--params": params}
             options = [str(word) for pair in learning.items() if pair[1] for word in pair]
-            start = state_path(str(state or ""))
+            start = learned_before(state, params)
             record = beside.enter_context(reported(report, record, start, options))
         if view and sys.stdout.isatty():
             beside.enter_context(live_view())
