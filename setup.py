@@ -25,6 +25,7 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],
+        f"{NAME}.bench.unseen": ["core_8a8cbe7.json"],
         f"{NAME}.energy": ["rknn_weights.npz"],
         f"{NAME}.report": ["browser/*.*", "browser/uplot/*"],
     },
@@ -44,6 +45,7 @@ setup(
         "matplotlib",
         "mcap",
         "numpy",
+        "polars",
         "python-can[multicast]",
         "pyyaml",
         "rich",
@@ -73,9 +75,11 @@ setup(
         # `evpinn fleet`: Parquet, and Dask for a cluster.
         "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
-        "bench": ["deepxde"],
+        "bench": ["deepxde", "eclipse-sumo", "libsumo"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
+        # Reads spreadsheets of drives.
+        "tables": ["openpyxl"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
         # Serves `evpinn run --foxglove` and `evpinn view`.
@@ -83,7 +87,7 @@ setup(
         # Nothing more than the package itself; asking for it is no mistake.
         "report": [],
         # By this name `colcon test` knows that pytest is meant.
-        "test": ["hypothesis", "pyserial", "pytest", "pytest-timeout"],
+        "test": ["hypothesis", "openpyxl", "pyserial", "pytest", "pytest-timeout"],
         "dev": [
             "colcon-core",
             "colcon-python-setup-py",

@@ -21,6 +21,7 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     Reading,
     SpeedReading,
@@ -37,6 +38,7 @@ READING_TOPICS: dict[type[Reading], Topic] = {
     PressureReading: topics.PRESSURE,
     WindReading: topics.WIND,
     AuxiliaryReading: topics.AUXILIARY_POWER,
+    MotorReading: topics.MOTOR_TORQUE,
 }
 NOT_A_MESSAGE = "not_finite_or_out_of_range"
 

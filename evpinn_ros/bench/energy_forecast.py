@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evpinn_ros.bench.battery_end import BatteryBenchmark, BatteryRow
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.power_model import PowerModel, combined_model
@@ -45,6 +46,7 @@ class Foretold:
         sigma_j: 1-sigma of that.
         combinations_j: a forecast that knows the five published combinations alone.
         distance_m: m.
+        battery: at its end, None without a state of charge.
     """
 
     measured_j: float
@@ -52,6 +54,7 @@ class Foretold:
     sigma_j: float
     combinations_j: float
     distance_m: float
+    battery: BatteryRow | None = None
 
     @property
     def error_percent(self) -> float:
@@ -70,6 +73,7 @@ class ForecastBenchmark:
     def __init__(self, vehicle: Vehicle, clock: Clock) -> None:
         """Start at the vehicle's priors."""
         self._vehicle = vehicle
+        self._battery = BatteryBenchmark(vehicle)
         self._estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(clock))
 
     def drive(self, readings: Iterable[Reading]) -> Foretold:
@@ -99,7 +103,8 @@ class ForecastBenchmark:
                 pass
         distance = float(plan.distance[-1])
         energy, sigma = float(found.energy[-1]), float(found.sigma[-1])
-        return Foretold(measured, energy, sigma, float(simple.energy[-1]), distance)
+        end = self._battery.drive(drive, found)
+        return Foretold(measured, energy, sigma, float(simple.energy[-1]), distance, end)
 
 
 def driven_plan(readings: Iterable[Reading]) -> Plan:

@@ -15,7 +15,7 @@ from evpinn_ros.bench.fastsim_peer import AIR_DENSITY, fastsim_combined, run_fas
 from evpinn_ros.energy.forecast import Profiles, forecast
 from evpinn_ros.energy.power_model import PowerModel, combined_model
 from evpinn_ros.errors import InputError
-from evpinn_ros.estimation.power_filter import PowerFilter
+from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 
@@ -68,7 +68,7 @@ def measure_throughput(vehicle: Vehicle) -> Throughput:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     profiles = hilly_profiles(BATCH, POINTS)
-    learned = PowerModel(PowerFilter(vehicle).linear_power())
+    learned = PowerModel(PinnLearner(vehicle).linear_power(None))
     tensors = Profiles(*(torch.as_tensor(array) for array in profiles))
 
     def gradient() -> None:
@@ -94,7 +94,7 @@ def compare_cycles(folder: Path, vehicle: Vehicle) -> Iterator[CycleRow]:
         InputError: a cycle is missing.
     """
     same = combined_model(fastsim_combined(), NO_SIGMA, vehicle, 0.0)
-    learned = PowerModel(PowerFilter(vehicle).linear_power())
+    learned = PowerModel(PinnLearner(vehicle).linear_power(None))
     for name in CYCLES:
         time_s, speed = read_cycle(folder / f"{name}.csv")
         peer = run_fastsim(time_s, speed, REPEATS)

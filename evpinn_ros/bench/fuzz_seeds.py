@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 import zstandard
 
 from evpinn_ros.bags.types import encode, new_message, typestore
-from evpinn_ros.estimation.power_filter import PowerFilter
+from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import header, scalar, speed_message
 from evpinn_ros.nodes.model_messages import model_message
@@ -29,6 +29,7 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     Reading,
     SpeedReading,
@@ -49,6 +50,7 @@ READINGS: tuple[Reading, ...] = (
     PressureReading(START, 98e3),
     WindReading(START, 2.0),
     AuxiliaryReading(START, 500.0, 100.0),
+    MotorReading(START, 80.0, 400.0),
 )
 """One of each kind; the place in here chooses the type of a fuzzed message."""
 
@@ -134,7 +136,7 @@ def messages() -> list[bytes]:
 
 def model() -> list[bytes]:
     """The model of a car."""
-    learned = PowerFilter(load_vehicle(VEHICLE)).linear_power()
+    learned = PinnLearner(load_vehicle(VEHICLE)).linear_power(None)
     return [encode(model_message(new_message, VEHICLE, learned))]
 
 

@@ -18,7 +18,6 @@ import numpy as np
 
 from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.bags.convert import READING_TOPICS, BagReadings
-from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.metadata import METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
@@ -29,6 +28,7 @@ from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import bundled_profiles, load_profile
+from evpinn_ros.drives import open_drive
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.meter import EnergyMeter
@@ -130,7 +130,7 @@ def _log(path: Path) -> None:
 
 
 def _csv_drive(path: Path) -> None:
-    for reading in CsvDrive(path, 350.0).readings():
+    for reading in open_drive(path, 350.0).readings():
         float(reading.stamp_ns)
 
 

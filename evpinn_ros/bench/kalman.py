@@ -19,7 +19,6 @@ import math
 import numpy as np
 
 from evpinn_ros.estimation.learner import PowerPrediction
-from evpinn_ros.estimation.parameter_filter import CORRELATION_TIME, FORCE_NOISE, POWER_NOISE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
@@ -41,6 +40,9 @@ WANDER_TIME = np.array([100 * HOUR, 10 * HOUR, 100 * HOUR, 100 * HOUR, HOUR / 6]
 # s in which a state may wander by one sigma of its prior: k_a, k_r, k_m, q, P_aux
 FAST = 100.0  # times faster: `ekf5_fast`
 LONGEST_STEP = HOUR  # s; longer gaps are parking
+CORRELATION_TIME = 0.5  # s within which residuals say the same
+POWER_NOISE = 300.0  # W, 1-sigma of the residual
+FORCE_NOISE = 100.0  # N, likewise while moving
 
 
 class FiveStateFilter:

@@ -142,7 +142,7 @@ class OnlineBenchmark:
         self._moments.append((kind, stamp_ns, (now_ns - stamp_ns) / NANOSECONDS))
         for name, method in self._peers.items():
             begin = self._clock()
-            power, sigma = method.predict(event.sample)
+            power, sigma, *_ = method.predict(event.sample)
             self._predictions[name].seconds += self._clock() - begin
             self._add(name, PowerEstimate(kind, stamp_ns, power, sigma), now_ns)
 

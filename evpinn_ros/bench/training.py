@@ -16,14 +16,15 @@ from typing import NamedTuple, Protocol
 import torch
 
 from evpinn_ros.bench.deepxde_peer import DeepXdeTraining, deepxde_version
+from evpinn_ros.estimation.network import spread_over_time
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.optimizers import (
     INPUTS,
+    KINK_SHARPNESS,
     Adam,
     Optimizer,
     OptimizerName,
     make_optimizer,
-    spread_over_time,
 )
 from evpinn_ros.reproduction.problem import InputForm, Problem, random_split
 from evpinn_ros.vehicle.files import Vehicle
@@ -115,7 +116,9 @@ def _contenders(log: DriveLog, vehicle: Vehicle, seed: int) -> Iterator[Contende
 
     def spread_adam() -> Training:
         adam = Adam(unit, seed)
-        spread_over_time(adam.network, torch.Generator().manual_seed(seed))
+        spread_over_time(
+            adam.network, torch.Generator().manual_seed(seed), -1.0, 1.0, KINK_SHARPNESS
+        )
         return _Ours(unit, adam)
 
     yield from (ours(name) for name in OptimizerName)

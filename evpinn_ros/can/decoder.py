@@ -11,7 +11,13 @@ from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.profile import CanProfile, MessageRule
 from evpinn_ros.can.signal_rule import SignalRule
 from evpinn_ros.can.unpack import unpacker
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    MotorReading,
+    Reading,
+    SpeedReading,
+)
 
 STUCK_AFTER = 5
 """Frames in a row with one counter value after which a sender counts as frozen; logs that lose
@@ -20,6 +26,13 @@ frames repeat a value now and then, so one repetition proves nothing."""
 CHARGE_HOLD_NS = 10 * NANOSECONDS
 """How long a state of charge is told along with later battery readings. Cars send it about once
 a second, in another message; at 100 kW it moves less than 0.5 % in this time."""
+
+TORQUE_HOLD_NS = NANOSECONDS // 5
+"""How long the torque of a second motor is added to that of the first. Cars send both 100 times a
+second; logs of slow adapters hold one of each about every 0.1 s."""
+
+ALONE_AFTER_NS = 2 * NANOSECONDS
+"""A car whose second motor was not heard for so long since the first has none."""
 
 
 class Witness(Protocol):
@@ -57,8 +70,11 @@ class Decoder:
         self._readers: dict[tuple[int, bool], list[_Reader]] = {}
         self._charge_stamp_ns = 0
         self._charge = math.nan
+        self._second_motor = _SecondMotor() if "second_motor" in profile.messages else None
         makers: dict[str, _Maker] = {
             "state_of_charge": self._keep_charge,
+            "second_motor": self._keep_second_torque,
+            "motor": self._motor,
             "speed": self._speed,
             "battery": self._battery,
         }
@@ -87,7 +103,7 @@ class Decoder:
                 if self._witness is not None:
                     self._witness.bad(reader.quantity, frame, str(reason))
                 continue
-            if not values:
+            if values is None:
                 continue
             if self._witness is not None:
                 self._witness.good(reader.quantity, frame, values)
@@ -107,6 +123,44 @@ class Decoder:
 
     def _keep_charge(self, frame: CanFrame, _rule: MessageRule, values: list[float]) -> None:
         self._charge_stamp_ns, self._charge = frame.stamp_ns, values[0]
+
+    def _motor(
+        self, frame: CanFrame, _rule: MessageRule, values: list[float]
+    ) -> MotorReading | None:
+        """The torque of the whole car, None while that of a second motor is not known."""
+        other = 0.0 if self._second_motor is None else self._second_motor.torque(frame.stamp_ns)
+        if math.isnan(other):
+            return None
+        speed = values[1] if len(values) > 1 else math.nan
+        return MotorReading(frame.stamp_ns, values[0] + other, speed)
+
+    def _keep_second_torque(
+        self, frame: CanFrame, _rule: MessageRule, values: list[float]
+    ) -> None:
+        assert self._second_motor is not None
+        self._second_motor.hear(frame.stamp_ns, values[0] if values else math.nan)
+
+
+class _SecondMotor:
+    """The motor of the other axle, which only some cars of a profile have."""
+
+    def __init__(self) -> None:
+        self._asked_ns: int | None = None
+        self._heard_ns: int | None = None
+        self._torque = math.nan
+
+    def hear(self, stamp_ns: int, torque: float) -> None:
+        """Its torque, N m; NaN where the profile knows the message alone."""
+        self._heard_ns, self._torque = stamp_ns, torque
+
+    def torque(self, stamp_ns: int) -> float:
+        """Torque at a moment, N m: 0 in a car without it, NaN while that or it is unknown."""
+        if self._heard_ns is not None:
+            fresh = abs(stamp_ns - self._heard_ns) <= TORQUE_HOLD_NS
+            return self._torque if fresh else math.nan
+        if self._asked_ns is None or stamp_ns < self._asked_ns:
+            self._asked_ns = stamp_ns
+        return 0.0 if stamp_ns - self._asked_ns > ALONE_AFTER_NS else math.nan
 
 
 _Maker = Callable[[CanFrame, MessageRule, list[float]], Reading | None]
@@ -128,8 +182,8 @@ class _Reader:
         self._counter: int | None = None
         self._repeated = 0
 
-    def values(self, frame: CanFrame) -> list[float]:
-        """The values of the rule's signals, SI; none for another page of a multiplexed message.
+    def values(self, frame: CanFrame) -> list[float] | None:
+        """The values of the rule's signals, SI; None for another page of a multiplexed message.
 
         Raises:
             _DroppedError: the frame is damaged, too short, or one value may not be used.
@@ -140,7 +194,7 @@ class _Reader:
         if any(signal.name not in raw for signal in self.rule.signals):
             if len(frame.data) < self.rule.message.length and not self._is_other_page(raw):
                 raise _DroppedError("short_frame")
-            return []
+            return None
         return [_value(signal, raw[signal.name]) for signal in self.rule.signals]
 
     def _unpack(self, data: bytes) -> dict[str, int]:

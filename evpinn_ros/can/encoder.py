@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile, MessageRule
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
 
 
 class Encoder:
@@ -39,6 +39,20 @@ class Encoder:
             ValueError: the profile has no state of charge, or the car cannot show the value.
         """
         return self._frame("state_of_charge", reading.stamp_ns, [reading.state_of_charge])
+
+    def motor(self, reading: MotorReading) -> list[CanFrame]:
+        """The frame with torque and speed, after that of a second motor, which then rests.
+
+        Raises:
+            ValueError: the profile has no motor, or the car cannot show the values.
+        """
+        stamp_ns, rules = reading.stamp_ns, self._profile.messages
+        frames = []
+        if "second_motor" in rules and rules["second_motor"].signals:
+            frames.append(self._frame("second_motor", stamp_ns, [0.0]))
+        values = [reading.torque, reading.speed]
+        count = len(rules["motor"].signals) if "motor" in rules else 0
+        return [*frames, self._frame("motor", stamp_ns, values[:count])]
 
     def _frame(self, quantity: str, stamp_ns: int, values: Sequence[float]) -> CanFrame:
         if quantity not in self._profile.messages:

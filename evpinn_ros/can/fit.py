@@ -6,7 +6,8 @@ length, checksum, counter and range hold and the value did not jump; otherwise *
 
     score = mean over the messages of good / (good + bad)
 
-A message that never came counts 0, one that came and said nothing 0.5. A profile is *proven* when
+Motors are left out: not every car of a profile sends the torque, and not every log holds it. A
+message that never came counts 0, one that came and said nothing 0.5. A profile is *proven* when
 checksums of its own hold: by chance one in 256 does.
 """
 
@@ -17,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.can.profile import MOTORS, CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS
 
 SILENT_ON_FIT = "not_available"
@@ -159,16 +160,20 @@ class Evidence:
         """Begin with nothing said."""
         self._profile = profile
         self._tallies = {
-            quantity: _Tally(*JUMPS.get(quantity, ())) for quantity in profile.messages
+            quantity: _Tally(*JUMPS.get(quantity, ()))
+            for quantity in profile.messages
+            if quantity not in MOTORS
         }
 
     def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
         """A frame gave values (see `Witness`)."""
-        self._tallies[quantity].good_frame(frame, values[0])
+        if quantity in self._tallies:
+            self._tallies[quantity].good_frame(frame, values[0])
 
     def bad(self, quantity: str, frame: CanFrame, reason: str) -> None:
         """A frame was dropped (see `Witness`)."""
-        self._tallies[quantity].bad_frame(frame, reason)
+        if quantity in self._tallies:
+            self._tallies[quantity].bad_frame(frame, reason)
 
     def restart(self) -> None:
         """Forget the counts, not what values and payloads came last."""

@@ -19,7 +19,7 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.fit import Contradiction, Evidence, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.signals.readings import NANOSECONDS, MotorReading, Reading
 
 DECIDE_NS = NANOSECONDS // 2
 DECIDE_LAST_NS = 5 * NANOSECONDS
@@ -154,8 +154,11 @@ class FitGuard:
             self.dropped["undecided"] += len(held)
             self._refuse(found)
             return ()
-        if held:
-            self._trust()
+        # A motor proves nothing: in another car its id may pass a checksum by chance.
+        if all(isinstance(reading, MotorReading) for reading in held):
+            self.dropped["undecided"] += len(held)
+            return ()
+        self._trust()
         return held
 
     def _review(self, frame: CanFrame) -> None:

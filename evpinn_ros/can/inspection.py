@@ -14,7 +14,13 @@ from evpinn_ros.can.fit import Evidence, MessageFit, ProfileFit, contradiction, 
 from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import QUANTITIES, CanProfile
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    MotorReading,
+    Reading,
+    SpeedReading,
+)
 
 NO_ANSWER = "no_answer"
 
@@ -299,3 +305,7 @@ def _named_values(reading: Reading) -> Iterable[tuple[str, float]]:
         yield "current", reading.current
         if not math.isnan(reading.state_of_charge):
             yield "state_of_charge", reading.state_of_charge
+    elif isinstance(reading, MotorReading):
+        yield "motor_torque", reading.torque
+        if not math.isnan(reading.speed):
+            yield "motor_speed", reading.speed

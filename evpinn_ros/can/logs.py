@@ -1,4 +1,4 @@
-"""CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, python-can .csv; also gzipped.
+"""CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, .csv of two kinds; also gzipped.
 
 ASAM .mf4 needs the extra `mf4`. Another process reads it: a damaged one can crash asammdf's code.
 """
@@ -21,6 +21,7 @@ from can.io import mf4
 
 from evpinn_ros.can.blf import BlfReader
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
+from evpinn_ros.can.gvret import HEADER, GvretReader
 from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError
 from evpinn_ros.text_lines import bounded_lines
@@ -31,7 +32,7 @@ _READERS: dict[str, Callable[..., Any]] = {
     ".asc": lambda file: can.ASCReader(file, relative_timestamp=False),
     ".blf": BlfReader,
     ".trc": can.TRCReader,
-    ".csv": can.CSVReader,
+    ".csv": lambda file: _csv_reader(file),
 }
 _MF4 = ".mf4"
 LOG_SUFFIXES = (*_READERS, _MF4)
@@ -115,7 +116,7 @@ class LogFile:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "converted.log"
             command = [sys.executable, "-m", "can.logconvert", str(self.path), str(path)]
-            failed = _run_limited(command)
+            failed = run_limited(command)
             with suppress(InputError):  # no file, or no frame in it: told below
                 log = LogFile(path)
                 self.skipped = log.skipped
@@ -172,6 +173,11 @@ def _is_possible(message: Any) -> bool:
     return possible and abs(message.timestamp) < LAST_TIME
 
 
+def _csv_reader(lines: _Lines) -> Any:
+    """The reader of SavvyCAN's columns, or of python-can's own."""
+    return (GvretReader if lines.peek().startswith(HEADER) else can.CSVReader)(lines)
+
+
 class _Lines:
     """The whole lines of a text file, none longer than `LONGEST_LINE`, as a file for the readers.
 
@@ -183,12 +189,20 @@ class _Lines:
         self.number, self.cut_off = 0, False
         self.read, self.close = file.read, file.close
         self._lines = bounded_lines(file)
+        self._peeked: str | None = None
+
+    def peek(self) -> str:
+        """The next line, which will come again; empty at the end."""
+        if self._peeked is None:
+            self._peeked = next(self._lines, None)
+        return (self._peeked or "").lstrip("\ufeff")
 
     def __iter__(self) -> Iterator[str]:
         return self
 
     def __next__(self) -> str:
-        line = next(self._lines)
+        line = self._peeked if self._peeked is not None else next(self._lines)
+        self._peeked = None
         self.number += 1
         self.cut_off = not line.endswith("\n")
         if self.cut_off:
@@ -196,7 +210,7 @@ class _Lines:
         return line
 
 
-def _run_limited(command: list[str]) -> str | None:
+def run_limited(command: list[str]) -> str | None:
     """Run another program within limits; gives its last word when it failed."""
     with subprocess.Popen(
         command,

@@ -1,9 +1,10 @@
-"""CAN profiles: which signals of a car's bus are the speed and the battery.
+"""CAN profiles: which signals of a car's bus are the speed, the battery and the motor torque.
 
 A profile is a YAML file in `config/can/`. A quantity is either broadcast, a signal of the DBC file
 that the profile names, or asked for by a request (`evpinn_ros.can.request`). The profile adds what
-a DBC cannot say: which quantity a signal is, the sign of the current, what the car can do at most,
-the raw values that mean "not available", and how the frame is protected. It is read strictly.
+a DBC cannot say: which quantity a signal is, the sign of current and torque, what the car can do
+at most, the raw values that mean "not available", and how the frame is protected. It is read
+strictly.
 """
 
 from __future__ import annotations
@@ -22,15 +23,29 @@ from evpinn_ros.can.request import (
     refuse_overlaps,
     request_rules,
 )
-from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
+from evpinn_ros.can.signal_rule import (
+    POSITIVE_MEANS,
+    RULE_KEYS,
+    SignalRule,
+    refuse_impossible,
+    signal_rule,
+)
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
 from evpinn_ros.yaml_section import Section, compose
 
-QUANTITIES = ("speed", "battery", "state_of_charge")
+MOTORS = ("motor", "second_motor")
+QUANTITIES = ("speed", "battery", "state_of_charge", *MOTORS)
 ONLY_ASKED = "auxiliary_voltage"
 PROTECTION_KEYS = ("checksum", "counter")
 SIGNAL_KEYS = ("signal", *RULE_KEYS)
+PARTS: Mapping[str, Mapping[str, str]] = {
+    "battery": {"voltage": "voltage", "current": "current"},
+    "motor": {"torque": "torque", "speed": "motor_speed"},
+    "second_motor": {"torque": "torque"},
+}
+"""Sections of a quantity that has several signals, and what `UNITS` calls each."""
+OPTIONAL_PARTS = (("motor", "speed"), ("second_motor", "torque"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +54,8 @@ class MessageRule:
 
     Attributes:
         message: the `cantools.database.Message`.
-        signals: the rules, in the order of the quantity (battery: voltage, current).
+        signals: the rules, in the order of the quantity (battery: voltage, current; motor:
+            torque, speed where the message has it; second motor: torque, none when unknown).
         checksum: the function that makes the checksum byte, or None.
         checksum_byte: where that byte is.
         counter: name of the signal that counts frames, or None.
@@ -129,6 +145,8 @@ def _parse(path: Path) -> CanProfile:
     root.refuse_unknown((*texts, "experimental", "dbc", "requests", *QUANTITIES, ONLY_ASKED))
     asked = _asked(root)
     broadcast = [name for name in QUANTITIES if root.has(name) and name not in asked]
+    if "second_motor" in broadcast and "motor" not in broadcast:
+        raise root.error_at("second_motor", "'motor' is missing")
     messages = {}
     if broadcast or root.has("dbc"):
         database = DbcFile(root, root.path_beside("dbc"))
@@ -159,7 +177,8 @@ def _asked(root: Section) -> dict[str, tuple[AnswerField, ...]]:
     requests = request_rules(root.section("requests"))
     asked = {}
     for quantity in filter(root.has, (*QUANTITIES, ONLY_ASKED)):
-        if quantity != ONLY_ASKED and root.section(quantity).has("message"):
+        is_message = quantity != ONLY_ASKED and root.section(quantity).has("message")
+        if quantity in MOTORS or is_message:
             continue
         section = root.section(quantity)
         if quantity == "battery":
@@ -229,14 +248,13 @@ def _fields(rule: MessageRule) -> Iterator[_Field]:
 
 def _message_rule(section: Section, quantity: str, database: DbcFile) -> MessageRule:
     message = database.message(section)
-    if quantity == "battery":
-        section.refuse_unknown(("message", "voltage", "current", *PROTECTION_KEYS))
-        voltage, current = section.section("voltage"), section.section("current")
-        voltage.refuse_unknown(SIGNAL_KEYS)
-        current.refuse_unknown((*SIGNAL_KEYS, "positive_means"))
-        signals: tuple[SignalRule, ...] = (
-            _signal_rule(voltage, message, "voltage"),
-            _signal_rule(current, message, "current"),
+    if quantity in PARTS:
+        parts = PARTS[quantity]
+        section.refuse_unknown(("message", *parts, *PROTECTION_KEYS))
+        signals = tuple(
+            _part(section.section(part), message, of)
+            for part, of in parts.items()
+            if section.has(part) or (quantity, part) not in OPTIONAL_PARTS
         )
     else:
         section.refuse_unknown(("message", *SIGNAL_KEYS, *PROTECTION_KEYS))
@@ -244,6 +262,12 @@ def _message_rule(section: Section, quantity: str, database: DbcFile) -> Message
     checksum, checksum_byte = _checksum(section, message)
     counter = find_signal(section, "counter", message).name if section.has("counter") else None
     return MessageRule(message, signals, checksum, checksum_byte, counter)
+
+
+def _part(section: Section, message: Any, quantity: str) -> SignalRule:
+    signed = ("positive_means",) if quantity in POSITIVE_MEANS else ()
+    section.refuse_unknown((*SIGNAL_KEYS, *signed))
+    return _signal_rule(section, message, quantity)
 
 
 def _signal_rule(section: Section, message: Any, quantity: str) -> SignalRule:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+import math
 
 from evpinn_ros.yaml_section import Section
 
@@ -13,10 +14,17 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "current": {"A": 1.0},
     "state_of_charge": {"%": 0.01, "1": 1.0},
     "auxiliary_voltage": {"V": 1.0},
+    "torque": {"N m": 1.0},
+    "motor_speed": {"rpm": 2 * math.pi / 60, "rad/s": 1.0},
 }
 """What a quantity may be given in, and how much that is in SI."""
 
-POSITIVE_MEANS: Mapping[str, float] = {"charge": 1.0, "discharge": -1.0}
+POSITIVE_MEANS: Mapping[str, Mapping[str, float]] = {
+    "current": {"charge": 1.0, "discharge": -1.0},
+    "torque": {"drive": 1.0, "brake": -1.0},
+}
+"""Quantities whose sign a profile must state, and the sign it has in readings."""
+
 RULE_KEYS = ("unit", "scale", "valid", "not_available")
 
 
@@ -69,7 +77,7 @@ class SignalRule:
 def signal_rule(
     section: Section, name: str, quantity: str, scale: float = 1.0, offset: float = 0.0
 ) -> SignalRule:
-    """Read the keys `RULE_KEYS` of a section, and `positive_means` of a current.
+    """Read the keys `RULE_KEYS` of a section, and the sign that `POSITIVE_MEANS` asks for.
 
     Args:
         section: of the profile.
@@ -79,12 +87,13 @@ def signal_rule(
         offset: of the DBC file, scaled likewise.
 
     Raises:
-        InputError: a key is missing or wrong; the sign of a current is never guessed.
+        InputError: a key is missing or wrong; a sign is never guessed.
     """
     units = UNITS[quantity]
     si = units[section.choice("unit", units)]
-    if quantity == "current":
-        si *= POSITIVE_MEANS[section.choice("positive_means", POSITIVE_MEANS)]
+    if quantity in POSITIVE_MEANS:
+        signs = POSITIVE_MEANS[quantity]
+        si *= signs[section.choice("positive_means", signs)]
     bounds = section.numbers("valid", -1e6, 1e6)
     if len(bounds) != 2 or not bounds[0] < bounds[1]:
         raise section.error_at("valid", "'valid' must be [lowest, highest]")

@@ -10,6 +10,7 @@ COMMANDS = (
     "training",
     "online",
     "carried",
+    "unseen",
     "truth",
     "can",
     "energy",
@@ -18,6 +19,7 @@ COMMANDS = (
     "fuzz",
     "report",
     "recover",
+    "logs",
     "faults",
 )  # each a function in `bench_<name>.py`
 

@@ -13,9 +13,9 @@ from evpinn_ros.bench.carried import CarriedBenchmark, Foretold, energy_errors
 from evpinn_ros.bench.logs import find_logs
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
-from evpinn_ros.cli.plain_table import PlainTable
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
+from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
 

@@ -24,7 +24,7 @@ from evpinn_ros.bench.energy_library import (
 )
 from evpinn_ros.bench.fastsim_peer import fastsim_version
 from evpinn_ros.bench.logs import Log, find_logs
-from evpinn_ros.cli.bench_integration import EPOCHS, counting, integrators
+from evpinn_ros.cli.bench_integration import EPOCHS, battery, counting, integrators, show_battery
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.cli.tables import figures_table, titled_table
@@ -44,6 +44,7 @@ class Part(str, Enum):
     COUNTING = "counting"
     FORECASTS = "forecasts"
     LIBRARY = "library"
+    BATTERY = "battery"
     PLANS = "plans"
 
 
@@ -76,7 +77,8 @@ def energy(
     beside the trapezoid and Simpson's rule, on all samples and on fewer. Counting: the battery at
     1 Hz with gaps, silent for ten minutes, silent all along; it takes as long as a fifth of all
     drives. Forecasts: each drive is foretold from its own speed and elevation by what was learned
-    on those before, the first from the vehicle file.
+    on those before, the first from the vehicle file. Battery: the end of each drive of known
+    power, by energy over capacity and by the battery's state, learned on the drives before.
 
     Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
     """
@@ -92,6 +94,8 @@ def energy(
             found["forecasts"] = []
             for logs in cars:
                 found["forecasts"].append(_forecasts(logs))
+        if Part.BATTERY in parts:
+            found["battery"] = [battery(logs) for logs in cars]
         if Part.LIBRARY in parts:
             found |= _library(cycles)
         if Part.PLANS in parts and find_spec("rclpy") is None:
@@ -125,6 +129,9 @@ def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
                 note(f"evpinn: {log.path}: {error}")
             progress(number)
     _show_forecasts(car.name, found)
+    ends = {name: one.battery for name, one in found.items() if one.battery is not None}
+    if ends:
+        show_battery(f"{car.name}: error of the battery at the end of forecasts", ends)
     totals = forecast_totals(list(found.values()))
     if totals is not None:
         median, mean, covered, counted = totals

@@ -15,8 +15,8 @@ from evpinn_ros.bench.fuzz import fuzz as fuzz_target
 from evpinn_ros.bench.fuzz_targets import TARGETS
 from evpinn_ros.cli.console import note, show, write_json
 from evpinn_ros.cli.options import MetricsOption
-from evpinn_ros.cli.plain_table import PlainTable
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_table import PlainTable
 
 
 def fuzz(

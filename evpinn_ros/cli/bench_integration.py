@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 import time
 from typing import Any
 
+from evpinn_ros.bench.battery_end import BatteryRow, battery_rows
 from evpinn_ros.bench.energy_integration import integration_rows
 from evpinn_ros.bench.integrators import (
     SIMULATED,
@@ -71,6 +73,30 @@ def _compared(car: str, drives: Sequence[PowerSeries], epochs: int) -> list[Inte
         table.add_row(method, *errors)
     show(table)
     return rows
+
+
+def battery(logs: Sequence[Log]) -> dict[str, Any]:
+    """The battery at the end of each drive of a car, of known power; give the figures."""
+    rows = dict(battery_rows(logs))
+    show_battery(f"{logs[0].vehicle}: error of the battery at the end of known power", rows)
+    return {name: row._asdict() for name, row in rows.items()}
+
+
+def show_battery(title: str, rows: Mapping[str, BatteryRow]) -> None:
+    """A table of drives."""
+    table = titled_table(title)
+    for column in ("drive", "charge used", "by capacity", "by state", "V held", "V by state"):
+        table.add_column(column, justify="left" if column == "drive" else "right")
+    for name, row in rows.items():
+        table.add_row(Path(name).name, f"{100 * row.used:.1f} %", *_battery_cells(row))
+    show(table)
+
+
+def _battery_cells(row: BatteryRow) -> Iterator[str]:
+    for share in (row.by_capacity, row.by_state):
+        yield "-" if share is None else f"{100 * share:+.2f} points"
+    for volts in (row.voltage_held, row.voltage_by_state):
+        yield "-" if volts is None else f"{volts:+.1f} V"
 
 
 def counting(cars: Sequence[Sequence[Log]]) -> list[dict[str, Any]]:

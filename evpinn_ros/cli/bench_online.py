@@ -15,9 +15,9 @@ from evpinn_ros.bench.online import METHODS, OnlineBenchmark, Run
 from evpinn_ros.bench.scores import Score, log_scores, total_scores
 from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
-from evpinn_ros.cli.plain_table import PlainTable
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
+from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.run import PROGRESS_STEP, WARM_UP, has_battery
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
@@ -162,7 +162,7 @@ def _show(title: str, scores: Mapping[str, Score], markdown: bool) -> None:
     for name, score in scores.items():
         table.add_row(name, *_row(score))
     # Markdown is for a file: no line of it is folded, however narrow the terminal.
-    show(table, MARKDOWN_WIDTH if markdown else None)
+    show(table, at_least=MARKDOWN_WIDTH if markdown else 0)
 
 
 def _row(score: Score) -> list[str]:

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from evpinn_ros.bench.coverage import filter_alone
 from evpinn_ros.bench.floor import ASKED, floors
 from evpinn_ros.bench.truth import (
     VEHICLES,
@@ -23,8 +22,8 @@ from evpinn_ros.bench.truth import (
 )
 from evpinn_ros.cli.console import progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.plain_table import PlainTable
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
+from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
 
@@ -39,10 +38,6 @@ def truth(
     kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
     from_priors: Annotated[
         bool, typer.Option(help="Draw cars from the priors: are the intervals true?")
-    ] = False,
-    alone: Annotated[
-        bool,
-        typer.Option("--filter-alone", help="Cars that are what the filter believes, no others."),
     ] = False,
     rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
     altitude: Annotated[bool, typer.Option(help="With a barometer.")] = False,
@@ -62,9 +57,6 @@ def truth(
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
     figures: dict[str, Any] = {}
     try:
-        if alone:
-            _show(figures, summaries(filter_alone(VEHICLES, seeds)))
-            return
         compared = compare(
             kind,
             VEHICLES,

@@ -8,14 +8,16 @@ from typing import Any
 from evpinn_ros.can.fit import MessageFit
 from evpinn_ros.can.inspection import BusReport, IdStatus, ProfileReport
 from evpinn_ros.cli.console import say, show
-from evpinn_ros.cli.plain_table import PlainTable
 from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.plain_table import PlainTable
 
 PEOPLE: dict[str, tuple[str, float, int]] = {
     "speed": ("km/h", 3.6, 1),
     "voltage": ("V", 1.0, 1),
     "current": ("A", 1.0, 1),
     "state_of_charge": ("%", 100.0, 1),
+    "motor_torque": ("N m", 1.0, 0),
+    "motor_speed": ("rpm", 60 / (2 * math.pi), 0),
 }
 """Unit for people, how many of it are one in SI, and decimals."""
 

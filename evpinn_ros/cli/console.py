@@ -23,9 +23,9 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from evpinn_ros.cli.plain_table import PlainTable
 from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError, printable
+from evpinn_ros.plain_table import PlainTable
 
 Report = Callable[[float], None]  # takes what is done, seconds of the drive if not told otherwise
 
@@ -49,10 +49,10 @@ def say(text: str = "", style: str = "") -> None:
     results.print(Text(printable(text), style), soft_wrap=True)
 
 
-def show(table: PlainTable, width: int | None = None) -> None:
-    """A table of the results, as wide as the terminal if not told otherwise."""
-    console = results if width is None else Console(width=width, stderr=results.stderr)
-    console.print(table)
+def show(table: PlainTable, at_least: int = 0) -> None:
+    """A table of the results, as wide as the terminal, or more if told so."""
+    narrow = results.width < at_least
+    (Console(width=at_least, stderr=results.stderr) if narrow else results).print(table)
 
 
 def show_json(found: Any) -> None:

@@ -10,16 +10,16 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.bags.convert import reported, write_readings
-from evpinn_ros.bags.csv_columns import QUANTITIES
 from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, writing
-from evpinn_ros.cli.csv_columns import explain_columns
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, complete_vehicle
+from evpinn_ros.cli.table_columns import explain_columns, explain_notes
+from evpinn_ros.drives.quantities import QUANTITIES
 from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import CsvSource, Source, open_source
+from evpinn_ros.replay.sources import Source, open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
 
@@ -27,7 +27,7 @@ def convert(
     source_path: Annotated[
         Path,
         typer.Argument(
-            metavar="IN", help="CSV, CAN log (.log, .asc, ...), bag of topics or of CAN frames."
+            metavar="IN", help="Log of an app (CSV, xlsx, ...), CAN log, bag of topics or frames."
         ),
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
@@ -44,7 +44,7 @@ def convert(
     column: Annotated[
         list[str] | None,
         typer.Option(
-            help="Of a CSV file: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative while "
+            help="Of a table: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative while "
             "it discharges. " + f"Quantities: {', '.join(QUANTITIES)}."
         ),
     ] = None,
@@ -55,9 +55,10 @@ def convert(
 ) -> None:
     """Convert a recorded drive into a rosbag2 bag: MCAP of our topics.
 
-    Columns of a CSV file are found by their names and values; what was taken for what is told.
+    Columns of a table are found by their names and values; what was taken for what is told.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
-    optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct are taken as they are.
+    optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct, motor_torque_nm and
+    motor_speed_rad_s are taken as they are.
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
 
@@ -74,8 +75,7 @@ def convert(
     with Interruption() as interruption:
         dropped = _write(source, out, interruption)
         dropped.update(source.dropped)
-        if isinstance(source, CsvSource):
-            _explain_csv(source, car.nominal_voltage)
+        explain_notes(source)
         for reason, count in sorted(dropped.items()):
             note(f"{source_path}: {count} readings dropped: {reason}")
         if source.problem:
@@ -95,17 +95,6 @@ def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str
         kept = takewhile(lambda _: not interruption.asked, chain(begun, readings))
         with writing(out), BagWriter(out) as writer:
             return write_readings(kept, writer)
-
-
-def _explain_csv(source: CsvSource, nominal_voltage: float) -> None:
-    drive = source.drive
-    if drive.ignored and not any(rule.why for rule in drive.rules):  # else it is told already
-        note(f"{source.path}: columns not used: {', '.join(drive.ignored)}")
-    if drive.at_nominal_voltage:
-        note(
-            f"{source.path}: {drive.at_nominal_voltage} battery readings hold power alone; "
-            f"their voltage is the nominal {nominal_voltage:g} V"
-        )
 
 
 def _change_storage(source: Path, out: Path, storage: Storage) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
+from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.contents import Contents, contents
@@ -22,10 +23,10 @@ MOST_SPANS = 10  # on the terminal; --json has them all
 
 
 def info(
-    inputs: Annotated[list[Path], typer.Argument(help="Bags, CAN logs or CSV files.")],
+    inputs: Annotated[list[Path], typer.Argument(help="Bags, CAN logs or tables (CSV, xlsx...).")],
     column: Annotated[
         list[str] | None,
-        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
     ] = None,
     as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
@@ -65,11 +66,13 @@ def _show(found: Contents) -> None:
 
 def _lines(found: Contents) -> Iterator[str]:
     begin, end = found.span_ns or (0, 0)
-    when = f"{(end - begin) / NANOSECONDS:.1f} s from {_date(begin)}" if end else "empty"
+    when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(found, begin)}" if end else "empty"
     yield f"{found.path}: {found.kind}, {when}"
     for column in found.columns:
         told = f", {column.unit}, {column.why}" if column.why else ""
         yield f"  {column.quantity}: column {column.name!r}{told}"
+    if found.unused:
+        yield f"  columns not used: {shorter(found.unused)}"
     if found.frames:
         fits = f"profile {found.profile}" if found.profile else "no profile that is known"
         yield f"  CAN frames: {fits} fits"
@@ -83,12 +86,23 @@ def _lines(found: Contents) -> Iterator[str]:
         yield f"  {text}"
 
 
+def _start(found: Contents, begin_ns: int) -> str:
+    """When it began, as far as it tells."""
+    if found.dated == "":
+        return ", undated"
+    day = ", the day by the file's name" if found.dated == "name" else ""
+    zone = " UTC" if found.zoned else ""
+    return f" from {_date(begin_ns)}{zone}{day}"
+
+
 def _drive_lines(drive: Usable, begin_ns: int) -> Iterator[str]:
     for kind, flow in drive.flows.items():
         count, rate, gap = _flow(flow)
         yield f"  {kind}: {count} readings, {rate} a second, longest gap {gap}"
     voltage = "" if math.isnan(drive.voltage) else f"; battery {drive.voltage:.0f} V in the mean"
-    yield f"  distance: {drive.distance / 1000:.2f} km{voltage}"
+    first, last = drive.charge
+    charge = "" if math.isnan(first) else f"; state of charge {first:.1%} to {last:.1%}"
+    yield f"  distance: {drive.distance / 1000:.2f} km{voltage}{charge}"
     yield f"  estimator: {drive.verdict}"
     for first, last in _relative(drive.spans[:MOST_SPANS], begin_ns):
         yield f"    {first:.1f} s to {last:.1f} s"
@@ -113,7 +127,7 @@ def _date(stamp_ns: int) -> str:
         moment = datetime.fromtimestamp(stamp_ns // NANOSECONDS, timezone.utc)
     except (OverflowError, ValueError, OSError):
         return f"{stamp_ns} ns"
-    return f"{moment:%Y-%m-%d %H:%M:%S} UTC"
+    return f"{moment:%Y-%m-%d %H:%M:%S}"
 
 
 def _as_json(found: Contents) -> dict[str, Any]:
@@ -122,13 +136,14 @@ def _as_json(found: Contents) -> dict[str, Any]:
     return {
         "path": str(found.path),
         "kind": found.kind,
-        "start_ns": begin,
+        "start_ns": begin if found.dated != "" else None,
         "duration_s": (end - begin) / NANOSECONDS,
         "topics": [
             {"name": topic.name, "type": topic.type_name, **_flow_json(topic.flow)}
             for topic in found.topics
         ],
         "columns": [asdict(column) for column in found.columns],
+        "columns_not_used": list(found.unused),
         "can_profile": found.profile,
         "vehicles": list(found.vehicles),
         "readings": {k: _flow_json(flow) for k, flow in (drive.flows if drive else {}).items()},

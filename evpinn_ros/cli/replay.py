@@ -17,12 +17,13 @@ import typer
 from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
-from evpinn_ros.cli.csv_columns import explain_columns
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
+from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import parameter_table, score_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.parameter_file import read_parameter_file
@@ -47,10 +48,14 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 def replay(
     inputs: Annotated[
-        list[Path], typer.Argument(help="Bags, CAN logs or CSV files of one car, in order.")
+        list[Path], typer.Argument(help="Bags, CAN logs or tables of one car, in order.")
     ],
     vehicle: VehicleOption = "generic",
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
+    optimizer: Annotated[
+        PaperOptimizer | None,
+        typer.Option(help="Of mode paper; as published if not given."),
+    ] = None,
     params: Annotated[
         Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
     ] = None,
@@ -83,7 +88,7 @@ def replay(
     ] = 1,
     column: Annotated[
         list[str] | None,
-        typer.Option(help="Of a CSV file, as speed=NAME or speed=NAME:km/h; see convert."),
+        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
     ] = None,
     can_profile: CanProfileOption = None,
     trust_profile: Annotated[
@@ -100,7 +105,7 @@ def replay(
     # One thread, so that the same bag gives the same bits and other cores stay free.
     one_thread()
     car = load_vehicle(vehicle)
-    settings = estimator_settings(_parameters(params, mode))
+    settings = estimator_settings(_parameters(params, mode, optimizer))
     open_input = partial(
         open_source,
         vehicle=car,
@@ -141,13 +146,19 @@ def replay(
         raise typer.Exit(1)
 
 
-def _parameters(params: Path | None, mode: Mode | None) -> dict[str, Value]:
+def _parameters(
+    params: Path | None, mode: Mode | None, optimizer: PaperOptimizer | None
+) -> dict[str, Value]:
     """Parameters of the node `estimator`: defaults, the file over them, the command over both."""
     values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
     if params is not None:
         values.update(read_parameter_file(params, "estimator"))
     if mode is not None:
         values["mode"] = mode.value
+    if optimizer is not None:
+        if values["mode"] != Mode.PAPER.value:
+            raise InputError("--optimizer: mode paper alone has the choice; add --mode paper")
+        values["paper_optimizer"] = optimizer.value
     return values
 
 
@@ -197,6 +208,7 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
     found = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
+    explain_notes(source)
     if not has_battery(result.drive):
         note(f"evpinn: {source.path}: no battery voltage and current; nothing could be learned")
     say(

@@ -47,6 +47,9 @@ def simulate(
     temperature: Annotated[
         bool, typer.Option("--temperature", help="Add an outside thermometer.")
     ] = False,
+    motor_torque: Annotated[
+        bool, typer.Option("--motor-torque", help="Tell the motor's torque, an estimate too.")
+    ] = False,
     equation: Annotated[
         RegenForm | None,
         typer.Option(help="A car that obeys eq. 21 in this form to the letter, on a flat road."),
@@ -76,6 +79,7 @@ def simulate(
         can_profile=can_profile,
         altitude=altitude,
         temperature=temperature,
+        motor_torque=motor_torque,
         start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
         equation=equation,
     )

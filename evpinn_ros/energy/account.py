@@ -5,20 +5,30 @@ It joins the meter to distance and to the state of charge, and is what outlives 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState
+from evpinn_ros.energy.plausible import (
+    MAX_POWER,
+    MOST_DISTANCE,
+    MOST_ENERGY,
+    MOST_SECONDS,
+    power_is_possible,
+    speed_is_possible,
+)
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
 from evpinn_ros.energy.saved import numbers, or_none, section
 from evpinn_ros.energy.silence import Silence
 from evpinn_ros.energy.trip import Stretch, TripLog
 from evpinn_ros.errors import InputError
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 
 STATE_VERSION = 1
 LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
@@ -56,6 +66,17 @@ class Totals(NamedTuple):
         return Totals(*(a + b for a, b in zip(self, other, strict=True)))
 
 
+MOST_COUNTED = Totals(
+    drawn=MOST_ENERGY,
+    regenerated=MOST_ENERGY,
+    variance=MOST_ENERGY**2,
+    distance=MOST_DISTANCE,
+    driven=MOST_ENERGY,
+    unmeasured_s=MOST_SECONDS,
+    unknown_s=MOST_SECONDS,
+)
+
+
 @dataclass(frozen=True, slots=True)
 class AccountSummary:
     """The account at one moment.
@@ -91,7 +112,9 @@ class EnergyAccount:
         meter: integrates power, since the last reset.
         trip: distance and consumption.
         gauge: state of charge and capacity.
+        battery: its charge and voltage, for the end of a plan.
         reconciled: of the last silence of the battery that ended, None before.
+        refused: readings of what no car can do, by reason, since the process began.
     """
 
     def __init__(self, meter: EnergyMeter, vehicle: str, capacity: float) -> None:
@@ -103,7 +126,9 @@ class EnergyAccount:
             capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
         """
         self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
+        self.battery = BatteryModel(capacity)
         self._vehicle = vehicle
+        self.refused: Counter[str] = Counter()
         self.reset()
 
     def reset(self) -> None:
@@ -111,6 +136,7 @@ class EnergyAccount:
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
+        self.battery.reset()
         self._begin(Totals(), 0.0, 0.0)
 
     def _begin(self, before: Totals, correction: float, variance_taken: float) -> None:
@@ -136,8 +162,16 @@ class EnergyAccount:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
         self.restore(self.export())
 
+    def begin_next_trip(self) -> None:
+        """Likewise, and count the trip from zero; the lifetime goes on."""
+        self.begin_next_stretch()
+        self.reset_trip()
+
     def push_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
+        if not power_is_possible(power, sigma):
+            self.refused["power_out_of_range"] += 1
+            return
         self._see(stamp_ns)
         self.meter.push_measured(stamp_ns, power, sigma)
         ended = self.meter.last_silence
@@ -146,14 +180,28 @@ class EnergyAccount:
             self.reconciled = reconcile(ended, UNKNOWN)
             self._awaits_charge = (ended, self._charge_before)
 
-    def push_predicted(self, stamp_ns: int, power: float, sigma: float) -> None:
-        """Take one prediction of power and its 1-sigma, W."""
+    def push_predicted(
+        self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
+    ) -> bool:
+        """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
+        if not power_is_possible(power, sigma):
+            self.refused["power_out_of_range"] += 1
+            return False
         self._see(stamp_ns)
-        self.meter.push_predicted(stamp_ns, power, sigma)
+        self.meter.push_predicted(stamp_ns, power, sigma, energy_sigma)
+        return True
 
     def push_speed(self, stamp_ns: int, speed: float) -> None:
         """Take a speed, m/s."""
+        if not speed_is_possible(speed):
+            self.refused["speed_out_of_range"] += 1
+            return
         self.trip.push(stamp_ns, speed, self.meter.state.consumed)
+
+    def push_battery(self, reading: BatteryReading) -> None:
+        """Take what the battery tells of itself: state of charge, voltage and current."""
+        self.battery.push(reading)
+        self.push_charge(reading.stamp_ns, reading.state_of_charge)
 
     def push_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
@@ -162,7 +210,7 @@ class EnergyAccount:
         if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
             silence, before = self._awaits_charge
             self._awaits_charge = None
-            self._reconcile(silence, self.gauge.energy_between(before, charge))
+            self._reconcile(silence, self._by_charge(silence, before, charge))
         lifetime, silent = self.lifetime(), self.meter.silent_at(stamp_ns)
         if not silent:
             self._charge_before = charge
@@ -170,6 +218,11 @@ class EnergyAccount:
 
     def _see(self, stamp_ns: int) -> None:
         self._newest_ns = max(self._newest_ns, stamp_ns)
+
+    def _by_charge(self, silence: Silence, before: float, after: float) -> Uncertain:
+        """What the state of charge says of a dropout; nothing where no car can do that."""
+        found = self.gauge.energy_between(before, after)
+        return found if abs(found.value) <= MAX_POWER * silence.duration else UNKNOWN
 
     def _reconcile(self, silence: Silence, by_charge: Uncertain) -> None:
         found = self.reconciled = reconcile(silence, by_charge)
@@ -259,6 +312,7 @@ class EnergyAccount:
             "meter": self.meter.exported(),
             "trip": self.trip.exported(),
             "charge": self.gauge.exported(),
+            "battery": self.battery.exported(),
             "correction": [self._correction, self._variance_taken],
             "before_reset": [or_none(value) for value in self._before_reset],
         }
@@ -277,8 +331,12 @@ class EnergyAccount:
         self.meter.restore(section(state, "meter"))
         self.trip.restore(section(state, "trip"))
         self.gauge.restore(section(state, "charge"))
-        correction, variance_taken = numbers(state, "correction", 2)
-        before = Totals(*numbers(state, "before_reset", len(Totals._fields), may_be_unknown=True))
+        if "battery" in state:  # files of before have none
+            self.battery.restore(section(state, "battery"))
+        else:
+            self.battery.reset()
+        correction, variance_taken = numbers(state, "correction", [MOST_ENERGY, MOST_ENERGY**2])
+        before = Totals(*numbers(state, "before_reset", MOST_COUNTED, may_be_unknown=True))
         if before.distance < 0 or before.variance < 0:
             raise InputError("saved energy: 'before_reset' is negative")
         self._begin(before, correction, variance_taken)

@@ -67,8 +67,14 @@ class ChargeGauge:
         learned: how many changes of the state of charge it rests on.
     """
 
-    def __init__(self, capacity: float) -> None:
-        """Start from the capacity of the vehicle file, J, NaN if unknown."""
+    def __init__(self, capacity: float, limits: tuple[float, float] = CAPACITY_LIMITS) -> None:
+        """Start from a capacity and its limits, J, or A s where charge is counted.
+
+        Args:
+            capacity: of the vehicle file, NaN if unknown.
+            limits: of what is learned.
+        """
+        self._limits = limits
         self._prior = Uncertain(capacity, CAPACITY_PRIOR * capacity)
         self.reset()
 
@@ -125,7 +131,7 @@ class ChargeGauge:
             return
         self._anchor = heard
         found = (heard.consumed - anchor.consumed) / change
-        if not CAPACITY_LIMITS[0] <= found <= CAPACITY_LIMITS[1]:
+        if not self._limits[0] <= found <= self._limits[1]:
             return
         spread = math.hypot(CAPACITY_SPREAD, math.sqrt(2) * self.rounding / change)
         self._average(Uncertain(found, spread * found))
@@ -207,7 +213,7 @@ class ChargeGauge:
             seen = FIRST_STEP if step is None else float(step)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"saved energy: charge: {error}") from error
-        low, high = CAPACITY_LIMITS
+        low, high = self._limits
         fits = found is None or (low <= capacity.value <= high and 0 < capacity.sigma < math.inf)
         if not fits or learned < 0 or not SMALLEST_STEP <= seen <= LARGEST_STEP:
             raise InputError("saved energy: charge: a number is out of range")

@@ -1,14 +1,20 @@
-"""What a slow battery does not say between two of its words.
+"""Power between two samples of the battery, from the course of the prediction.
 
 A straight line from one sample at 1 Hz to the next misses the launch and the braking in between.
 The prediction, ten times as often, knows their course, though not their level. So between two
 samples of the battery the power is taken as the prediction moved onto both,
 
-    P(t) = predicted(t) + r(t),    r linear, measured - predicted at both ends,
+    P(t) = predicted(t) + r(t),    r = measured - predicted at both ends,
 
-and an error of the prediction that is linear over the step costs nothing. What stays uncertain:
-errors of the prediction forget themselves within half a second, so that r at both ends tells two
-errors of a moment, and their mean stands for the step with half the variance of one.
+with r linear in between: an error of the prediction that is linear over the step costs nothing.
+Over a dropout that ends within a minute the errors at its ends are forgotten on the way, within
+tau: r is the mean of an Ornstein-Uhlenbeck bridge, nearly zero in the middle.
+
+The Runge-Kutta network takes two pieces of that course at a time, the sample between them being
+the known midpoint; one step from battery sample to battery sample, with the middle alone, was
+worse than all samples (docs/benchmarks.md). The trapezoid rule is the cross-check. What stays
+uncertain of a step: r at both ends tells two errors of a moment, and their mean stands for the
+step with half the variance of one.
 """
 
 from __future__ import annotations
@@ -19,12 +25,17 @@ from itertools import pairwise
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from evpinn_ros.energy.quadrature import Step
+from evpinn_ros.energy.rknn import Rknn
 from evpinn_ros.energy.silence import Bridge
 from evpinn_ros.signals.readings import NANOSECONDS
 
 LEAST_INSIDE = 2  # predictions in a step; with fewer they are no denser than the battery
 WAITING = 1000  # samples kept at most
+LONGEST = 59.0  # s; of a longer dropout the ends tell nothing, and the state of charge may
+MEMORY = 0.5  # s, tau: of errors of the prediction; docs/benchmarks.md has others
 
 
 class Prediction(NamedTuple):
@@ -36,29 +47,42 @@ class Prediction(NamedTuple):
 
 
 class MeasuredStep(NamedTuple):
-    """A step between two samples of the battery, from its first stamp on."""
+    """A step between two samples of the battery.
+
+    Attributes:
+        begin_ns: stamp of the first.
+        end_ns: stamp of the second.
+        line: the straight line between them.
+        dropout: what has been counted for it if it was a dropout, None where the line has.
+    """
 
     begin_ns: int
     end_ns: int
     line: Step
+    dropout: Bridge | None = None
 
 
 class Correction(NamedTuple):
-    """What is to be added to a straight line, and its variance, J^2."""
+    """What is to be added to what has been counted for a step, and its variance, J^2."""
 
     bridge: Bridge
     variance: float
 
 
 class Course:
-    """Corrects steps of measured power once the predictions, which lag behind, have passed them.
+    """Corrects what was counted between samples of the battery once predictions have passed.
 
-    A step that no prediction ever passes, or that holds too few, stays a straight line.
+    A step that no prediction ever passes, or that holds too few, stays as it was counted.
     """
 
-    def __init__(self, max_gap: float) -> None:
-        """Nothing heard yet; predictions further apart than `max_gap`, s, tell no course."""
-        self._max_gap = max_gap
+    def __init__(self, max_gap: float, network: Rknn | None) -> None:
+        """Nothing heard yet.
+
+        Args:
+            max_gap: predictions further apart, s, tell no course.
+            network: integrates, the trapezoid rule where there is none.
+        """
+        self._max_gap, self._network = max_gap, network
         self._predictions: deque[Prediction] = deque(maxlen=WAITING)
         self._steps: deque[MeasuredStep] = deque(maxlen=WAITING)
 
@@ -85,7 +109,7 @@ class Course:
         return self._predictions[-1].stamp_ns >= stamp_ns
 
     def _correction(self, step: MeasuredStep) -> Correction | None:
-        """What the predictions around and in a step add to its straight line."""
+        """What the predictions around and in a step add to what was counted for it."""
         near = [*self._predictions]
         end = next(i for i, each in enumerate(near) if each.stamp_ns >= step.end_ns)
         near = near[: end + 1]
@@ -96,26 +120,36 @@ class Course:
         )
         if len(inside) < LEAST_INSIDE or not known:
             return None
-        begin = step.line.power - _between(near[0], near[1], step.begin_ns)
-        change = step.line.power_next - _between(near[-2], near[-1], step.end_ns) - begin
-        times, powers = [0.0], [step.line.power]
-        for each in inside:
-            times.append((each.stamp_ns - step.begin_ns) / NANOSECONDS)
-            powers.append(each.power + begin + change * times[-1] / step.line.dt)
-        samples = zip([*times, step.line.dt], [*powers, step.line.power_next], strict=True)
-        pieces = (Step(t1 - t0, p0, p1) for (t0, p0), (t1, p1) in pairwise(samples))
+        time, power = _joined(step, near)
+        found = self._integral(time, power)
+        if step.dropout is not None:
+            return Correction(found.less(step.dropout)._replace(covered_s=0.0), 0.0)
         sigma = math.fsum(each.sigma for each in inside) / len(inside)
-        return Correction(_added(step.line, pieces), (sigma * step.line.dt) ** 2 / 2)
+        counted = Bridge.of_parts(*step.line.parts)
+        return Correction(found.less(counted), (sigma * step.line.dt) ** 2 / 2)
+
+    def _integral(self, time: np.ndarray, power: np.ndarray) -> Bridge:
+        """Energy of a step, from the course of power at these times since its start, s."""
+        samples = pairwise(zip(time.tolist(), power.tolist(), strict=True))
+        parts = [Step(t1 - t0, p0, p1).parts for (t0, p0), (t1, p1) in samples]
+        drawn, regenerated = (math.fsum(column) for column in zip(*parts, strict=True))
+        if self._network is not None:
+            drawn = self._network.along(time, power) + regenerated
+        return Bridge.of_parts(drawn, regenerated)
 
 
-def _between(before: Prediction, after: Prediction, stamp_ns: int) -> float:
-    """Predicted power at a stamp on the straight line through two predictions, W."""
-    share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-    return before.power + share * (after.power - before.power)
-
-
-def _added(line: Step, pieces: Iterator[Step]) -> Bridge:
-    parts = [piece.parts for piece in pieces]
-    drawn, regenerated = (math.fsum(column) for column in zip(*parts, strict=True))
-    drawn, regenerated = drawn - line.parts[0], regenerated - line.parts[1]
-    return Bridge(drawn - regenerated, regenerated, drawn + regenerated)
+def _joined(step: MeasuredStep, near: list[Prediction]) -> tuple[np.ndarray, np.ndarray]:
+    """Time since its start, s, and power, W, of the course of a step, from end to end."""
+    stamps = [(each.stamp_ns - step.begin_ns) / NANOSECONDS for each in near]
+    times, powers = np.array(stamps), np.array([each.power for each in near])
+    length, ends = step.line.dt, np.array([step.line.power, step.line.power_next])
+    begin, end = ends - np.interp([0.0, length], times, powers)
+    inside = (times > 0) & (times < length)
+    t = times[inside]
+    if step.dropout is None:
+        error = begin + (end - begin) * t / length
+    else:
+        forgotten = np.sinh((length - t) / MEMORY), np.sinh(t / MEMORY)
+        error = (begin * forgotten[0] + end * forgotten[1]) / math.sinh(length / MEMORY)
+    joined = np.concatenate((ends[:1], powers[inside] + error, ends[1:]))
+    return np.concatenate(([0.0], t, [length])), joined

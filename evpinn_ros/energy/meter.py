@@ -14,8 +14,9 @@ from enum import Enum
 import math
 from typing import Any, NamedTuple
 
-from evpinn_ros.energy.course import Correction, Course, MeasuredStep, Prediction
-from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
+from evpinn_ros.energy.course import LONGEST, Correction, Course, MeasuredStep, Prediction
+from evpinn_ros.energy.plausible import MAX_POWER, MOST_ENERGY, MOST_SECONDS, ROUNDING
+from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, Step
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.saved import number, numbers, or_none, section
 from evpinn_ros.energy.silence import Bridge, Silence, Silences
@@ -25,10 +26,10 @@ from evpinn_ros.signals.readings import NANOSECONDS
 
 
 class Integrator(str, Enum):
-    """What integrates the predicted power that stands in for a silent battery."""
+    """What integrates the predicted power that stands in for the battery."""
 
-    TRAPEZOID = "trapezoid"
     RKNN = "rknn"
+    TRAPEZOID = "trapezoid"
 
 
 class Flow(NamedTuple):
@@ -91,7 +92,7 @@ class EnergyMeter:
         self,
         rknn: Rknn,
         *,
-        integrator: Integrator = Integrator.TRAPEZOID,
+        integrator: Integrator = Integrator.RKNN,
         max_gap: float = MAX_GAP,
         battery_timeout: float = MAX_GAP,
         correlation_time: float = CORRELATION_TIME,
@@ -100,7 +101,8 @@ class EnergyMeter:
 
         Args:
             rknn: the Runge-Kutta network.
-            integrator: whose integral bridges a silence; both are in the state.
+            integrator: of predicted power where it stands in for the battery, in a dropout
+                and between two slow samples; both integrals of it are in the state.
             max_gap: longest step of predicted power that is integrated, s.
             battery_timeout: the battery counts as silent when stamps are this much newer than
                 its last sample, s. Longer steps of measured power are not integrated.
@@ -132,12 +134,25 @@ class EnergyMeter:
         self._silent_since_ns: int | None = None
         self.last_silence: Silence | None = None
         self._silences = silences  # those that ended, and what the course of power added
-        self._course = Course(self._max_gap)
+        by_network = self._integrator is Integrator.RKNN
+        self._course = Course(self._max_gap, self._network if by_network else None)
         self._silence_error = CorrelatedError(self._tau)
+        self._energy_sigma = math.nan
         self._anchor = self._predicted_parts()
 
-    def push_predicted(self, stamp_ns: int, power: float, sigma: float) -> None:
-        """Take one prediction of power and its 1-sigma, W."""
+    def push_predicted(
+        self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
+    ) -> None:
+        """Take one prediction of power.
+
+        Args:
+            stamp_ns: its moment.
+            power: W.
+            sigma: its 1-sigma, W.
+            energy_sigma: 1-sigma of the energy predicted since the battery was last measured, J,
+                where the estimator knows it; NaN where it is to be guessed from `sigma`.
+        """
+        self._energy_sigma = energy_sigma
         dropped = self._predicted.dropped
         step = self._predicted.push(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
@@ -156,12 +171,19 @@ class EnergyMeter:
     def push_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
         dropped, last_ns = self._measured.dropped, self._measured.last_stamp_ns
+        last_power = self._measured.last_power
         step = self._measured.push(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if self._measured.dropped > dropped:
             return
-        if step is None or last_ns is None:
+        if last_ns is None:
             self._end_silence(stamp_ns)
+        elif step is None:
+            ended = self._end_silence(stamp_ns)
+            line = Step((stamp_ns - last_ns) / NANOSECONDS, last_power, power)
+            if line.dt <= LONGEST:
+                dropout = MeasuredStep(last_ns, stamp_ns, line, ended.bridge)
+                self._correct(self._course.push_measured(dropout))
         else:
             self._measured_error.push(sigma, step.dt)
             self._correct(self._course.push_measured(MeasuredStep(last_ns, stamp_ns, step)))
@@ -173,23 +195,27 @@ class EnergyMeter:
         for correction in corrections:
             self._silences = self._silences.corrected(correction.bridge, correction.variance)
 
-    def _end_silence(self, stamp_ns: int) -> None:
+    def _end_silence(self, stamp_ns: int) -> Silence:
         ended = self._silence_until(stamp_ns)
         self._silences = self._silences.after(ended)
-        if ended.duration > self._timeout:
+        if ended.duration > self._measured.longest_step:
             self.last_silence = ended
+        return ended
 
     def _silence_until(self, stamp_ns: int) -> Silence:
         """The silence since the last word of the battery, as if it ended at this stamp."""
         bridge = self._predicted_parts().less(self._anchor)
-        short = self._silence_error.sigma
-        sigma = math.hypot(short, self.lasting.value * bridge.gross)
+        if math.isfinite(self._energy_sigma):
+            short = sigma = self._energy_sigma
+        else:
+            short = self._silence_error.sigma
+            sigma = math.hypot(short, self.lasting.value * bridge.gross)
         return Silence(stamp_ns, self._silence(stamp_ns), bridge, short, sigma)
 
     def silent_at(self, stamp_ns: int) -> bool:
         """Whether the battery has said nothing within its timeout before this stamp."""
         heard = self._measured.last_stamp_ns is not None
-        return not heard or self._silence(stamp_ns) > self._timeout
+        return not heard or self._silence(stamp_ns) > self._measured.longest_step
 
     @property
     def measuring(self) -> bool:
@@ -246,15 +272,16 @@ class EnergyMeter:
             InputError: something is missing or not a number; nothing is changed then.
         """
         measured, predicted = EnergyIntegral(self._timeout), EnergyIntegral(self._max_gap)
-        measured.restore(section(saved, "measured"))
-        predicted.restore(section(saved, "predicted"))
-        rknn, unmeasured_s = (number(saved, name) for name in ("rknn", "unmeasured_s"))
+        measured.restore(section(saved, "measured"), MAX_POWER)
+        predicted.restore(section(saved, "predicted"), MAX_POWER)
+        rknn = number(saved, "rknn", most=MAX_POWER * predicted.covered_s * ROUNDING)
+        unmeasured_s = number(saved, "unmeasured_s", most=MOST_SECONDS)
         measured_sigma, predicted_sigma, bridged_sigma, lasting_sigma = (
-            number(saved, f"{name}_sigma", may_be_unknown=True)
+            number(saved, f"{name}_sigma", may_be_unknown=True, most=MOST_ENERGY)
             for name in ("measured", "predicted", "bridged", "lasting")
         )
-        bridged = Bridge(*numbers(saved, "bridged", len(Bridge._fields)))
-        lasting = _lasting(numbers(saved, "lasting", 2))
+        bridged = Bridge(*numbers(saved, "bridged", [*3 * [MOST_ENERGY], MOST_SECONDS]))
+        lasting = _lasting(numbers(saved, "lasting", [MOST_SECONDS, MOST_SECONDS]))
         self._measured, self._predicted = measured, predicted
         self._rknn, self._rknn_power = CompensatedSum(rknn), math.nan
         self._measured_error = CorrelatedError(self._tau, measured_sigma)

@@ -1,19 +1,11 @@
 """What a plan costs by a linear model of the car (`vehicle.linear_power`), with its variance.
 
-For speed the network of the model is a table of force over speed and acceleration, bilinear in
-between, and so is each direction of what is not known of it. Energy needs only how long a trip
-was at each cell of the table, so a thousand trips are one product of matrices.
-
 The variance of the energy of a trip adds up
 
 - the coefficients, off by the same amount for the whole trip;
 - what the model leaves of power, an error that forgets itself within seconds;
 - auxiliary power, which drifts around its mean within minutes;
 - slopes and winds that no plan holds, which change within some hundred metres.
-
-The cells are 1 m/s by 0.25 m/s^2: with the units of the power filter, 4 m/s and 0.7 m/s^2 wide,
-force is within 2 % of the network's largest, and energy of a trip much closer. Beyond 48 m/s and
-4 m/s^2 the edge of the table holds.
 """
 
 from __future__ import annotations
@@ -26,13 +18,17 @@ import numpy as np
 from evpinn_ros.energy.uncertainty import CORRELATION_TIME
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable, identifiable
-from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower
+from evpinn_ros.vehicle.linear_power import (
+    CREEPING,
+    FADE_END,
+    FADE_SPEED,
+    MOST_FORCE,
+    LinearPower,
+)
 from evpinn_ros.vehicle.physics import GRAVITY
 
-SPEED_STEP, SPEEDS = 1.0, 49  # m/s, cells of the table
-ACCELERATION_STEP, ACCELERATIONS = 0.25, 33  # m/s^2, around zero
 TINY = 1e-6  # m/s
-PHYSICS = len(FEATURES)
+LEAST_SPEED = 0.5  # m/s, below it no force is told from power
 
 
 class Motion(NamedTuple):
@@ -61,21 +57,14 @@ class PowerModel:
     """
 
     def __init__(self, linear: LinearPower) -> None:
-        """Tabulate the network."""
+        """Take a car."""
         self.linear = linear
-        both = np.concatenate((linear.mean[None], linear.directions))
-        self._coefficients = both[:, :PHYSICS]
-        self._table = _table(linear, both[:, PHYSICS:]) if linear.has_network else None
+        self._coefficients = np.concatenate((linear.mean[None], linear.directions))
 
     def powers(self, motion: Motion) -> np.ndarray:
         """Power of the mean and each direction, W, shape (..., 1 + k), without present drift."""
         columns = np.stack(self._features(motion, np), axis=-1)
-        found: np.ndarray = columns @ self._coefficients[:, : PHYSICS - 1].T
-        if self._table is not None:
-            for index, weight in _corners(motion, np):
-                share = np.asarray(weight * motion.speed)
-                found += share[..., None] * self._table[index]
-        return found
+        return np.asarray(columns @ self._coefficients[:, :-1].T)
 
     def energies(self, motion: Motion, duration: Any) -> Any:
         """Energy of the mean and of each direction, J, shape (batch, 1 + k), of whole trips.
@@ -86,11 +75,7 @@ class PowerModel:
         """
         xp = namespace(motion.speed)
         columns = [xp.sum(column * duration, -1) for column in self._features(motion, xp)]
-        found = xp.stack(columns, -1) @ like(self._coefficients[:, : PHYSICS - 1].T, columns[0])
-        if self._table is None:
-            return found
-        held = _held(motion, motion.speed * duration, xp)
-        return found + held @ like(self._table, held)
+        return xp.stack(columns, -1) @ like(self._coefficients[:, :-1].T, columns[0])
 
     def with_present_drift(self, energies: Any, elapsed: Any) -> Any:
         """`energies` with what is left of the present drift after `elapsed` s."""
@@ -128,8 +113,12 @@ class PowerModel:
         wheel = car.drag_area * drag + car.rolling_mass * rolling + car.mass * force
         driving = (wheel > 0) * 1.0
         driven = [driving * part for part in (drag, rolling, force)]
-        braked = [whole - part for whole, part in zip((drag, rolling, force), driven, strict=True)]
-        return [*driven, *braked, xp.ones_like(v), motion.acceleration * motion.acceleration]
+        fade = xp.clip((v - FADE_END) / (FADE_SPEED - FADE_END), 0.0, 1.0)
+        whole = (drag, rolling, force)
+        braked = [(all_ - part) * fade for all_, part in zip(whole, driven, strict=True)]
+        turning = (v > CREEPING) * 1.0
+        pull = xp.clip(wheel / car.mass / xp.clip(v, LEAST_SPEED, None), -MOST_FORCE, MOST_FORCE)
+        return [*driven, *braked, xp.ones_like(v), turning, pull * pull * turning]
 
 
 def vehicle_model(vehicle: Vehicle, residual_sigma: float) -> PowerModel:
@@ -154,7 +143,7 @@ def combined_model(
     zero = np.zeros(3)
     rows = [[*row, *(regeneration * row), 0.0] for row in by_name]
     rows += [[*zero, *driving, 0.0], [*zero, *zero, 1.0]]
-    directions = np.array(sigmas)[:, None] * np.pad(np.array(rows), ((0, 0), (0, 2)))
+    directions = np.array(sigmas)[:, None] * np.pad(np.array(rows), ((0, 0), (0, 3)))
     return PowerModel(
         LinearPower(
             drag_area=area,
@@ -167,10 +156,8 @@ def combined_model(
             drift_time=1.0,
             slope_force=0.0,
             slope_length=1.0,
-            mean=np.array([*driving, *(regeneration * driving), p_aux, 0.0, 0.0]),
+            mean=np.array([*driving, *(regeneration * driving), p_aux, 0.0, 0.0, 0.0]),
             directions=directions,
-            unit_speeds=np.empty(0),
-            unit_accelerations=np.empty(0),
         )
     )
 
@@ -222,52 +209,3 @@ def _begun(elapsed: Any, memory: float) -> Any:
 def _walked(elapsed: Any, memory: float) -> Any:
     """Variance of the integral of an error of unit variance with this memory (`uncertainty`)."""
     return 2 * memory * (elapsed - _begun(elapsed, memory))
-
-
-def _table(linear: LinearPower, weights: np.ndarray) -> np.ndarray:
-    """Force of each row of weights, N, shape (SPEEDS * ACCELERATIONS, rows)."""
-    speeds = SPEED_STEP * np.arange(SPEEDS)
-    accelerations = ACCELERATION_STEP * (np.arange(ACCELERATIONS) - ACCELERATIONS // 2)
-    by_speed = _units(speeds, linear.unit_speeds)
-    by_acceleration = _units(accelerations, linear.unit_accelerations)
-    grid = weights.reshape(len(weights), linear.unit_speeds.size, linear.unit_accelerations.size)
-    table: np.ndarray = np.einsum("vp,kpq,aq->vak", by_speed, grid, by_acceleration)
-    return table.reshape(-1, len(weights))
-
-
-def _units(at: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    away = (at[:, None] - centres) / (centres[1] - centres[0])
-    height: np.ndarray = np.exp(-0.5 * away**2)
-    return height
-
-
-def _corners(motion: Motion, xp: Any) -> list[tuple[Any, Any]]:
-    """The four cells around each moment: their rows in the table and their weights."""
-    # The last cell begins a hair below the edge, so that its far corner is inside.
-    x = xp.clip(motion.speed / SPEED_STEP, 0.0, SPEEDS - 1 - 1e-9)
-    y = motion.acceleration / ACCELERATION_STEP + ACCELERATIONS // 2
-    y = xp.clip(y, 0.0, ACCELERATIONS - 1 - 1e-9)
-    i, j = (z.astype(np.int64) if xp is np else z.detach().long() for z in (x, y))
-    right, up = x - i, y - j
-    row = i * ACCELERATIONS + j
-    both = right * up
-    return [
-        (row, 1.0 - right - up + both),
-        (row + 1, up - both),
-        (row + ACCELERATIONS, right - both),
-        (row + ACCELERATIONS + 1, both),
-    ]
-
-
-def _held(motion: Motion, share: Any, xp: Any) -> Any:
-    """How much of `share` each trip spent at each cell, shape (batch, cells)."""
-    batch, cells = motion.speed.shape[0], SPEEDS * ACCELERATIONS
-    trip = xp.arange(batch)[:, None] * cells
-    held: Any = 0.0
-    for row, weight in _corners(motion, xp):
-        index, amount = (row + trip).reshape(-1), (weight * share).reshape(-1)
-        if xp is np:
-            held = held + np.bincount(index, amount, minlength=batch * cells)
-        else:
-            held = held + xp.zeros(batch * cells, dtype=amount.dtype).index_add(0, index, amount)
-    return held.reshape(batch, cells)

@@ -11,10 +11,13 @@ from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
+from evpinn_ros.energy.plausible import ROUNDING
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.track import Cadence
 
 MAX_GAP = 2.0  # s
+MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
 SAVED = ("drawn", "regenerated", "covered_s", "gaps", "gap_s", "out_of_order", "not_finite")
 
 
@@ -72,11 +75,11 @@ class Step(NamedTuple):
 class EnergyIntegral:
     """Integrates power sample by sample.
 
-    A step longer than `max_gap` is not integrated: it counts as a gap. A sample that is not
+    A step longer than `longest_step` is not integrated: it counts as a gap. A sample that is not
     newer than the last one, or not finite, is dropped and counted.
 
     Attributes:
-        gaps: steps longer than `max_gap`.
+        gaps: steps longer than `longest_step`.
         gap_s: their duration, s.
         out_of_order: samples dropped because of their stamp.
         not_finite: samples dropped because their power is NaN or infinite.
@@ -86,13 +89,19 @@ class EnergyIntegral:
         """An integral of zero.
 
         Args:
-            max_gap: longest step that is integrated, s.
+            max_gap: longest step that is integrated, s; of slow samples some of their own steps
+                (`signals.track.Cadence`).
         """
-        self._max_gap = max_gap
+        self._cadence = Cadence(max_gap)
         self._last: tuple[int, float] | None = None
         self._drawn, self._regenerated = CompensatedSum(), CompensatedSum()
         self._covered = CompensatedSum()
         self.gaps, self.gap_s, self.out_of_order, self.not_finite = 0, 0.0, 0, 0
+
+    @property
+    def longest_step(self) -> float:
+        """Longest step that is integrated, s."""
+        return self._cadence.gap_ns / NANOSECONDS
 
     @property
     def energy(self) -> float:
@@ -146,7 +155,9 @@ class EnergyIntegral:
         self._last = (stamp_ns, power)
         if last is None:
             return None
-        if since > self._max_gap:
+        longest = self.longest_step
+        self._cadence.add_step(since)
+        if since > longest:
             self.gaps += 1
             self.gap_s += since
             return None
@@ -167,16 +178,23 @@ class EnergyIntegral:
         """
         return {name: getattr(self, name) for name in SAVED}
 
-    def restore(self, saved: Mapping[str, float]) -> None:
+    def restore(self, saved: Mapping[str, float], most: float = math.inf) -> None:
         """Continue from what `exported` gave.
 
+        Args:
+            saved: the values by name.
+            most: power, W, that nothing integrated can have exceeded.
+
         Raises:
-            InputError: a value is missing, negative or not finite; nothing is changed then.
+            InputError: a value is missing, negative or not finite, or the integral is larger than
+                `most` would have made it in that time; nothing is changed then.
         """
         for name in SAVED:
             value = saved.get(name)
-            if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+            if not isinstance(value, (int, float)) or not 0 <= value <= MOST_COUNTED:
                 raise InputError(f"saved energy: '{name}' is {value!r}, expected a number >= 0")
+        if saved["drawn"] + saved["regenerated"] > most * saved["covered_s"] * ROUNDING:
+            raise InputError(f"saved energy: more than {most:g} all the time was integrated")
         self._last = None
         self._drawn = CompensatedSum(float(saved["drawn"]))
         self._regenerated = CompensatedSum(float(saved["regenerated"]))

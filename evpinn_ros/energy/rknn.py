@@ -10,12 +10,13 @@ three hidden layers of 32 tanh units. Three choices the paper leaves open:
 - **Origin of energy.** E enters relative to the start of the step, E(t) = 0. dE/dt does not
   depend on E, and the energy of a whole drive would leave the trained range within minutes. With
   it the steps of a series are independent, so a whole series is one batched evaluation.
-- **P(t + dt/2)** is not measured. It is an argument; by default the mean of both ends, which is
-  linear interpolation. With more known of the series pass, say, its spline at the middles.
+- **P(t + dt/2)** is an argument; by default the mean of both ends, which is linear interpolation.
+  Where samples lie between the ends, as those of a prediction between two of a slow battery do,
+  the middle is known: `energy.course` passes it; `along` takes two pieces of a series at a time.
 
 `evpinn_ros.energy.rknn_training` makes the shipped weights. With them the network differs from
-the quadrature of the same power by less than 0.01 % of the net energy of real drives. It is never
-better than the quadrature: without a state in dE/dt, a Runge-Kutta step *is* Simpson's rule.
+the quadrature of the same power by less than 0.01 % of the net energy of real drives. Without a
+state in dE/dt a Runge-Kutta step *is* Simpson's rule, so it gains where the midpoint is known.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.npz import read_arrays
 
 SCALE = 1e3  # W and J: where the normalisation turns from linear to logarithmic
-POWER_LIMIT = 5e5  # W: trained range; power beyond it is taken as the limit
+POWER_LIMIT = 5e5  # W: trained range; a step with power beyond it is Simpson's rule itself
+UNEVEN = 0.1  # by which two pieces of a step may differ for the sample between to be its middle
 STEP_LIMIT = 2.0  # s: longest step of the trained range
 HIDDEN = (32, 32, 32)
 ARGUMENTS = (1, 2, 2, 2)  # of N1 to N4: power, then energy
@@ -116,14 +118,37 @@ class Rknn:
         Args:
             power: P(t), W, a float or shape (n,); so are all others.
             power_next: P(t + dt), W.
-            dt: s, at most `STEP_LIMIT`.
+            dt: s; beyond `STEP_LIMIT`, as beyond `POWER_LIMIT`, Simpson's rule stands in.
             power_mid: P(t + dt/2), W; None for the mean of both ends.
         """
         middle = (power + power_next) / 2 if power_mid is None else power_mid
-        start, middle, end = (
-            np.clip(p, -POWER_LIMIT, POWER_LIMIT) for p in (power, middle, power_next)
-        )
-        return energy_step(slopes(self.networks, start, middle, end, dt), dt)
+        beyond = np.abs([power, middle, power_next]).max(axis=0) > POWER_LIMIT
+        beyond = beyond | (np.asarray(dt) > STEP_LIMIT)
+        p0, p1, p2 = (np.clip(p, -POWER_LIMIT, POWER_LIMIT) for p in (power, middle, power_next))
+        energy = energy_step(slopes(self.networks, p0, p1, p2, dt), dt)
+        if not np.any(beyond):
+            return energy
+        return np.where(beyond, energy_step((power, middle, middle, power_next), dt), energy)
+
+    def along(self, time: np.ndarray, power: np.ndarray) -> float:
+        """Net energy of a series, J: two pieces are one step where they are of the same length.
+
+        Args:
+            time: shape (n,), s, rising.
+            power: shape (n,), W, linear between its samples.
+        """
+        first, begins, ends = 0, [], []
+        while first + 1 < len(time):
+            last = min(first + 2, len(time) - 1)
+            pieces = np.diff(time[first : last + 1])
+            if time[last] - time[first] > STEP_LIMIT or np.ptp(pieces) > UNEVEN * pieces.max():
+                last = first + 1
+            begins.append(first)
+            ends.append(last)
+            first = last
+        start, end = time[begins], time[ends]
+        middle = np.interp((start + end) / 2, time, power)
+        return float(np.sum(self.step(power[begins], power[ends], end - start, middle)))
 
     def integrate(
         self, time: np.ndarray, power: np.ndarray, power_mid: np.ndarray | None = None

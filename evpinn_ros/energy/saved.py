@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import math
 import reprlib
 import sys
@@ -19,24 +19,32 @@ def section(saved: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return found
 
 
-def number(saved: Mapping[str, Any], name: str, may_be_unknown: bool = False) -> float:
-    """A finite number, or NaN for an unknown one; InputError when it is neither."""
+def number(
+    saved: Mapping[str, Any],
+    name: str,
+    may_be_unknown: bool = False,
+    most: float = sys.float_info.max,
+) -> float:
+    """A number of at most this size, or NaN for an unknown one; InputError when it is neither."""
     value = saved.get(name)
     if value is None and may_be_unknown and name in saved:
         return math.nan
-    if not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
-        raise InputError(f"saved energy: '{name}' is {_shown(value)}, expected a number")
+    if not isinstance(value, (int, float)) or not abs(value) <= most:
+        bound = "" if most == sys.float_info.max else f" of at most {most:g}"
+        raise InputError(f"saved energy: '{name}' is {_shown(value)}, expected a number{bound}")
     return float(value)
 
 
 def numbers(
-    saved: Mapping[str, Any], name: str, count: int, may_be_unknown: bool = False
+    saved: Mapping[str, Any], name: str, most: Sequence[float], may_be_unknown: bool = False
 ) -> list[float]:
-    """So many finite numbers, NaN for unknown ones; InputError when they are not."""
+    """As many numbers as bounds, each within its own, NaN for unknown ones; else InputError."""
     values = saved.get(name)
-    if not isinstance(values, list) or len(values) != count:
-        raise InputError(f"saved energy: '{name}' is {_shown(values)}, expected {count} numbers")
-    return [number({name: value}, name, may_be_unknown) for value in values]
+    if not isinstance(values, list) or len(values) != len(most):
+        wanted = f"expected {len(most)} numbers"
+        raise InputError(f"saved energy: '{name}' is {_shown(values)}, {wanted}")
+    pairs = zip(values, most, strict=True)
+    return [number({name: value}, name, may_be_unknown, bound) for value, bound in pairs]
 
 
 def _shown(value: object) -> str:

@@ -20,6 +20,11 @@ class Bridge(NamedTuple):
     gross: float = 0.0
     covered_s: float = 0.0
 
+    @classmethod
+    def of_parts(cls, drawn: float, regenerated: float) -> Bridge:
+        """Of drawn and regenerated energy, J, over a time that is counted elsewhere."""
+        return cls(drawn - regenerated, regenerated, drawn + regenerated)
+
     def plus(self, other: Bridge) -> Bridge:
         """Both together."""
         return Bridge(*(a + b for a, b in zip(self, other, strict=True)))

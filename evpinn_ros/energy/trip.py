@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.energy.plausible import MOST_DISTANCE, MOST_ENERGY
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
 from evpinn_ros.energy.saved import number, section
 from evpinn_ros.errors import InputError
+from evpinn_ros.signals.stream import MAX_SPEED
 
 WINDOWS = (1e3, 1e4, 1e5)  # m
 BUCKETS = 20  # of a window
@@ -78,8 +80,10 @@ class DistanceWindow:
             buckets = [Stretch(*(float(number) for number in each)) for each in saved]
         except (TypeError, ValueError) as error:
             raise InputError(f"saved energy: window of {self.length:g} m: {error}") from error
-        if not all(b.distance >= 0 and math.isfinite(b.distance + b.energy) for b in buckets):
-            raise InputError(f"saved energy: window of {self.length:g} m: not finite or negative")
+        if not all(
+            0 <= b.distance <= MOST_DISTANCE and abs(b.energy) <= MOST_ENERGY for b in buckets
+        ):
+            raise InputError(f"saved energy: window of {self.length:g} m: out of range")
         *full, last = buckets
         self._full = deque(full)
         self._distance, self._energy = CompensatedSum(last.distance), CompensatedSum(last.energy)
@@ -141,7 +145,7 @@ class TripLog:
     def begin_anew(self) -> None:
         """Join nothing to the speed before: time jumped."""
         before, speed = self._speed.exported(), EnergyIntegral(self._max_gap)
-        speed.restore(before)
+        speed.restore(before, MAX_SPEED)
         self._begin(speed)
 
     def exported(self) -> dict[str, Any]:
@@ -158,11 +162,11 @@ class TripLog:
         Raises:
             InputError: something is missing or wrong; nothing is changed then.
         """
-        rows, energy = saved.get("windows"), number(saved, "energy")
+        rows, energy = saved.get("windows"), number(saved, "energy", most=MOST_ENERGY)
         if not isinstance(rows, list) or len(rows) != len(WINDOWS):
             raise InputError("saved energy: 'windows' are missing")
         integral = EnergyIntegral(self._max_gap)
-        integral.restore(section(saved, "speed"))
+        integral.restore(section(saved, "speed"), MAX_SPEED)
         windows = tuple(DistanceWindow(length) for length in WINDOWS)
         for window, row in zip(windows, rows, strict=True):
             window.restore(row)

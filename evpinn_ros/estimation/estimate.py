@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+import math
 
 from evpinn_ros.vehicle.identifiable import Identifiable
 
 
 class State(str, Enum):
-    """How far a parameter can be believed.
+    """How far a parameter can be trusted.
 
     `unestimated` while the data say next to nothing of it; `estimating` while they still learn
-    the combination it rests on; `valid` when they have told what they can of it (how much of the
-    absolute value is prior all the same, `prior_share` says); `stale` when the battery has been
-    silent for long; `invalid` when the signals contradict each other, or the value lies where no
-    car of this model can be.
+    it, or as long as it is mostly prior; `valid` when the data determine it and the value is
+    possible; `stale` when the battery has been silent for long; `invalid` when the signals
+    contradict each other, or the value lies where no car of this model can be.
     """
 
     UNESTIMATED = "unestimated"
@@ -36,8 +36,8 @@ class ParameterEstimate:
         prior_share: 0 when all from data, 1 when all from the prior.
         lower: bound from the combinations and eta, mu <= 1, or the limit of the parameter.
         upper: likewise.
-        state: how far to believe it.
-        progress: percent of what makes it valid that the data have told.
+        state: how far to trust it.
+        progress: percent of the way to a combination that the data determine.
     """
 
     value: float
@@ -59,6 +59,7 @@ class ParameterSet:
         identifiable: what the data alone determine.
         identifiable_std: its 1-sigma.
         reliable: whether every validity check is passed.
+        identifiable_states: how far each combination can be trusted.
     """
 
     stamp_ns: int
@@ -66,6 +67,7 @@ class ParameterSet:
     identifiable: Identifiable
     identifiable_std: Identifiable
     reliable: bool
+    identifiable_states: Mapping[str, State] = field(default_factory=dict)
 
 
 class PowerKind(str, Enum):
@@ -78,9 +80,20 @@ class PowerKind(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class PowerEstimate:
-    """Battery power at one moment, W, and its 1-sigma, W (NaN for a measurement)."""
+    """Battery power at one moment.
+
+    Attributes:
+        kind: topic.
+        stamp_ns: the moment.
+        power: W.
+        sigma: its 1-sigma, W.
+        energy: predicted since the battery was last measured, J; NaN while it is measured.
+        energy_sigma: its 1-sigma, J; NaN where it is not known.
+    """
 
     kind: PowerKind
     stamp_ns: int
     power: float
     sigma: float
+    energy: float = math.nan
+    energy_sigma: float = math.nan

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.estimation.calibration import BandCalibration
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
-from evpinn_ros.estimation.hybrid import HybridLearner
+from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.learner import (
     STATE_VERSION,
     Learner,
@@ -26,7 +26,10 @@ from evpinn_ros.estimation.learner import (
     gate,
 )
 from evpinn_ros.estimation.operating_range import OperatingRange
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.worker import Worker
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.sample import (
     Gap,
@@ -53,7 +56,7 @@ Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class Mode(str, Enum):
-    """Which learner: see `estimation.hybrid` and `estimation.paper`."""
+    """Which learner: see `estimation.pinn` and `estimation.paper`."""
 
     HYBRID = "hybrid"
     PAPER = "paper"
@@ -75,12 +78,14 @@ class EstimatorSettings:
     Attributes:
         mode: hybrid or paper.
         regen_form: reading of eq. 21; `paper` alone has the choice.
+        paper_optimizer: of `paper`.
         seed: of the networks.
         stream: how readings become samples.
     """
 
     mode: Mode = Mode.HYBRID
     regen_form: RegenForm = RegenForm.RECOVERY
+    paper_optimizer: PaperOptimizer = PaperOptimizer.ADAM
     seed: int = 0
     stream: StreamSettings = field(default_factory=StreamSettings)
 
@@ -140,7 +145,9 @@ class OnlineEstimator:
         """Forget all that was learned; counters are kept."""
         self._worker.cancel()
         self._learner = _learner(self._vehicle, self._settings)
-        self._stream = SampleStream(self._settings.stream, self._vehicle.air_density)
+        self._stream = SampleStream(
+            self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
+        )
         kinds = (PowerKind.PREDICTED, PowerKind.SMOOTHED)
         self._bands = {kind: BandCalibration() for kind in kinds}
         self._seen = OperatingRange()
@@ -183,8 +190,10 @@ class OnlineEstimator:
             self._stuck.push(reading)
         believed = taken and self._stuck.suspected != BATTERY_STUCK
         if isinstance(reading, BatteryReading) and believed:
-            sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * reading.power)
-            yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, reading.power, sigma)
+            power = self._stream.measured_power(reading)
+            if power is not None:
+                sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power)
+                yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
         for event in events:
             yield from self._handle(event)
         newest_ns = self._stream.newest_ns
@@ -205,6 +214,10 @@ class OnlineEstimator:
     def linear_power(self) -> LinearPower | None:
         """What forecasts of plans need of the car; None in the paper's mode."""
         return self._learner.linear_power(self._stream.celsius)
+
+    def evidence(self) -> Evidence:
+        """What the data alone say of the parameters (see `estimation.evidence`)."""
+        return self._learner.evidence()
 
     def noticed(self) -> LearnerReport:
         """Changes of payload and suspicions."""
@@ -281,6 +294,9 @@ class OnlineEstimator:
                         self._seen.add(event.sample)
                 if self.enabled:
                     self._learner.observe(event.sample, event.power)
+            case Interval():
+                if self.enabled and self._stuck.suspected is None:
+                    self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
             case TimeJump():
@@ -292,7 +308,14 @@ class OnlineEstimator:
         prediction = self._learner.predict(sample)
         self._predictions[kind].append((sample, prediction))
         sigma = self._bands[kind].sigma(sample, prediction.sigma)
-        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma)
+        yield PowerEstimate(
+            kind,
+            sample.stamp_ns,
+            prediction.power,
+            sigma,
+            prediction.energy,
+            prediction.energy_sigma,
+        )
 
     def _learn_bands(self, event: MeasuredSample) -> None:
         """Hold the predictions made for this moment against what was measured."""
@@ -312,7 +335,7 @@ class OnlineEstimator:
         self._tick_ns += (stamp_ns - self._tick_ns) // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
         if self._waiting:
             self._collect()
-        if not self._waiting and self.enabled and not self._silent_for(BATTERY_TIMEOUT_NS):
+        if not self._waiting and self.enabled:
             self._begin_update()
         yield replace(self.parameters(), stamp_ns=stamp_ns)
 
@@ -361,5 +384,10 @@ def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
         # Imported here: it alone needs torch, which takes longer to load than all else together.
         from evpinn_ros.estimation.paper import PaperLearner
 
-        return PaperLearner(vehicle, seed=settings.seed, form=settings.regen_form)
-    return HybridLearner(vehicle, seed=settings.seed)
+        return PaperLearner(
+            vehicle,
+            seed=settings.seed,
+            form=settings.regen_form,
+            optimizer=settings.paper_optimizer,
+        )
+    return PinnLearner(vehicle, seed=settings.seed)

@@ -8,24 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.estimation.parameter_filter import ParameterFilter
-from evpinn_ros.signals.sample import Sample
+from evpinn_ros.signals.interval import Interval
 
 GRADE_SIGN = "grade_sign"
 LENGTH = 100.0  # m over which a reported grade, and gusts, are alike
 MEMORY = 20e3  # m of road that the verdict rests on
 ENOUGH = 2e3  # m before there is a verdict
 FAST = 5.0  # m/s: slower, auxiliaries outweigh hills
-GENTLE = 0.5  # m/s^2: beyond, an error of inertia is larger than a hill
-SUSPECT_SIGMAS, CLEAR_SIGMAS = -3.0, 0.0  # of the slope that power tells over the one reported
+SUSPECT_SIGMAS, CLEAR_SIGMAS = -3.0, 0.0  # of the climb that energy shows over the one reported
 
 
 class GradeSuspicion:
-    """Whether reported grade has the wrong sign: to climb costs power.
+    """Whether reported grade has the wrong sign: to climb costs energy.
 
-    Regressed is the slope that power speaks of (`ParameterFilter.apparent_slope`) on the one that
-    is reported, along the road: 1 as it should be, -1 with the sign flipped, 0 for a report that
-    has nothing to do with the road. Each `LENGTH` counts as one observation.
+    Regressed is the climb that the battery's energy shows on the one that is reported, over the
+    road: 1 as it should be, -1 with the sign flipped, 0 for a report that has nothing to do with
+    the road. Each `LENGTH` counts as one observation.
     """
 
     def __init__(self) -> None:
@@ -33,14 +31,21 @@ class GradeSuspicion:
         self.suspected = False
         self._sums = np.zeros(6)  # of 1, x, y, x^2, x y and y^2 along the road, m
 
-    def push(self, source: ParameterFilter, sample: Sample, power: float, step: float) -> None:
-        """Learn from measured power, W, that stands for `step` seconds."""
-        if sample.speed < FAST or abs(sample.acceleration) > GENTLE:
+    def learn(self, interval: Interval, residual: float, weight_over_eta: float) -> None:
+        """Learn from an interval.
+
+        Args:
+            interval: with a measured height.
+            residual: energy measured less predicted, J.
+            weight_over_eta: m g / eta, N.
+        """
+        road = abs(interval.distance)
+        if not interval.height_known or road < FAST * interval.duration:
             return
-        x, y = sample.grade, source.apparent_slope(sample, power)
-        road = sample.speed * step
-        told = np.array([1.0, x, y, x * x, x * y, y * y])
-        self._sums = math.exp(-road / MEMORY) * self._sums + road * told
+        x = float(interval.steps.climb.sum()) / road
+        y = x + residual / weight_over_eta / road
+        sums = np.array([1.0, x, y, x * x, x * y, y * y])
+        self._sums = math.exp(-road / MEMORY) * self._sums + road * sums
         sigmas = self._sigmas()
         limit = CLEAR_SIGMAS if self.suspected else SUSPECT_SIGMAS
         self.suspected = sigmas is not None and sigmas < limit
@@ -63,7 +68,7 @@ class GradeSuspicion:
             return None
         x, y, xx, xy, yy = (each / road for each in sums)
         spread, both, size = xx - x * x, xy - x * y, yy - y * y
-        left = size * spread - both**2  # of the variance of y, times that of x
-        if spread <= 0.0 or left <= 0.0:
+        rest = size * spread - both**2  # of the variance of y, times that of x
+        if spread <= 0.0 or rest <= 0.0:
             return None
-        return float(both * math.sqrt(road / LENGTH / left))
+        return float(both * math.sqrt(road / LENGTH / rest))

@@ -8,41 +8,45 @@ import math
 from typing import Any, NamedTuple, Protocol
 
 from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.estimation.load_change import LoadChange
+from evpinn_ros.estimation.evidence import Evidence
+from evpinn_ros.estimation.payload import PayloadChange
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
-STATE_VERSION = 4
+STATE_VERSION = 5
 
 
 class PowerPrediction(NamedTuple):
-    """Battery power, W, and the model's own 1-sigma, W, not yet calibrated."""
+    """Battery power, W, and the model's own 1-sigma, W, not yet calibrated.
+
+    `energy`, J, is predicted since the battery was last measured, `energy_sigma` its 1-sigma, J;
+    NaN where they are not known.
+    """
 
     power: float
     sigma: float
+    energy: float = math.nan
+    energy_sigma: float = math.nan
 
 
 class LearnerReport(NamedTuple):
     """What a learner noticed of the car and its signals.
 
     Attributes:
-        load_change: the last change of payload, None when none was found.
-        load_changes: changes found.
-        load_changes_withdrawn: of them, changes that later data took back.
+        payload_change: the last change of payload, None when none was found.
+        payload_changes: changes found.
+        payload_changes_withdrawn: of them, changes that later data took back.
         suspicion: name of a fault of the signals that the data speak for, or None.
-        lag: by how much power follows speed, s, NaN where that is not estimated.
-        lag_std: its 1-sigma, s.
     """
 
-    load_change: LoadChange | None = None
-    load_changes: int = 0
-    load_changes_withdrawn: int = 0
+    payload_change: PayloadChange | None = None
+    payload_changes: int = 0
+    payload_changes_withdrawn: int = 0
     suspicion: str | None = None
-    lag: float = math.nan
-    lag_std: float = math.nan
 
 
 class Learner(Protocol):
@@ -59,6 +63,9 @@ class Learner(Protocol):
     def observe(self, sample: Sample, power: float) -> None:
         """Learn from a sample whose battery power, W, was measured."""
 
+    def add_interval(self, interval: Interval) -> None:
+        """Take an interval, its battery measured or not."""
+
     def prepare_update(self) -> Callable[[], Any] | None:
         """Work of one windowed update on a snapshot, safe to run in another thread, or None."""
 
@@ -67,6 +74,9 @@ class Learner(Protocol):
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
+
+    def evidence(self) -> Evidence:
+        """What the data alone say of the parameters (see `estimation.evidence`)."""
 
     def linear_power(self, celsius: float | None) -> LinearPower | None:
         """What forecasts of plans need of the car at an ambient temperature, None where unknown.

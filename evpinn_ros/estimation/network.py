@@ -64,3 +64,28 @@ class PowerNetwork(nn.Module):
     def load_vector(self, weights: torch.Tensor) -> None:
         """Take all weights from one vector."""
         nn.utils.vector_to_parameters(weights, self.parameters())
+
+
+@torch.no_grad()
+def spread_over_time(
+    network: PowerNetwork,
+    generator: torch.Generator,
+    first: float,
+    last: float,
+    sharpness: float,
+) -> None:
+    """Let unit k of the first layer bend at the k-th of as many moments as there are units.
+
+    Args:
+        network: whose second input is time; changed in place.
+        generator: draws the way in which each unit bends.
+        first: the earliest time, as the network takes it.
+        last: the latest.
+        sharpness: distance of two bends over the width of one.
+    """
+    layer = network.layers[0]
+    units = len(layer.bias)
+    slope = sharpness * units / (last - first)
+    signs = torch.randint(0, 2, (units,), generator=generator) * 2.0 - 1.0
+    layer.weight[:, 1] = (signs * slope).to(layer.weight)
+    layer.bias.copy_(-signs * slope * torch.linspace(first, last, units))

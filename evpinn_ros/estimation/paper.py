@@ -4,7 +4,13 @@ Four layers of 128 with tanh, speed and time in, battery power out; the five par
 together with the network by Adam at a learning rate of their own; the loss of eq. 22 with
 lambda = 0.1; initial values of eq. 24, 25 from the vehicle file. Once a second the network and
 Adam's memory are taken up where they were (warm start) and trained a fixed number of epochs on
-the window. What the paper leaves open is settled so:
+the window.
+
+`PaperOptimizer.GAUSS_NEWTON` minimises the same loss over the same network and window. As for any
+power the best parameters are a small least-squares problem (the priors hold what no data tell),
+it solves for them at the measured power, where the minimum of eq. 22 has them if the network can
+follow, and brings the network to (P + lambda P_physics) / (1 + lambda) by Levenberg-Marquardt in
+the space of residuals (`estimation.gauss_newton`). What the paper leaves open is settled so:
 
 - power is normalised by `POWER_SCALE`, speed by `SPEED_SCALE`, time runs from -1 to 0 over the
   window; both losses are means over the window in these units;
@@ -28,10 +34,14 @@ import numpy as np
 import torch
 
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
+from evpinn_ros.estimation.gauss_newton import levenberg_marquardt
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
-from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
+from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.estimation.window import Batch, Observation, SlidingWindow, batch
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
@@ -51,6 +61,12 @@ NETWORK_RATE = 1e-3  # Adam
 PARAMETER_RATE = 2e-3  # Adam, of log values
 SPEED_SCALE = 30.0  # m/s
 POWER_SCALE = 20_000.0  # W
+GAUSS_NEWTON_STEPS = 4  # per update; a window of 600 samples takes about 20 ms for each
+FIRST_DAMPING = 1e-2
+KINK_SHARPNESS = 0.5  # of the first layer's start; with 0.1 the loss falls ten times slower
+FIT_ITERATIONS = 10
+CONVERGED = 1e-4  # of log values
+LONGEST_STEP = 0.5  # of log values: further, the linearisation no longer holds
 MIN_SAMPLES = 50
 NOISE_MEMORY = 300.0  # samples over which the size of the residuals is followed
 FAR = 5.0  # log values beyond this are no car's
@@ -68,9 +84,7 @@ class Tensors(NamedTuple):
     air_density: torch.Tensor
     known_auxiliary: torch.Tensor
     power: torch.Tensor
-    slope: torch.Tensor
     head_wind: torch.Tensor
-    course: torch.Tensor
 
 
 class Trained(NamedTuple):
@@ -87,15 +101,24 @@ class PaperLearner:
     """See the module's text."""
 
     def __init__(
-        self, vehicle: Vehicle, *, seed: int = 0, form: RegenForm = RegenForm.RECOVERY
+        self,
+        vehicle: Vehicle,
+        *,
+        seed: int = 0,
+        form: RegenForm = RegenForm.RECOVERY,
+        optimizer: PaperOptimizer = PaperOptimizer.ADAM,
     ) -> None:
         """Start at the vehicle's initial values with a fresh network."""
         self._vehicle = vehicle
         self._form = form
+        self._optimizer = optimizer
         self._prior_std = np.array(
             [vehicle.priors[n].std / vehicle.priors[n].value for n in LEARNED]
         )
         network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=torch.float32)
+        if optimizer is PaperOptimizer.GAUSS_NEWTON:
+            generator = torch.Generator().manual_seed(seed)
+            spread_over_time(network, generator, -1.0, 0.0, KINK_SHARPNESS)
         self._trained = Trained(
             network,
             torch.zeros(len(LEARNED)),
@@ -133,11 +156,18 @@ class PaperLearner:
             return
         residual = power - self.predict(sample).power
         self._variance += (residual**2 - self._variance) / NOISE_MEMORY
-        self._window.add(Observation(sample, power, 0.0))
+        self._window.add(Observation(sample, power))
         self._last_ns = sample.stamp_ns
 
+    def add_interval(self, interval: Interval) -> None:
+        """Nothing: the paper learns from samples."""
+
+    def evidence(self) -> Evidence:
+        """Nothing that a population could use: no prior holds the paper's parameters."""
+        return NO_EVIDENCE
+
     def prepare_update(self) -> Callable[[], Trained] | None:
-        """Train a copy for `EPOCHS` on a snapshot of the window."""
+        """Train a copy on a snapshot of the window, by a fixed number of steps."""
         if len(self._window) < MIN_SAMPLES or self._last_ns is None:
             return None
         data = batch(list(self._window), self._last_ns)
@@ -213,7 +243,7 @@ class PaperLearner:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take a saved state; Adam's memory starts anew."""
+        """Take a saved state; the optimizer's memory starts anew."""
         if state["regen_form"] != self._form.value:
             raise ValueError(
                 f"saved with regen_form {state['regen_form']}, not {self._form.value}"
@@ -257,11 +287,18 @@ class PaperLearner:
         )
 
     def _train(self, before: Trained, data: Batch) -> Trained:
-        """`EPOCHS` full-batch steps of Adam on eq. 22."""
+        """One update: P_aux by its definition, the rest by eq. 22."""
         standing = auxiliary_power(data.speed, data.power - data.known_auxiliary)
         p_aux = before.p_aux if np.isnan(standing) else max(standing, LIMITS["p_aux"].lower)
         columns = Tensors._make(torch.tensor(column, dtype=torch.float32) for column in data)
         inputs = torch.stack((columns.speed / SPEED_SCALE, -columns.age / WINDOW), dim=1)
+        before = before._replace(p_aux=p_aux)
+        if self._optimizer is PaperOptimizer.GAUSS_NEWTON:
+            return self._gauss_newton(before, columns, inputs)
+        return self._adam(before, columns, inputs)
+
+    def _adam(self, before: Trained, columns: Tensors, inputs: torch.Tensor) -> Trained:
+        """`EPOCHS` full-batch steps of Adam."""
         network, log_scale = before.network, before.log_scale.requires_grad_()
         optimizer = torch.optim.Adam(
             [
@@ -274,14 +311,41 @@ class PaperLearner:
         for _ in range(EPOCHS):
             optimizer.zero_grad()
             predicted = network(inputs)
-            physics = self._learned_physics(columns, log_scale, p_aux) / POWER_SCALE
+            physics = self._learned_physics(columns, log_scale, before.p_aux) / POWER_SCALE
             loss = torch.mean((columns.power / POWER_SCALE - predicted) ** 2)
             loss = loss + PHYSICS_LOSS * torch.mean((physics - predicted) ** 2)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
         log_scale = log_scale.detach()
-        covariance = self._covariance(columns, log_scale, p_aux)
-        return Trained(network, log_scale, optimizer.state_dict(), p_aux, covariance)
+        covariance = np.linalg.inv(self._curvature(columns, log_scale, before.p_aux)[0])
+        return Trained(network, log_scale, optimizer.state_dict(), before.p_aux, covariance)
+
+    def _gauss_newton(self, before: Trained, columns: Tensors, inputs: torch.Tensor) -> Trained:
+        """The parameters that fit the window, and `GAUSS_NEWTON_STEPS` of the network."""
+        log_scale, p_aux = self._fitted(columns, before.log_scale, before.p_aux), before.p_aux
+        physics = self._learned_physics(columns, log_scale, p_aux)
+        target = (columns.power + PHYSICS_LOSS * physics) / ((1.0 + PHYSICS_LOSS) * POWER_SCALE)
+        damping = levenberg_marquardt(
+            before.network,
+            inputs,
+            target,
+            GAUSS_NEWTON_STEPS,
+            before.optimizer_state.get("damping", FIRST_DAMPING),
+        )
+        covariance = np.linalg.inv(self._curvature(columns, log_scale, p_aux)[0])
+        return Trained(before.network, log_scale, {"damping": damping}, p_aux, covariance)
+
+    def _fitted(self, data: Tensors, log_scale: torch.Tensor, p_aux: float) -> torch.Tensor:
+        """The log parameters with which eq. 21 fits measured power and priors best, shape (5,)."""
+        for _ in range(FIT_ITERATIONS):
+            curvature, slope = self._curvature(data, log_scale, p_aux)
+            step = np.linalg.solve(curvature, slope)
+            longest = float(np.abs(step).max())
+            step *= min(1.0, LONGEST_STEP / max(longest, CONVERGED))
+            log_scale = log_scale + torch.as_tensor(step, dtype=log_scale.dtype)
+            if longest < CONVERGED:
+                break
+        return log_scale
 
     def _learned_physics(
         self, data: Tensors, log_scale: torch.Tensor, p_aux: float
@@ -291,13 +355,20 @@ class PaperLearner:
         power: torch.Tensor = self._physics(data, values) + data.known_auxiliary
         return power
 
-    def _covariance(self, data: Tensors, log_scale: torch.Tensor, p_aux: float) -> np.ndarray:
-        """Laplace's approximation for the log parameters: curvature plus priors, shape (5, 5)."""
+    def _curvature(
+        self, data: Tensors, log_scale: torch.Tensor, p_aux: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations of the log parameters, data and priors: shape (5, 5) and (5,).
+
+        The inverse of the first is Laplace's approximation of their covariance.
+        """
         gradient = torch.func.jacfwd(lambda z: self._learned_physics(data, z, p_aux))(log_scale)
         residual = data.power - self._learned_physics(data, log_scale, p_aux)
         noise = max(float(torch.mean(residual**2)), LEAST_NOISE**2) * CORRELATED_SAMPLES
-        rows = gradient.double().numpy()
-        return np.linalg.inv(rows.T @ rows / noise + np.diag(self._prior_std**-2))
+        rows, left = gradient.double().numpy(), residual.detach().double().numpy()
+        precision = self._prior_std**-2
+        slope = rows.T @ left / noise - precision * log_scale.double().numpy()
+        return rows.T @ rows / noise + np.diag(precision), slope
 
 
 def _combined_std(

@@ -1,21 +1,33 @@
-"""From the filter's state to what is published: values, bounds, shares and states."""
+"""From the posterior to what is published: values, bounds, shares and states."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
 import math
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.estimation.car_state import State as Index
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
-from evpinn_ros.estimation.parameter_filter import ParameterFilter
+from evpinn_ros.estimation.published import LOGARITHMIC, Published
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
 
 ESTIMATING_BELOW = 0.95  # of the prior's variance left in the combination, then learning shows
-VALID_BELOW = 0.25  # then the data have told the combination
-UNOBSERVABLE_ABOVE = 0.9  # of the parameter's own prior variance: the data cannot tell it
-# The identifiable combination on which each parameter rests.
+VALID_BELOW = 0.25  # then the data determine the combination
+OWN_VALID_BELOW = 0.5  # of the parameter's own prior variance: more is mostly prior
+UNOBSERVABLE_ABOVE = 0.9  # then the data cannot determine the parameter
+# The identifiable combination on which each parameter rests, as weights of the logarithms.
+COMBINATIONS: Mapping[str, Mapping[int, float]] = {
+    "mass_over_eta": {Index.MASS: 1.0, Index.ETA: -1.0},
+    "drag_area_over_eta": {Index.C_D: 1.0, Index.ETA: -1.0},
+    "c_rr": {Index.C_RR: 1.0},
+    "regeneration": {Index.ETA: 1.0, Index.MU: 1.0},
+    "p_aux": {Index.P_AUX: 1.0},
+}
 RESTS_ON = {
     "eta": "mass_over_eta",
     "mu": "regeneration",
@@ -25,35 +37,67 @@ RESTS_ON = {
     "p_aux": "p_aux",
 }
 BOUND_SIGMAS = 2.0
-STAYS_VALID_ABOVE = 66.0  # percent of progress: until 0.4 of the prior's variance is back
-STAYS_OBSERVABLE_BELOW = 0.93  # share until which what was told counts as told
+INTERVAL = (0.025, 0.975)  # of the posterior of what cannot exceed 1
+STAYS_BELOW = 1.6  # times the limit of a share, until which a state that holds goes on holding
 IMPOSSIBLE_BEYOND = 6.0  # prior sigmas, then the value is no car's of this model
-POSSIBLE_WITHIN = 5.0  # where a value that was impossible is believed again
+POSSIBLE_WITHIN = 5.0  # where a value that was impossible counts as possible again
+TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads; outside it is never valid
 RELIABLE_NEEDS = ("mass_over_eta", "regeneration")
+NORMAL = NormalDist()
 
 
-def parameter_set(stamp_ns: int, source: ParameterFilter) -> ParameterSet:
-    """Everything that is known of the parameters, from the filter."""
-    value, std, share = source.parameters(), source.parameter_std(), source.prior_share()
-    combined, combined_std, combined_share = source.identifiable()
-    bounds = _bounds(source)
+class _Combined(NamedTuple):
+    """A combination: value, 1-sigma, and share of the prior's variance that is left."""
+
+    value: float
+    std: float
+    share: float
+
+
+def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
+    """Everything that is known of the parameters."""
+    combined = _combined(source)
     parameters = {}
-    for name in PARAMETER_NAMES:
-        limits = bounds[name]
+    for index, name in enumerate(PARAMETER_NAMES):
+        variance, before = (float(g.covariance[index, index]) for g in (source.now, source.prior))
+        share = min(1.0, variance / before) if before > 0.0 else 1.0
+        value, std, limits = _value(name, index, source)
+        bounds = _bounds(name, limits, combined, source.frontal_area)
+        rests = combined[RESTS_ON[name]].share
         parameters[name] = ParameterEstimate(
-            value=float(np.clip(getattr(value, name), limits.lower, limits.upper)),
-            std=getattr(std, name),
-            prior_share=getattr(share, name),
-            lower=limits.lower,
-            upper=limits.upper,
-            state=_state(getattr(combined_share, RESTS_ON[name]), getattr(share, name)),
-            progress=_progress(getattr(combined_share, RESTS_ON[name])),
+            value=float(np.clip(value, bounds.lower, bounds.upper)),
+            std=std,
+            prior_share=share,
+            lower=bounds.lower,
+            upper=bounds.upper,
+            state=_state(name, value, rests, share),
+            progress=_progress(rests),
         )
-    reliable = all(getattr(combined_share, name) < VALID_BELOW for name in RELIABLE_NEEDS)
-    return ParameterSet(stamp_ns, parameters, combined, combined_std, reliable)
+    reliable = all(combined[name].share < VALID_BELOW for name in RELIABLE_NEEDS)
+    return ParameterSet(
+        stamp_ns,
+        parameters,
+        Identifiable(*(combined[name].value for name in IDENTIFIABLE_NAMES)),
+        Identifiable(*(combined[name].std for name in IDENTIFIABLE_NAMES)),
+        reliable,
+        {name: _combination_state(one) for name, one in combined.items()},
+    )
 
 
-class StateKeeper:
+def deviations(source: Published) -> dict[str, float]:
+    """How far each parameter lies from its prior, in prior sigmas."""
+    std = np.sqrt(np.diagonal(source.prior.covariance))
+    away = (source.now.mean - source.prior.mean) / np.maximum(std, 1e-12)
+    return dict(zip(PARAMETER_NAMES, away.tolist(), strict=True))
+
+
+def identifiable_shares(source: Published) -> Identifiable:
+    """Share of the prior's variance that is left in each combination."""
+    combined = _combined(source)
+    return Identifiable(*(combined[name].share for name in IDENTIFIABLE_NAMES))
+
+
+class StateHysteresis:
     """States that do not flicker: what holds goes on holding a little beyond where it began."""
 
     def __init__(self) -> None:
@@ -61,69 +105,121 @@ class StateKeeper:
         self._states: dict[str, State] = {}
 
     def judge(
-        self, found: ParameterSet, deviations: Mapping[str, float], *, suspected: bool
+        self, found: ParameterSet, away: Mapping[str, float], *, suspected: bool
     ) -> ParameterSet:
         """The set with states that have hysteresis.
 
         Args:
             found: as made by `parameter_set`.
-            deviations: of each parameter from its prior, in prior sigmas.
+            away: of each parameter from its prior, in prior sigmas.
             suspected: whether the signals contradict each other.
         """
         parameters = {
-            name: replace(p, state=self._next(name, p, deviations[name], suspected))
+            name: replace(p, state=self._next(name, p, away[name], suspected))
             for name, p in found.parameters.items()
         }
         self._states = {name: p.state for name, p in parameters.items()}
         wrong = State.INVALID in self._states.values()
         return replace(found, parameters=parameters, reliable=found.reliable and not wrong)
 
-    def _next(self, name: str, now: ParameterEstimate, deviation: float, suspected: bool) -> State:
+    def _next(self, name: str, now: ParameterEstimate, away: float, suspected: bool) -> State:
         before = self._states.get(name)
         limit = POSSIBLE_WITHIN if before is State.INVALID else IMPOSSIBLE_BEYOND
-        if suspected or abs(deviation) > limit:
+        if suspected or abs(away) > limit:
             return State.INVALID
-        told = now.prior_share <= STAYS_OBSERVABLE_BELOW
-        if before is State.VALID and told and now.progress >= STAYS_VALID_ABOVE:
+        stays = now.progress >= _progress(VALID_BELOW * STAYS_BELOW)
+        stays = stays and now.prior_share <= OWN_VALID_BELOW * 1.1 and _possible(name, now.value)
+        if before is State.VALID and stays:
             return State.VALID
-        if now.state is State.UNESTIMATED and before in (State.VALID, State.ESTIMATING) and told:
+        if now.state is State.UNESTIMATED and before in (State.VALID, State.ESTIMATING):
             return State.ESTIMATING if now.progress > 0.0 else State.UNESTIMATED
         return now.state
 
 
-def _bounds(source: ParameterFilter) -> dict[str, Limits]:
-    """Bounds that need no belief in an absolute value: eta <= 1 and mu <= 1 bound the rest.
+def _combined(source: Published) -> dict[str, _Combined]:
+    """Each identifiable combination."""
+    found = {}
+    for name, weights in COMBINATIONS.items():
+        direction = np.zeros(len(PARAMETER_NAMES))
+        direction[list(weights)] = list(weights.values())
+        mean = float(direction @ source.now.mean)
+        variance, before = (
+            float(direction @ each.covariance @ direction) for each in (source.now, source.prior)
+        )
+        std = math.sqrt(max(0.0, variance))
+        share = variance / before if before > 0.0 else 1.0
+        if name in ("c_rr", "p_aux"):
+            found[name] = _Combined(mean, std, share)
+        else:
+            area = source.frontal_area if name == "drag_area_over_eta" else 1.0
+            value = area * math.exp(mean)
+            found[name] = _Combined(value, value * std, share)
+    return found
+
+
+def _value(name: str, index: int, source: Published) -> tuple[float, float, Limits]:
+    """Value, 1-sigma and hard limits of a parameter.
+
+    eta and mu cannot exceed 1: theirs is a normal distribution of the logarithm cut off there,
+    and near the bound its interval says more than value and sigma.
+    """
+    mean = float(source.now.mean[index])
+    std = math.sqrt(max(0.0, float(source.now.covariance[index, index])))
+    if index not in LOGARITHMIC:
+        return mean, std, LIMITS[name]
+    if name not in ("eta", "mu") or std <= 0.0:
+        value = math.exp(mean)
+        return value, value * std, LIMITS[name]
+    below = max(NORMAL.cdf(-mean / std), 1e-12)  # probability of less than 1
+    low, middle, high = (
+        math.exp(min(0.0, mean + std * NORMAL.inv_cdf(share * below)))
+        for share in (INTERVAL[0], 0.5, INTERVAL[1])
+    )
+    spread = (high - low) / (NORMAL.inv_cdf(INTERVAL[1]) - NORMAL.inv_cdf(INTERVAL[0]))
+    return middle, spread, Limits(max(low, LIMITS[name].lower), min(high, 1.0))
+
+
+def _bounds(name: str, limits: Limits, combined: Mapping[str, _Combined], area: float) -> Limits:
+    """Bounds that need no prior of an absolute value: eta <= 1 and mu <= 1 bound the rest.
 
     With q = eta mu known, eta and mu lie in [q, 1], hence mass in [q, 1] m/eta and likewise C_d;
-    each combination is widened by `BOUND_SIGMAS`. Until the data have told a combination, the
+    each combination is widened by `BOUND_SIGMAS`. Until the data determine a combination, the
     limits of the parameter stand.
     """
-    mean, std, share = source.identifiable()
-    bounds = dict(LIMITS)
-    if share.regeneration > ESTIMATING_BELOW:
-        return bounds
-    low = max(mean.regeneration - BOUND_SIGMAS * std.regeneration, LIMITS["eta"].lower)
-    low = min(low, 1.0)
-    bounds["eta"] = bounds["mu"] = Limits(low, 1.0)
-    for name, combination, divisor in (
-        ("mass", "mass_over_eta", 1.0),
-        ("c_d", "drag_area_over_eta", source.frontal_area),
-    ):
-        if getattr(share, combination) <= ESTIMATING_BELOW:
-            spread = BOUND_SIGMAS * getattr(std, combination)
-            middle = getattr(mean, combination)
-            ends = np.array((low * (middle - spread), middle + spread)) / divisor
-            bounds[name] = Limits(*(float(end) for end in np.clip(ends, *LIMITS[name])))
-    return bounds
+    regeneration = combined["regeneration"]
+    if name in ("c_rr", "p_aux") or regeneration.share > ESTIMATING_BELOW:
+        return limits
+    low = regeneration.value - BOUND_SIGMAS * regeneration.std
+    low = min(max(low, LIMITS["eta"].lower), 1.0)
+    if name in ("eta", "mu"):
+        return Limits(min(max(low, limits.lower), limits.upper), limits.upper)
+    whole = combined[RESTS_ON[name]]
+    if whole.share > ESTIMATING_BELOW:
+        return limits
+    divisor = area if name == "c_d" else 1.0
+    spread = BOUND_SIGMAS * whole.std
+    ends = np.array((low * (whole.value - spread), whole.value + spread)) / divisor
+    return Limits(*(float(end) for end in np.clip(ends, *limits)))
 
 
-def _state(combined_share: float, own_share: float) -> State:
+def _state(name: str, value: float, combined_share: float, own_share: float) -> State:
     if combined_share > ESTIMATING_BELOW or own_share > UNOBSERVABLE_ABOVE:
         return State.UNESTIMATED
-    return State.VALID if combined_share < VALID_BELOW else State.ESTIMATING
+    valid = combined_share < VALID_BELOW and own_share <= OWN_VALID_BELOW
+    return State.VALID if valid and _possible(name, value) else State.ESTIMATING
+
+
+def _combination_state(one: _Combined) -> State:
+    if one.share > ESTIMATING_BELOW:
+        return State.UNESTIMATED
+    return State.VALID if one.share < VALID_BELOW else State.ESTIMATING
+
+
+def _possible(name: str, value: float) -> bool:
+    return name != "c_rr" or TYRES.lower <= value <= TYRES.upper
 
 
 def _progress(combined_share: float) -> float:
     """Percent of the way from prior to valid, in the logarithm of the variance left."""
-    told = math.log(max(combined_share, 1e-12)) / math.log(VALID_BELOW)
-    return 100.0 * min(1.0, max(0.0, told))
+    done = math.log(max(combined_share, 1e-12)) / math.log(VALID_BELOW)
+    return 100.0 * min(1.0, max(0.0, done))

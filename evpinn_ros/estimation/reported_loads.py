@@ -49,6 +49,11 @@ class ReportedLoads:
         self._present = 0.0
         self._begin_drive()
 
+    @property
+    def reports(self) -> bool:
+        """Whether the car ever reported a load."""
+        return self._reported
+
     def push(self, load: float, celsius: float | None, step: float) -> None:
         """Take a load, W, that stands for `step` seconds at an ambient temperature."""
         self._reported = self._reported or load > 0.0

@@ -22,10 +22,9 @@ from typing import Any
 
 from evpinn_ros import __version__
 from evpinn_ros.errors import InputError
-from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.learner import STATE_VERSION
-from evpinn_ros.estimation.published_filter import PublishedFilter
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.fleet.manifest import CarDrives
@@ -216,9 +215,9 @@ def _learn(
 def _evidence(vehicle: Vehicle, state: dict[str, Any] | None) -> Evidence:
     if state is None:
         return NO_EVIDENCE
-    filter_ = PublishedFilter(vehicle)
-    filter_.restore(state["learner"]["parameter_filter"])
-    return filter_.evidence()
+    estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    estimator.restore(state)
+    return estimator.evidence()
 
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:

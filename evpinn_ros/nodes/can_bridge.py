@@ -1,4 +1,4 @@
-"""The node `can_bridge`: frames of a CAN bus or log in, speed and battery out."""
+"""The node `can_bridge`: frames of a CAN bus or log in, speed, battery and motor torque out."""
 
 from __future__ import annotations
 
@@ -27,10 +27,16 @@ from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.signals.readings import BatteryReading, Reading
+from evpinn_ros.signals.readings import BatteryReading, MotorReading, Reading
 from evpinn_ros.vehicle.files import load_vehicle
 
-PUBLISHES = (topics.SPEED, topics.BATTERY, topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
+PUBLISHES = (
+    topics.SPEED,
+    topics.BATTERY,
+    topics.BATTERY_VOLTAGE,
+    topics.BATTERY_CURRENT,
+    topics.MOTOR_TORQUE,
+)
 BEGINNINGS = (BusState.CLOSED.value, WAITING)  # how every bus begins is no news
 LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the process ends anyway
 
@@ -182,7 +188,8 @@ class CanBridgeNode(GuardedNode):
 def _messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
     """The messages of a reading: its own, and voltage and current alone, for plots."""
     if not isinstance(reading, BatteryReading):
-        yield topics.SPEED, reading_message(new_message, reading)
+        topic = topics.MOTOR_TORQUE if isinstance(reading, MotorReading) else topics.SPEED
+        yield topic, reading_message(new_message, reading)
         return
     yield topics.BATTERY, reading_message(new_message, reading)
     if not math.isnan(reading.voltage):

@@ -24,7 +24,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
     meter_status,
     plan_status,
 )
-from evpinn_ros.nodes.estimate_messages import energy_messages, summary_messages
+from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.messages import (
@@ -104,7 +104,9 @@ class EnergyNode(GuardedNode):
             reconciled=self.account.reconciled,
             learned_capacity=self.account.gauge.learned,
             file_problem=self._keeper.problem,
-            health=self.health(self._guard.dropped + self._speed_guard.dropped),
+            health=self.health(
+                self._guard.dropped + self._speed_guard.dropped + self.account.refused
+            ),
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
             basis=self.forecaster.basis,
@@ -134,7 +136,8 @@ class EnergyNode(GuardedNode):
         if "power" not in vector.values:
             raise BadMessage("no_power")
         power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
-        item = topic, vector.stamp_ns, power, sigma
+        energy_sigma = vector.sigmas.get(UNMEASURED_ENERGY, math.nan)
+        item = topic, vector.stamp_ns, power, sigma, energy_sigma
         if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
             self._push(*item)
             return
@@ -145,11 +148,14 @@ class EnergyNode(GuardedNode):
             else:
                 self._push(*passed)
 
-    def _push(self, topic: Topic, stamp_ns: int, power: float, sigma: float) -> None:
+    def _push(
+        self, topic: Topic, stamp_ns: int, power: float, sigma: float, energy_sigma: float
+    ) -> None:
         if topic is topics.POWER_MEASURED:
             self.account.push_measured(stamp_ns, power, sigma)
             return
-        self.account.push_predicted(stamp_ns, power, sigma)
+        if not self.account.push_predicted(stamp_ns, power, sigma, energy_sigma):
+            return
         self.forecaster.hear_sigma(sigma)
         self.publish(energy_messages(new_message, self.account.state))
         summary = self.account.tick()
@@ -165,7 +171,7 @@ class EnergyNode(GuardedNode):
         self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
         self.notice("jump", text)
         if policy == JumpPolicy.RESET.value:
-            self._keeper.start_over()
+            self.account.begin_next_trip()
         else:
             self.account.begin_next_stretch()
 
@@ -182,6 +188,9 @@ class EnergyNode(GuardedNode):
     def _on_speed(self, message: Any) -> None:
         """Speed has a guard of its own: in a fast replay it is seconds ahead of power."""
         reading = speed_reading(message)
+        if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
+            self.account.push_speed(reading.stamp_ns, reading.speed)
+            return
         threshold = self.values["time_jump_threshold"]
         for passed in self._speed_guard.push(topics.SPEED, reading.stamp_ns, reading, threshold):
             if isinstance(passed, Jump):
@@ -191,7 +200,7 @@ class EnergyNode(GuardedNode):
 
     def _on_battery(self, message: Any) -> None:
         reading = battery_reading(message)
-        self.account.push_charge(reading.stamp_ns, reading.state_of_charge)
+        self.account.push_battery(reading)
 
     def _on_model(self, message: Any) -> None:
         self.forecaster.hear_model(read_model(message, self._vehicle.key))
@@ -220,13 +229,15 @@ class EnergyNode(GuardedNode):
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
         charge, capacity = self.account.charge(), self.account.gauge.capacity
-        answer = self.forecaster.answer(plan, charge, capacity, self.now_ns())
+        answer = self.forecaster.answer(
+            plan, charge, capacity, self.now_ns(), self.account.battery
+        )
         result, self._charge_after = answer.forecast, answer.charge
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
         yield topics.FORECAST, forecast_bytes(header, times, *columns)
         if answer.charge.known:
-            reading = BatteryReading(0, math.nan, math.nan, answer.charge.value)
+            reading = BatteryReading(0, answer.voltage, math.nan, answer.charge.value)
             battery = battery_message(new_message, reading)
             battery.header = header
             yield topics.FORECAST_BATTERY, battery

@@ -24,6 +24,7 @@ POWER_TOPICS = {
     PowerKind.SMOOTHED: topics.POWER_SMOOTHED,
 }
 FLOWS = ("measured", "predicted", "rknn", "regenerated")
+UNMEASURED_ENERGY = "unmeasured_energy"  # J, predicted since the battery was last measured
 JOULES_PER_METRE = 3.6  # in a Wh/km
 
 
@@ -34,7 +35,12 @@ def output_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, An
         ValueError: a number is not finite; nothing of this output may then be published.
     """
     if isinstance(output, PowerEstimate):
-        vector = named_vector(new, output.stamp_ns, ["power"], [output.power], [output.sigma])
+        names, values, sigmas = ["power"], [output.power], [output.sigma]
+        if math.isfinite(output.energy_sigma):
+            names.append(UNMEASURED_ENERGY)
+            values.append(output.energy)
+            sigmas.append(output.energy_sigma)
+        vector = named_vector(new, output.stamp_ns, names, values, sigmas)
         yield POWER_TOPICS[output.kind], vector
     else:
         yield from _parameter_messages(new, output)

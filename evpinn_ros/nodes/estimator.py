@@ -38,6 +38,7 @@ LISTENS_TO = (
     topics.PRESSURE,
     topics.WIND,
     topics.AUXILIARY_POWER,
+    topics.MOTOR_TORQUE,
 )
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
 

@@ -101,16 +101,14 @@ def _noticed(report: LearnerReport) -> dict[str, object]:
     """What was noticed of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
-        "power_lag_s": rounded(report.lag),
-        "power_lag_std_s": rounded(report.lag_std),
-        "load_changes": report.load_changes,
-        "load_changes_withdrawn": report.load_changes_withdrawn,
+        "payload_changes": report.payload_changes,
+        "payload_changes_withdrawn": report.payload_changes_withdrawn,
     }
-    if report.load_change is not None:
-        change = report.load_change
-        values["load_change_stamp_s"] = change.stamp_ns / NANOSECONDS
-        values["load_change_kg"] = rounded(change.delta_mass)
-        values["load_change_std_kg"] = rounded(change.std)
+    if report.payload_change is not None:
+        change = report.payload_change
+        values["payload_change_stamp_s"] = change.stamp_ns / NANOSECONDS
+        values["payload_change_kg"] = rounded(change.delta_mass)
+        values["payload_change_std_kg"] = rounded(change.std)
     return values
 
 

@@ -7,6 +7,7 @@ from enum import Enum
 import math
 from typing import NamedTuple, TypeVar
 
+from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_after, forecast_plan
 from evpinn_ros.energy.plan import Plan
@@ -48,10 +49,11 @@ class Air(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The forecast of a plan, and the state of charge at its end, 0..1."""
+    """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end."""
 
     forecast: Forecast
     charge: Uncertain
+    voltage: float
 
 
 class Basis(str, Enum):
@@ -114,7 +116,14 @@ class Forecaster:
             None if wind is None else wind.head,
         )
 
-    def answer(self, plan: Plan, charge: Uncertain, capacity: Uncertain, now_ns: int) -> Answer:
+    def answer(
+        self,
+        plan: Plan,
+        charge: Uncertain,
+        capacity: Uncertain,
+        now_ns: int,
+        battery: BatteryModel,
+    ) -> Answer:
         """The energy a plan takes, and what it leaves in the battery.
 
         Args:
@@ -122,12 +131,16 @@ class Forecaster:
             charge: state of charge now, 0..1.
             capacity: energy of the full battery, J.
             now_ns: by the clock of `hear_air`.
+            battery: tells its end better than capacity once enough is known of it.
         """
         air = self.air(now_ns)
         density = density_of_air(self._vehicle.air_density, air.celsius, air.pascal)
         model = self._model or self._simple()
         result = forecast_plan(plan, model, density, air.head_wind or 0.0)
-        return Answer(result, battery_after(result, charge, capacity))
+        end = battery.after(result, charge)
+        if end is None:
+            end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
+        return Answer(result, *end)
 
     def _fresh(self, kind: type[AirReading], now_ns: int) -> AirReading | None:
         """The newest reading of a kind, while it is no older than such may be."""

@@ -11,9 +11,9 @@ from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import BadMessage, NewMessage, finite
 from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower
 
-MODEL_VERSION = 1  # of what `estimate/model` holds
+MODEL_VERSION = 2  # of what `estimate/model` holds
 MOST_NUMBERS = 100_000  # of a model: thirty times what an estimator tells
-_ARRAYS = ("mean", "directions", "unit_speeds", "unit_accelerations")
+_ARRAYS = ("mean", "directions")
 _NUMBERS = [f.name for f in fields(LinearPower) if f.name not in _ARRAYS]
 _POSITIVE = ("mass", "rotating_mass_factor", "drift_time", "slope_length")
 
@@ -54,17 +54,11 @@ def read_model(message: Any, vehicle: str) -> LinearPower:
         raise BadMessage("lengths_differ")
     if not np.isfinite(data).all():
         raise BadMessage("not_finite")
-    numbers, mean, directions, *units = np.split(data, np.cumsum(sizes[:-1]))
-    wanted = len(FEATURES) + units[0].size * units[1].size
-    if mean.size != wanted or directions.size % wanted or min(u.size for u in units) < 2:
+    numbers, mean, directions = np.split(data, np.cumsum(sizes[:-1]))
+    wanted = len(FEATURES)
+    if mean.size != wanted or directions.size % wanted:
         raise BadMessage("lengths_differ")
     named = dict(zip(_NUMBERS, numbers.tolist(), strict=True))
-    if min(named[name] for name in _POSITIVE) <= 0 or any((np.diff(u) <= 0).any() for u in units):
+    if min(named[name] for name in _POSITIVE) <= 0:
         raise BadMessage("out_of_range")
-    return LinearPower(
-        **named,
-        mean=mean,
-        directions=directions.reshape(-1, wanted),
-        unit_speeds=units[0],
-        unit_accelerations=units[1],
-    )
+    return LinearPower(**named, mean=mean, directions=directions.reshape(-1, wanted))

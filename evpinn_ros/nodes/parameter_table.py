@@ -83,8 +83,9 @@ VEHICLE = Parameter(
 TIME_JUMP_POLICY = Parameter(
     "time_jump_policy",
     "reset",
-    "When stamps go back, as when a bag starts over: reset to how the node started, hold what "
-    "was learned or counted and begin a new stretch of time, or ignore what is late.",
+    "When stamps go back, as when a bag starts over: reset to how the node started (of energy "
+    "the trip alone, to zero: the lifetime's total never falls), hold what was learned or counted "
+    "and begin a new stretch of time, or ignore what is late.",
     choices=("reset", "hold", "ignore"),
     read_only=False,
 )
@@ -111,6 +112,12 @@ ESTIMATOR = (
         "recovery",
         "Reading of the paper's eq. 21; for mode paper alone.",
         choices=("printed", "recovery", "wheel_power"),
+    ),
+    Parameter(
+        "paper_optimizer",
+        "adam",
+        "How mode paper trains: adam, as published, or gauss_newton, nearer to the least loss.",
+        choices=("adam", "gauss_newton"),
     ),
     Parameter(
         "smoothing_lag",
@@ -161,10 +168,11 @@ ENERGY = (
     VEHICLE,
     Parameter(
         "integrator",
-        "trapezoid",
-        "What integrates the predicted power that bridges a silent battery: the trapezoid rule, "
-        "the more exact, or the paper's Runge-Kutta network. energy/state holds both.",
-        choices=("trapezoid", "rknn"),
+        "rknn",
+        "What integrates the predicted power that stands in for the battery, in a dropout and "
+        "between two slow samples: the paper's Runge-Kutta network, or the trapezoid rule. "
+        "energy/state holds both.",
+        choices=("rknn", "trapezoid"),
     ),
     Parameter(
         "max_gap",

@@ -15,7 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 
 from evpinn_ros.errors import InputError
-from evpinn_ros.estimation.power_filter import PowerFilter
+from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import header
@@ -119,7 +119,7 @@ class _Planner:
 
     def await_node(self) -> None:
         """Wait until the node listens, and give it a model."""
-        model = PowerFilter(load_vehicle(VEHICLE)).linear_power()
+        model = PinnLearner(load_vehicle(VEHICLE)).linear_power(None)
         self._model.publish(model_message(new_message, VEHICLE, model))
         self._spin_until(lambda: self._plans.get_subscription_count() > 0, START_TIMEOUT)
         end = time.monotonic() + SETTLE

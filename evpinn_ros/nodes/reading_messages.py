@@ -27,6 +27,7 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     Reading,
     SpeedReading,
@@ -35,6 +36,7 @@ from evpinn_ros.signals.readings import (
 )
 
 HEATING = "heating"
+TORQUE, MOTOR_SPEED = "torque", "speed"
 UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an unset quaternion not
 
 # Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
@@ -105,6 +107,14 @@ def auxiliary_message(new: NewMessage, reading: AuxiliaryReading) -> Any:
     return named_vector(new, reading.stamp_ns, [HEATING, "others"], loads)
 
 
+def motor_message(new: NewMessage, reading: MotorReading) -> Any:
+    """Named vector of `torque`, N m, and of `speed`, rad/s, where it is known."""
+    values = {TORQUE: reading.torque}
+    if not math.isnan(reading.speed):
+        values[MOTOR_SPEED] = reading.speed
+    return named_vector(new, reading.stamp_ns, [*values], [*values.values()])
+
+
 def reading_message(new: NewMessage, reading: Reading) -> Any:
     """The message of any reading, the inverse of `to_reading`."""
     match reading:
@@ -124,6 +134,8 @@ def reading_message(new: NewMessage, reading: Reading) -> Any:
             return wind_message(new, reading)
         case AuxiliaryReading():
             return auxiliary_message(new, reading)
+        case MotorReading():
+            return motor_message(new, reading)
 
 
 def to_reading(type_name: str, message: Any) -> Reading:
@@ -188,6 +200,20 @@ def auxiliary_reading(message: Any) -> AuxiliaryReading:
     return AuxiliaryReading(vector.stamp_ns, heating, others)
 
 
+def motor_reading(message: Any) -> MotorReading:
+    """Torque, N m, and speed, rad/s, of a named vector; other names are ignored."""
+    vector = read_named_vector(message)
+    if TORQUE not in vector.values:
+        raise BadMessage("nothing_measured")
+    speed = vector.values.get(MOTOR_SPEED, math.nan)
+    return MotorReading(vector.stamp_ns, vector.values[TORQUE], speed)
+
+
+def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
+    """Two inputs share the type: motors name a `torque`, loads do not."""
+    return motor_reading(message) if TORQUE in message.name else auxiliary_reading(message)
+
+
 _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.SPEED_TYPE: speed_reading,
     topics.BATTERY_TYPE: battery_reading,
@@ -196,5 +222,5 @@ _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.TEMPERATURE_TYPE: temperature_reading,
     topics.PRESSURE_TYPE: pressure_reading,
     topics.WIND_TYPE: wind_reading,
-    topics.NAMED_VECTOR_TYPE: auxiliary_reading,
+    topics.NAMED_VECTOR_TYPE: _named_vector_reading,
 }

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.stream import StreamSettings
 from evpinn_ros.vehicle.physics import RegenForm
@@ -16,6 +17,7 @@ def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
     return EstimatorSettings(
         mode=Mode(values["mode"]),
         regen_form=RegenForm(values["regen_form"]),
+        paper_optimizer=PaperOptimizer(values["paper_optimizer"]),
         seed=values["seed"],
         stream=StreamSettings(
             smoothing_lag=values["smoothing_lag"],

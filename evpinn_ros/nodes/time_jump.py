@@ -3,12 +3,18 @@
 Stamps decide, because only they say where in the stream the jump is. One stamp that leaps proves
 nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
 the estimator forget a car. When the node's own clock went back as well, one is enough.
+
+A time that was left goes silent: a bag that starts over no longer plays its end. Where stamps leap
+to and fro between two times there are two publishers, and to follow both would be a jump at every
+turn. So from the first return on the one followed now is kept, and what continues the other is
+dropped and counted, until nothing else has come for a while.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Iterator
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -16,6 +22,9 @@ from evpinn_ros.signals.readings import NANOSECONDS
 
 AGREE_NS = 60 * NANOSECONDS  # stamps of one stretch of time lie this close together
 MOST_HELD = 1000
+MOST_LEFT = 8  # times that were left and may speak on
+TAKES_OVER = 20  # stamps of a left time in a row, after which the present one counts as ended
+SECOND_PUBLISHER = "stamps_of_a_second_publisher"
 
 
 class JumpPolicy(str, Enum):
@@ -38,12 +47,34 @@ class _Held(NamedTuple):
     item: Any
 
 
+@dataclass(slots=True)
+class _Left:
+    """A time that stamps leapt away from.
+
+    Attributes:
+        newest_ns: its newest stamp.
+        ahead: whether it lies ahead of the time that is followed now.
+        heard_ns: newest stamp of the time followed now when this one was last heard.
+        in_a_row: stamps of its leader since the leader of the time followed now spoke.
+    """
+
+    newest_ns: int
+    ahead: bool
+    heard_ns: int
+    in_a_row: int = 0
+
+    def continued_by(self, stamp_ns: int, leap_ns: int) -> bool:
+        """Whether a stamp that leaps by this much goes on where this time was left."""
+        return (leap_ns > 0) == self.ahead and 0 <= stamp_ns - self.newest_ns <= AGREE_NS
+
+
 class StampGuard:
     """Passes items on in their order and puts a `Jump` where their stamps start over.
 
     Attributes:
         jumps: how many there were.
-        dropped: items not passed on, by reason: `stamp_leaps`, `stamp_held_too_long`.
+        dropped: items not passed on, by reason: `stamp_leaps`, `stamp_held_too_long`,
+            `stamps_of_a_second_publisher`.
     """
 
     def __init__(self, leader: Hashable) -> None:
@@ -53,11 +84,14 @@ class StampGuard:
         self._leader = leader
         self._newest_ns: int | None = None
         self._held: list[_Held] = []
+        self._left: list[_Left] = []
+        self._came_back = False  # to a time that was left: it had not ended
         self._clock_went_back = False
 
     def clock_went_back(self) -> None:
         """The node's clock jumped back: the next leap back needs no second reading."""
         self._clock_went_back = True
+        self._left.clear()
 
     def push(
         self, source: Hashable, stamp_ns: int, item: Any, threshold: float
@@ -77,11 +111,32 @@ class StampGuard:
             if source == self._leader:
                 self._go_on()
             yield item
+        elif self._of_a_second_publisher(source, stamp_ns, leap_ns):
+            self.dropped[SECOND_PUBLISHER] += 1
         else:
             confirmed = self._confirmed(source, stamp_ns, leap_ns, threshold)
             self._hold(_Held(source, stamp_ns, item))
             if confirmed:
                 yield from self._leap(stamp_ns, leap_ns)
+
+    def _of_a_second_publisher(self, source: Hashable, stamp_ns: int, leap_ns: int) -> bool:
+        """Whether a stamp belongs to a time that was left and is not to be followed again."""
+        left = self._continued(stamp_ns, leap_ns)
+        if left is None or not self._came_back:
+            return False
+        left.newest_ns, left.heard_ns = stamp_ns, stamp_ns - leap_ns
+        left.in_a_row += source == self._leader
+        if left.in_a_row > TAKES_OVER:
+            self._left.remove(left)
+            return False
+        return True
+
+    def _continued(self, stamp_ns: int, leap_ns: int) -> _Left | None:
+        """The time left lately that a leaping stamp continues."""
+        now_ns = stamp_ns - leap_ns
+        self._left = [each for each in self._left if now_ns - each.heard_ns <= AGREE_NS]
+        self._came_back &= bool(self._left)
+        return next((x for x in self._left if x.continued_by(stamp_ns, leap_ns)), None)
 
     def _confirmed(self, source: Hashable, stamp_ns: int, leap_ns: int, threshold: float) -> bool:
         if leap_ns < 0 and self._clock_went_back:
@@ -106,7 +161,11 @@ class StampGuard:
         kept = [each for each in held if abs(each.stamp_ns - stamp_ns) <= AGREE_NS]
         self._drop(len(held) - len(kept))
         self._clock_went_back = False
-        self._newest_ns = max(each.stamp_ns for each in kept)
+        if (again := self._continued(stamp_ns, leap_ns)) is not None:
+            self._left.remove(again)
+            self._came_back = True
+        left_ns, self._newest_ns = stamp_ns - leap_ns, max(each.stamp_ns for each in kept)
+        self._left = [*self._left[1 - MOST_LEFT :], _Left(left_ns, leap_ns < 0, self._newest_ns)]
         if leap_ns < 0:
             self.jumps += 1
             yield Jump(-leap_ns / NANOSECONDS)
@@ -115,6 +174,8 @@ class StampGuard:
     def _go_on(self) -> None:
         """The leader goes on as before, so what was held had a wrong stamp."""
         self._clock_went_back = False
+        for left in self._left:
+            left.in_a_row = 0
         self._drop(len(self._held))
         self._held.clear()
 

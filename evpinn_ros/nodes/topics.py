@@ -146,6 +146,15 @@ AUXILIARY_POWER = Topic(
     "optional: known loads by name, heating and others; heating counts below 20 degrees outside",
     "W",
 )
+MOTOR_TORQUE = Topic(
+    "vehicle/motor_torque",
+    NAMED_VECTOR_TYPE,
+    "can_bridge",
+    False,
+    "optional: `torque` of all motors together at their shaft, positive drives forward, and their "
+    "`speed`, left out where not known",
+    "N m, rad/s",
+)
 INPUTS = (
     SPEED,
     BATTERY,
@@ -157,6 +166,7 @@ INPUTS = (
     PRESSURE,
     WIND,
     AUXILIARY_POWER,
+    MOTOR_TORQUE,
 )
 
 PARAMETERS = Topic(
@@ -293,7 +303,8 @@ FORECAST_BATTERY = Topic(
     BATTERY_TYPE,
     "energy",
     False,
-    "the battery at the end of the plan; not published while the state of charge is unknown",
+    "the battery at the end of the plan; not published while the state of charge is unknown. "
+    "Its voltage is NaN until a minute of voltage, current and state of charge was heard",
     "1",
 )
 DIAGNOSTICS = Topic(

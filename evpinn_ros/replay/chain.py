@@ -39,14 +39,16 @@ class Chain:
         if isinstance(reading, SpeedReading):
             self.account.push_speed(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
-            self.account.push_charge(reading.stamp_ns, reading.state_of_charge)
+            self.account.push_battery(reading)
         for output in self.estimator.push(reading):
             yield output
             if not isinstance(output, PowerEstimate):
                 continue
             if output.kind is PowerKind.SMOOTHED:
                 self._follow_time(output.stamp_ns)
-                self.account.push_predicted(output.stamp_ns, output.power, output.sigma)
+                self.account.push_predicted(
+                    output.stamp_ns, output.power, output.sigma, output.energy_sigma
+                )
                 yield self.account.state
                 summary = self.account.tick()
                 if summary is not None:

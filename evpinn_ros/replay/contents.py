@@ -7,15 +7,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag, open_can_log
 from evpinn_ros.bags.convert import reported
-from evpinn_ros.bags.csv_columns import Column
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.profile import bundled_profiles
+from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import CsvSource, is_drive_table, open_source
+from evpinn_ros.replay.sources import Source, is_drive_table, open_source
 from evpinn_ros.replay.usable import Flow, Usable, usable
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 
@@ -41,9 +43,12 @@ class Contents:
 
     Attributes:
         path: of it.
-        kind: `bag`, `CAN log` or `CSV`.
+        kind: `bag`, `CAN log` or `table`.
         topics: of a bag.
-        columns: of a CSV file.
+        columns: of a table that are used.
+        unused: names of those that are not.
+        dated: what tells the day of a table, see `TableDrive`; None of what has stamps.
+        zoned: whether its clock is UTC or names its zone.
         frames: of a CAN log or a bag, that were looked at for the profile; 0 without.
         profile: that fits the frames, None when none does, or without frames.
         vehicles: whose profile that is.
@@ -56,6 +61,9 @@ class Contents:
     kind: str
     topics: tuple[TopicContents, ...] = ()
     columns: tuple[Column, ...] = ()
+    unused: tuple[str, ...] = ()
+    dated: str | None = None
+    zoned: bool = True
     frames: int = 0
     profile: str | None = None
     vehicles: tuple[str, ...] = ()
@@ -77,11 +85,11 @@ class Contents:
 def contents(
     path: Path, columns: Sequence[str] = (), progress: Progress | None = None
 ) -> Contents:
-    """Look through a bag, a CAN log or a CSV file.
+    """Look through a bag, a CAN log or a table.
 
     Args:
         path: of it.
-        columns: of a CSV file that are told, see `evpinn_ros.bags.csv_columns.columns_of`.
+        columns: of a table that are told, see `evpinn_ros.drives.column.columns_by_name`.
         progress: is told the seconds of the drive done.
 
     Raises:
@@ -90,7 +98,7 @@ def contents(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
-        return _with_drive(Contents(path, "CSV"), None, columns, progress)
+        return _with_drive(Contents(path, "table"), None, columns, progress)
     if not is_bag(path):
         found = Contents(path, "CAN log")
         return _with_frames(found, open_can_log(path), progress)
@@ -139,11 +147,24 @@ def _with_drive(
         return replace(found, notes=(str(error),))
     return replace(
         found,
-        columns=source.drive.rules if isinstance(source, CsvSource) else (),
+        **_of_table(source),
         drive=drive,
         dropped=source.dropped,
-        notes=(source.problem,) if source.problem else (),
+        notes=(*getattr(source, "notes", ()), *filter(None, [source.problem])),
     )
+
+
+def _of_table(source: Source) -> dict[str, Any]:
+    """What is known of a table beside its readings."""
+    if not isinstance(source, DriveSource):
+        return {}
+    drive = source.drive
+    return {
+        "columns": drive.rules,
+        "unused": drive.ignored,
+        "dated": drive.dated,
+        "zoned": drive.zoned,
+    }
 
 
 def _has_readings(path: Path) -> bool:

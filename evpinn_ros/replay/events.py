@@ -73,20 +73,20 @@ def _payloads(drive: Drive) -> Iterator[Event]:
     """Each change of payload as it was told last, and those that were withdrawn."""
     last: dict[int, Event] = {}
     for before, now in zip(drive.noticed, drive.noticed[1:], strict=False):
-        report, change = now.report, now.report.load_change
-        if report.load_changes_withdrawn > before.report.load_changes_withdrawn:
+        report, change = now.report, now.report.payload_change
+        if report.payload_changes_withdrawn > before.report.payload_changes_withdrawn:
             text = "The change of payload told before was withdrawn: later data took it back."
             yield Event(now.time, EventKind.PAYLOAD, text)
-        elif change is not None and change != before.report.load_change:
+        elif change is not None and change != before.report.payload_change:
             stop = (change.stamp_ns - drive.start_ns) / NANOSECONDS
             text = (
                 f"{change.delta_mass:+.0f} ± {change.std:.0f} kg at this stop; "
                 f"told {max(now.time - stop, 0.0):.0f} s later."
             )
-            told = last.get(report.load_changes)
+            told = last.get(report.payload_changes)
             if told is not None:
                 text = text.partition(";")[0] + ";" + told.text.partition(";")[2]
-            last[report.load_changes] = Event(stop, EventKind.PAYLOAD, text)
+            last[report.payload_changes] = Event(stop, EventKind.PAYLOAD, text)
     yield from last.values()
 
 

@@ -110,7 +110,8 @@ class History:
     def __init__(self) -> None:
         self._start_ns: int | None = None
         self._last_ns = 0
-        self._speed, self._measured, self._energy = Columns(2), Columns(2), Columns(4)
+        self._speed, self._energy = Columns(2), Columns(4)
+        self._voltage, self._current = Columns(2), Columns(2)
         self._altitude = Columns(2)
         self._combinations = {name: Columns(3) for name in IDENTIFIABLE_NAMES}
         self._noticed: list[Noticed] = []
@@ -132,8 +133,11 @@ class History:
         time = self.seconds(reading.stamp_ns)
         if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
             self._speed.add(time, reading.speed)
-        elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
-            self._measured.add(time, reading.power)
+        elif isinstance(reading, BatteryReading):
+            if math.isfinite(reading.voltage):
+                self._voltage.add(time, reading.voltage)
+            if math.isfinite(reading.current):
+                self._current.add(time, reading.current)
         elif isinstance(reading, AltitudeReading) and math.isfinite(reading.altitude):
             self._altitude.add(time, reading.altitude)
 
@@ -163,7 +167,6 @@ class History:
 
     def add_noticed(self, report: LearnerReport) -> None:
         """Take what the learner says of the car by now, if it says something new."""
-        report = report._replace(lag=math.nan, lag_std=math.nan)  # they change all the time
         if not self._noticed or self._noticed[-1].report[:4] != report[:4]:
             self._noticed.append(Noticed(self._now, report))
 
@@ -181,12 +184,20 @@ class History:
     def _now(self) -> float:
         return self.seconds(self._last_ns)
 
+    def _measured(self) -> np.ndarray:
+        """Power at each reading of the current, the voltage interpolated, shape (n, 2)."""
+        voltage, current = (_in_order(c.values()) for c in (self._voltage, self._current))
+        if not (len(voltage) and len(current)):
+            return np.empty((0, 2))
+        time = current[:, 0]
+        return np.column_stack((time, -np.interp(time, *voltage.T) * current[:, 1]))
+
     def drive(self) -> Drive:
         """The series so far."""
         return Drive(
             duration=self.seconds(self._last_ns),
             speed=self._speed.values(),
-            measured=_in_order(self._measured.values()),
+            measured=self._measured(),
             smoothed=PowerSeries(*self._power[PowerKind.SMOOTHED].values().T),
             newest=PowerSeries(*self._power[PowerKind.PREDICTED].values().T),
             energy=self._energy.values(),

@@ -1,4 +1,4 @@
-"""Where recorded drives lie: bags, CAN logs and CSV files below a folder."""
+"""Where recorded drives lie: bags, CAN logs and tables below a folder."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from pathlib import Path
 
 from evpinn_ros.bags.can_frames import BAG_SUFFIXES
 from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.drives.formats import TABLE_SUFFIXES
+
+TABLES = tuple(suffix for suffix in TABLE_SUFFIXES if suffix != ".txt")  # most are a read-me
 
 
 def recordings(path: Path) -> Iterator[Path]:
@@ -21,7 +24,7 @@ def recordings(path: Path) -> Iterator[Path]:
     for inner in path.iterdir():
         if inner.is_dir():
             yield from recordings(inner)
-        elif _suffix(inner) in (*BAG_SUFFIXES, *LOG_SUFFIXES):
+        elif _suffix(inner) in (*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLES):
             yield inner
 
 

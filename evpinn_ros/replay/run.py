@@ -93,7 +93,10 @@ def replay(
     drive = history.drive()
     if len(drive.speed) == 0:
         where = "" if options.start == 0 and options.duration is None else " in that span"
-        raise InputError(f"{source.path}: holds no vehicle/speed{where}, nothing can be predicted")
+        why = "; ".join(getattr(source, "notes", ()))
+        raise InputError(
+            f"{source.path}: no speed{where}, so nothing can be predicted{why and f': {why}'}"
+        )
     status = chain.estimator.status()
     found = metrics(
         path=str(source.path),

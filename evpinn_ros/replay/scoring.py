@@ -14,13 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.estimator import EstimatorStatus
+from evpinn_ros.estimation.estimator import EstimatorStatus, Mode
 from evpinn_ros.replay.history import Drive, PowerSeries
 
-MAX_MEASURED_STEP = 2.5  # s; power is not held to be known between readings further apart
+MAX_MEASURED_STEP = 2.5  # s; power is not known between readings further apart
+GAP_STEPS = 6.0  # nor, of slow readings, between those this many usual steps apart
+# s since the last battery reading, as `by_battery_age` names them: each from half way to the one
+# before (in logarithms) to half way to the next.
+BATTERY_AGES = (0.1, 1.0, 10.0, 60.0, 600.0)
 WINDOW, WINDOW_STEP = 300.0, 10.0  # s, of the worst stretch of energy
 NULL_HOLD_OUT = 0.2  # share held out in the random split
 NULL_SEED = 0
+FLOOR_BINS = 50  # of speed, each with at least ten predictions
 
 
 class Span(NamedTuple):
@@ -124,6 +129,23 @@ def null_scores(drive: Drive, span: Span) -> dict[str, float | None]:
     }
 
 
+def speed_floor(drive: Drive, span: Span) -> float | None:
+    """Least RMSE, W, of any fixed function of speed alone, chosen with hindsight; None if unknown.
+
+    The mean of measured power in each of `FLOOR_BINS` bins of as many predictions each. For the
+    newest moment the network of `mode: paper` is such a function, for its other input, the age, is
+    then always 0; it beats the floor only by changing from second to second.
+    """
+    chosen = scored(drive, drive.smoothed, span)
+    if chosen.sum() < 10 * FLOOR_BINS:
+        return None
+    time = drive.smoothed.time[chosen]
+    power = measured_at(drive, time)[0]
+    order = np.argsort(np.interp(time, *drive.speed.T), kind="stable")
+    rest = [each - each.mean() for each in np.array_split(power[order], FLOOR_BINS)]
+    return float(np.sqrt(np.mean(np.concatenate(rest) ** 2)))
+
+
 def metrics(
     *,
     path: str,
@@ -148,6 +170,10 @@ def metrics(
         "mode": mode,
         **drive_scores(drive, warm_up, withheld_from),
     }
+    end = drive.duration if withheld_from is None else withheld_from
+    floor = speed_floor(drive, Span(warm_up, end)) if mode == Mode.PAPER.value else None
+    found["power"]["floor_w"] = floor
+    found["by_battery_age"] = battery_age_scores(drive, warm_up, withheld_from)
     found["parameters"] = _parameters(drive)
     found["updates"] = _updates(status)
     found["replay"] = {
@@ -186,8 +212,46 @@ def measured_at(drive: Drive, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         return np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     after = np.clip(np.searchsorted(rows[:, 0], time), 1, len(rows) - 1)
     inside = (time >= rows[0, 0]) & (time <= rows[-1, 0])
-    near = rows[after, 0] - rows[after - 1, 0] <= MAX_MEASURED_STEP
+    near = rows[after, 0] - rows[after - 1, 0] <= longest_step(rows[:, 0])
     return np.interp(time, rows[:, 0], rows[:, 1]), inside & near
+
+
+def longest_step(time: np.ndarray) -> float:
+    """Time between readings, s, across which they are joined, by their usual step."""
+    usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    return max(MAX_MEASURED_STEP, GAP_STEPS * usual)
+
+
+def battery_age_scores(
+    drive: Drive, warm_up: float, withheld_from: float | None
+) -> dict[str, dict[str, float | None]]:
+    """RMSE and bias, W, by the time since the last battery reading, by `BATTERY_AGES`.
+
+    Beside the prediction stands a baseline: the last measured power held.
+    """
+    series, rows = drive.smoothed, drive.measured
+    given = rows if withheld_from is None else rows[rows[:, 0] <= withheld_from]
+    empty: dict[str, float | None] = dict.fromkeys(("rmse_w", "bias_w", "last_value_rmse_w"))
+    found = {f"{age:g}": dict(empty) for age in BATTERY_AGES}
+    if len(given) < 2 or not len(series.time):
+        return found
+    truth, known = measured_at(drive, series.time)
+    last = np.searchsorted(given[:, 0], series.time, side="right") - 1
+    chosen = known & (series.time > warm_up) & (last >= 0)
+    age = series.time[chosen] - given[last[chosen], 0]
+    edges = np.sqrt(np.array(BATTERY_AGES[1:]) * np.array(BATTERY_AGES[:-1]))
+    group = np.searchsorted(edges, age)
+    error = series.power[chosen] - truth[chosen]
+    held = given[last[chosen], 1] - truth[chosen]
+    for index, name in enumerate(found):
+        inside = group == index
+        if inside.any():
+            found[name] = {
+                "rmse_w": float(np.sqrt(np.mean(error[inside] ** 2))),
+                "bias_w": float(np.mean(error[inside])),
+                "last_value_rmse_w": float(np.sqrt(np.mean(held[inside] ** 2))),
+            }
+    return found
 
 
 def measured_energy(drive: Drive, stretches: list[Span]) -> float:
@@ -205,7 +269,7 @@ def _stretches(time: np.ndarray) -> list[Span]:
     """Parts of a series of times, shape (n,), that have no gap."""
     if len(time) < 2:
         return []
-    breaks = np.flatnonzero(np.diff(time) > MAX_MEASURED_STEP)
+    breaks = np.flatnonzero(np.diff(time) > longest_step(time))
     begins = np.concatenate(([0], breaks + 1))
     ends = np.concatenate((breaks, [len(time) - 1]))
     return [Span(float(time[i]), float(time[j])) for i, j in zip(begins, ends, strict=True)]

@@ -1,4 +1,4 @@
-"""What can be replayed: bags, CAN logs and CSV drives, each as one stream of readings."""
+"""What can be replayed: bags, CAN logs and tables of drives, each as one stream of readings."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ import zlib
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
 from evpinn_ros.bags.convert import BagReadings
-from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.gvret import HEADER as GVRET_HEADER
 from evpinn_ros.can.logs import LOG_SUFFIXES, LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
+from evpinn_ros.drives import open_drive
+from evpinn_ros.drives.formats import MEASUREMENT_SUFFIX, is_table, suffix_of
+from evpinn_ros.drives.measurement import holds_signals
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
@@ -62,35 +65,6 @@ class BagSource:
         """The readings in order of log time."""
         with self._reader:
             yield from self._readings
-
-
-class CsvSource:
-    """A CSV drive (`bags.csv_drive`)."""
-
-    def __init__(self, path: Path, vehicle: Vehicle, columns: Sequence[str] = ()) -> None:
-        """Open the file; power alone becomes current at the vehicle's nominal voltage."""
-        self.path = path
-        self.drive = CsvDrive(path, vehicle.nominal_voltage, columns)
-        self.dropped = self.drive.dropped
-
-        self._problem: str | None = None
-
-    @property
-    def problem(self) -> str | None:
-        """Where the file breaks off; rows that are wrong in themselves are dropped and counted."""
-        return self._problem
-
-    def readings(self) -> Iterator[Reading]:
-        """The readings row by row, up to where the file can be read."""
-        begun = False
-        try:
-            for reading in self.drive.readings():
-                begun = True
-                yield reading
-        except InputError as error:
-            if not begun:
-                raise
-            self._problem = str(error)
 
 
 class CanLogSource:
@@ -149,7 +123,7 @@ def open_source(
         vehicle: whose drive it is.
         can_profile: of a CAN log, the vehicle's when None.
         trust_profile: read a CAN log also where it contradicts the profile.
-        columns: of a CSV file that are told, see `evpinn_ros.bags.csv_columns.columns_of`.
+        columns: of a CSV file that are told, see `evpinn_ros.drives.column.columns_by_name`.
 
     Raises:
         InputError: no such file, no kind known, or a CAN log without a profile.
@@ -159,10 +133,10 @@ def open_source(
     if is_bag(path):
         return _open_bag(path, vehicle, can_profile, trust_profile)
     if is_drive_table(path):
-        return CsvSource(path, vehicle, columns)
-    if _suffix(path) in LOG_SUFFIXES:
+        return open_drive(path, vehicle.nominal_voltage, columns)
+    if suffix_of(path) in LOG_SUFFIXES:
         return CanLogSource(LogFile(path), _bridge(path, vehicle, can_profile, trust_profile))
-    raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a CSV")
+    raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a table")
 
 
 def _open_bag(
@@ -193,22 +167,21 @@ def _bridge(
 
 
 def is_drive_table(path: Path) -> bool:
-    """Whether a path is that of a CSV file which is not python-can's log of a bus.
+    """Whether a path is that of a table which is not python-can's log of a bus.
 
     Raises:
         InputError: it cannot be read.
     """
-    if path.is_dir() or _suffix(path) != ".csv":
+    if path.is_dir() or not is_table(path):
         return False
+    if suffix_of(path) == MEASUREMENT_SUFFIX:
+        return holds_signals(path)
+    if suffix_of(path) != ".csv":
+        return True
     opener = gzip.open if path.suffix == ".gz" else Path.open
     try:
         with opener(path, "rb") as file:
             header = file.readline(10_000)
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: {error}") from error
-    return FRAME_COLUMN.encode() not in header
-
-
-def _suffix(path: Path) -> str:
-    """Without .gz; Vector's tools write DRIVE.BLF as well."""
-    return Path(path.name.lower().removesuffix(".gz")).suffix
+    return FRAME_COLUMN.encode() not in header and GVRET_HEADER.encode() not in header

@@ -47,6 +47,9 @@ def score_rows(drive: Drive, found: Mapping[str, Any], warm_up: float) -> list[t
         title = f"  battery withheld after {withheld['from_s']:.0f} s"
         rows.append((f"{title}, smoothed", *_scores(withheld["power"])))
         rows.append((f"{title}, at once", *_scores(withheld["power_now"])))
+    if found["power"].get("floor_w") is not None:
+        floor = watts(found["power"]["floor_w"])
+        rows.append(("floor: best function of speed, in hindsight", floor, "", "", ""))
     nulls = null_scores(drive, Span(warm_up, drive.duration))
     rows.append(("null: last value held", watts(nulls["last_value"]), "", "", ""))
     rows.append(("null: random split, interpolated", watts(nulls["interpolation"]), "", "", ""))

@@ -11,7 +11,7 @@ from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replay.foretold import Foretold
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import DECIMALS
-from evpinn_ros.replay.scoring import MAX_MEASURED_STEP, measured_at
+from evpinn_ros.replay.scoring import longest_step, measured_at
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 from evpinn_ros.vehicle.parameters import Parameters
 
@@ -151,5 +151,5 @@ def _running_energy(drive: Drive, begin: float) -> tuple[np.ndarray, np.ndarray]
     """Time and energy, J, of measured power from a time on, none across gaps; shape (n,) each."""
     time, power = drive.measured[drive.measured[:, 0] >= begin].T
     steps = np.diff(time)
-    used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= MAX_MEASURED_STEP)
+    used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
     return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))

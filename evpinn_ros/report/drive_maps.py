@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import MAX_MEASURED_STEP, Span, measured_at, scored
+from evpinn_ros.replay.scoring import Span, longest_step, measured_at, scored
 from evpinn_ros.report.thinning import packed
 
 KMH = 3.6
@@ -54,7 +54,7 @@ def moments(drive: Drive) -> Moments:
     if not len(time):
         return Moments(*(np.empty(0) for _ in Moments._fields))
     before, after = (np.interp(series.time + s, time, speed) for s in (-HALF_SPAN, HALF_SPAN))
-    steps = np.clip(np.diff(series.time, append=np.nan), 0.0, MAX_MEASURED_STEP)
+    steps = np.clip(np.diff(series.time, append=np.nan), 0.0, longest_step(series.time))
     every = Moments(
         series.time,
         np.clip(KMH * np.interp(series.time, time, speed), -LARGEST_SPEED, LARGEST_SPEED),

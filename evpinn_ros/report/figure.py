@@ -12,7 +12,7 @@ import numpy as np
 from evpinn_ros.durable import replaced
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
+from evpinn_ros.replay.scoring import longest_step
 from evpinn_ros.vehicle.parameters import Parameters
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
@@ -87,7 +87,7 @@ def _draw_energy(axes: Axes, drive: Drive) -> None:
         time, power = drive.measured.T
         power = np.where(time >= energy[0, 0], power, 0.0)
         steps = np.diff(time)
-        used = 0.5 * (power[1:] + power[:-1]) * steps * (steps < MAX_MEASURED_STEP)
+        used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
         total = np.concatenate(([0.0], np.cumsum(used)))
         axes.plot(time, total / JOULES_PER_KWH, color=MEASURED, label="measured")
     if len(energy):
@@ -116,5 +116,5 @@ def _draw_parameter(
 
 def _with_breaks(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The series with NaN where readings are too far apart to be joined by a line."""
-    breaks = np.flatnonzero(np.diff(time) > MAX_MEASURED_STEP) + 1
+    breaks = np.flatnonzero(np.diff(time) > longest_step(time)) + 1
     return np.insert(time, breaks, np.nan), np.insert(values, breaks, np.nan)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
+from evpinn_ros.replay.scoring import longest_step
 
 LEVELS = 65534  # that two bytes tell apart, beside "no value"
 NO_VALUE = -32768
@@ -84,7 +84,7 @@ def _join(found: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid) -
     after = np.searchsorted(time, middle)
     inside = (after > 0) & (after < len(time))
     empty, middle, after = empty[inside], middle[inside], after[inside]
-    near = time[after] - time[after - 1] <= MAX_MEASURED_STEP
+    near = time[after] - time[after - 1] <= longest_step(time)
     found[empty[near]] = np.interp(middle[near], time, values)[:, None]
 
 

@@ -20,14 +20,14 @@ from typing import Any, Protocol
 
 import torch
 
-from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
+from evpinn_ros.estimation.gauss_newton import gauss_newton_step
+from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
 from evpinn_ros.estimation.paper import (
     LEARNED,
     NETWORK_RATE,
     PARAMETER_RATE,
     PHYSICS_LOSS,
 )
-from evpinn_ros.reproduction.gauss_newton import gauss_newton_step
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import InputForm, Problem
 
@@ -95,20 +95,6 @@ def make_optimizer(name: OptimizerName, problem: Problem, seed: int) -> Optimize
 def paper_network(problem: Problem, seed: int) -> PowerNetwork:
     """The 4 x 128 network of Fig. 4 by Glorot's rule, on the problem's device."""
     return PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype).to(problem.device)
-
-
-@torch.no_grad()
-def spread_over_time(network: PowerNetwork, generator: torch.Generator) -> None:
-    """Let unit k of the first layer bend at the k-th of as many moments as there are units.
-
-    Times are in [-1, 1] (`InputForm.UNIT`); the generator draws the way each unit bends.
-    """
-    layer = network.layers[0]
-    units = len(layer.bias)
-    sharpness = KINK_SHARPNESS * units / 2.0
-    signs = torch.randint(0, 2, (units,), generator=generator) * 2.0 - 1.0
-    layer.weight[:, 1] = (signs * sharpness).to(layer.weight)
-    layer.bias.copy_(-signs * sharpness * torch.linspace(-1.0, 1.0, units))
 
 
 class Adam:
@@ -208,7 +194,7 @@ class GaussNewton:
         self.problem = problem
         self.network = paper_network(problem, seed)
         self._generator = torch.Generator().manual_seed(seed)
-        spread_over_time(self.network, self._generator)
+        spread_over_time(self.network, self._generator, -1.0, 1.0, KINK_SHARPNESS)
         self.log_scale = fit_parameters(
             problem, problem.training, problem.training.power
         ).log_scale

@@ -1,53 +1,100 @@
-"""Battery power at the moments of the samples, interpolated between readings."""
+"""Voltage and current, each with its own stamps, as power at a moment and energy of an interval.
+
+A polled car gives voltage and current at different times, a phone log every few seconds. Neither
+is paired with the other by row: each is linear between its own readings, and their product is the
+power. How far apart two readings may be to be joined follows the rate at which they come.
+"""
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_right
+import math
+from typing import NamedTuple
+
+import numpy as np
 
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.track import SignalTrack
 
-TRACK_LENGTH = 10.0  # s of power kept
+BRIDGE_SHARE = 1.0 / 12.0  # variance of the integral of a Brownian bridge, per step^2 and rise^2
+TIMING = 0.2  # of a signal's usual step, 1-sigma by which its stamps are off
 
 
-class PowerTrack:
-    """The last seconds of battery power in order of stamps."""
+class Energy(NamedTuple):
+    """Energy of an interval, J, and the variance that is due to sampling alone, J^2."""
+
+    energy: float
+    variance: float
+
+
+class BatteryTrack:
+    """Voltage and current of the latest seconds."""
 
     def __init__(self, max_gap: float) -> None:
-        """Never interpolate between readings further apart than max_gap, s."""
-        self._max_gap_ns = int(max_gap * NANOSECONDS)
-        self._stamps: list[int] = []
-        self._powers: list[float] = []
+        """Never interpolate across gaps (see `Cadence`)."""
+        self._max_gap = max_gap
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget every reading: time went back."""
+        self._voltage, self._current = SignalTrack(self._max_gap), SignalTrack(self._max_gap)
 
     @property
     def newest_ns(self) -> int | None:
-        """Stamp of the newest reading, None before the first."""
-        return self._stamps[-1] if self._stamps else None
+        """Latest stamp up to which both are known, None before."""
+        if not (self._voltage.stamps and self._current.stamps):
+            return None
+        return min(self._voltage.stamps[-1], self._current.stamps[-1])
 
-    def add(self, stamp_ns: int, power: float) -> bool:
-        """Insert one power, W, in order; False when this stamp is already there."""
-        index = bisect_left(self._stamps, stamp_ns)
-        if index < len(self._stamps) and self._stamps[index] == stamp_ns:
-            return False
-        self._stamps.insert(index, stamp_ns)
-        self._powers.insert(index, power)
-        surplus = bisect_left(self._stamps, self._stamps[-1] - int(TRACK_LENGTH * NANOSECONDS))
-        del self._stamps[:surplus], self._powers[:surplus]
-        return True
+    @property
+    def period(self) -> float:
+        """Usual step between readings of the slower of the two, s."""
+        return max(self._voltage.cadence.period, self._current.cadence.period)
+
+    @property
+    def gap_ns(self) -> int:
+        """Nanoseconds beyond which nothing is joined."""
+        return max(self._voltage.cadence.gap_ns, self._current.cadence.gap_ns)
+
+    def add(self, stamp_ns: int, voltage: float, current: float) -> bool:
+        """Insert V and A, either NaN where not measured; False when nothing was new."""
+        new = False
+        for track, value in ((self._voltage, voltage), (self._current, current)):
+            new |= not math.isnan(value) and track.add(stamp_ns, value)
+        return new
+
+    def latest_voltage(self, stamp_ns: int) -> float | None:
+        """Last voltage before a moment, V; None where it is too long ago."""
+        index = bisect_right(self._voltage.stamps, stamp_ns) - 1
+        if index < 0 or stamp_ns - self._voltage.stamps[index] > self._voltage.cadence.gap_ns:
+            return None
+        return self._voltage.values[index]
 
     def next_ns(self, stamp_ns: int) -> int | None:
-        """Stamp of the first reading at a moment or after it, None while there is none."""
-        index = bisect_left(self._stamps, stamp_ns)
-        return self._stamps[index] if index < len(self._stamps) else None
+        """First moment from which on both are known at `stamp_ns`, None while one is not."""
+        after = [track.next_ns(stamp_ns) for track in (self._voltage, self._current)]
+        known = [each for each in after if each is not None]
+        return max(known) if len(known) == 2 else None
 
     def at(self, stamp_ns: int) -> float | None:
-        """Power, W, at a moment, linear between its neighbours; None where it was not measured."""
-        index = bisect_left(self._stamps, stamp_ns)
-        if index == len(self._stamps):
+        """Power drawn, W (eq. 11), at a moment; None where it was not measured."""
+        voltage, current = self._voltage.at(stamp_ns), self._current.at(stamp_ns)
+        return None if voltage is None or current is None else -voltage * current
+
+    def energy(self, start_ns: int, end_ns: int) -> Energy | None:
+        """Energy drawn between two moments; None where it was not measured.
+
+        The trapezoid between readings of the current. Power moves between them as it moves from
+        one to the next, so its integral is uncertain as that of a Brownian bridge; and what a
+        slow signal shows was so some part of its step ago, which moves the ends of the interval.
+        """
+        if not (self._voltage.covers(start_ns, end_ns) and self._current.covers(start_ns, end_ns)):
             return None
-        if self._stamps[index] == stamp_ns:
-            return self._powers[index]
-        if index == 0 or self._stamps[index] - self._stamps[index - 1] > self._max_gap_ns:
-            return None
-        before, after = self._stamps[index - 1], self._stamps[index]
-        share = (stamp_ns - before) / (after - before)
-        return self._powers[index - 1] + share * (self._powers[index] - self._powers[index - 1])
+        stamps = [start_ns, *self._current.within(start_ns, end_ns), end_ns]
+        powers = [self.at(stamp_ns) for stamp_ns in stamps]
+        power = np.array([math.nan if each is None else each for each in powers])
+        step = np.diff(stamps) / NANOSECONDS
+        energy = float((power[1:] + power[:-1]) @ step) / 2
+        bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ step**2)
+        ends = (TIMING * self.period) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
+        return Energy(energy, bridge + ends) if math.isfinite(energy) else None

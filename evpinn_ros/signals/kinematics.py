@@ -15,15 +15,15 @@ from collections import deque
 import numpy as np
 
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.track import SignalTrack
 
 SMOOTHING_BACK = 0.5  # s of past speed in the local quadratic
-MIN_POINTS = 4  # of a local quadratic: one more than it has coefficients
-TRACK_LENGTH = 6.0  # s of speed kept; enough for MIN_POINTS at 1 Hz
+MIN_POINTS = 3  # of a local quadratic: as many as it has coefficients
 LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as "that lag later"
 
-COURSE_PERIOD = 0.1  # s, steps of the course of the acceleration around a moment
-COURSE_AHEAD = 3  # steps of it that lie after the moment
-COURSE = 11  # steps of it in all
+# Spans around a moment of which the acceleration profile tells the slope of speed, s after it.
+PROFILE_EDGES = np.array([(0.1, 0.3), (-0.3, -0.1), (-0.6, -0.4)])
+PROFILE = len(PROFILE_EDGES)
 
 TAPS = 10  # speed differences in the causal differentiator
 TAP_PERIOD = 0.1  # s between them
@@ -32,35 +32,60 @@ TAP_STD = 0.2  # 1-sigma of a weight before learning
 TARGET_STD = 0.2  # m/s^2, how far smoothed and causal acceleration lie apart
 
 
-class SpeedTrack:
-    """The last seconds of speed in order of stamps."""
-
-    def __init__(self) -> None:
-        self._stamps: list[int] = []
-        self._speeds: list[float] = []
+class SpeedTrack(SignalTrack):
+    """The latest speeds, m/s, in order of stamps."""
 
     def __len__(self) -> int:
-        return len(self._stamps)
+        return len(self.stamps)
 
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest speed; the track must not be empty."""
-        return self._stamps[-1]
+        return self.stamps[-1]
 
-    def add(self, stamp_ns: int, speed: float) -> bool:
-        """Insert one speed, m/s, in order; False when this stamp is already there."""
-        index = bisect_left(self._stamps, stamp_ns)
-        if index < len(self._stamps) and self._stamps[index] == stamp_ns:
-            return False
-        self._stamps.insert(index, stamp_ns)
-        self._speeds.insert(index, speed)
-        oldest = self._stamps[-1] - int(TRACK_LENGTH * NANOSECONDS)
-        surplus = bisect_left(self._stamps, oldest)
-        del self._stamps[:surplus], self._speeds[:surplus]
-        return True
+    @property
+    def newest(self) -> float:
+        """The newest speed, m/s; the track must not be empty."""
+        return self.values[-1]
+
+    def restart(self, gap: float) -> None:
+        """Forget the speeds before a gap, s; of a slow signal it is a step like others."""
+        self.cadence.add_step(gap)
+        self.stamps.clear()
+        self.values.clear()
+
+    def mean(self, start_ns: int, end_ns: int) -> float:
+        """Mean of the speeds of a span, m/s; it must hold one."""
+        first, last = bisect_left(self.stamps, start_ns), bisect_right(self.stamps, end_ns)
+        return sum(self.values[first:last]) / (last - first)
+
+    def travelled(self, start_ns: int, end_ns: int, head_wind: float) -> tuple[float, float]:
+        """Distance, m, and integral of the air's flow, m^3/s^2, between two speeds' stamps.
+
+        Between readings speed is linear, so both are exact (Simpson's rule is, for cubes).
+
+        Args:
+            start_ns: stamp of a speed.
+            end_ns: likewise, later.
+            head_wind: m/s, see `Sample`.
+        """
+        first, last = bisect_left(self.stamps, start_ns), bisect_right(self.stamps, end_ns)
+        speed = np.array(self.values[first:last])
+        step = np.diff(self.stamps[first:last]) / NANOSECONDS
+        middle = (speed[1:] + speed[:-1]) / 2
+
+        def drag(v: np.ndarray) -> np.ndarray:
+            flow = v + head_wind
+            return np.asarray(flow * np.abs(flow) * v)
+
+        air = (drag(speed[:-1]) + 4 * drag(middle) + drag(speed[1:])) / 6
+        return float(middle @ step), float(air @ step)
 
     def smoothed(self, stamp_ns: int, until_ns: int) -> tuple[float, float]:
         """Speed, m/s, and acceleration, m/s^2, at a moment from a local quadratic.
+
+        Of a slow signal it goes through a reading and its two neighbours: the acceleration is
+        then the central difference, whose integral along v is that of the kinetic energy.
 
         Args:
             stamp_ns: the moment.
@@ -70,11 +95,11 @@ class SpeedTrack:
             Both, or NaN for the acceleration while there are fewer than `MIN_POINTS` speeds, or
             these lie too close together to tell it.
         """
-        last = bisect_right(self._stamps, until_ns)
-        first = bisect_left(self._stamps, stamp_ns - int(SMOOTHING_BACK * NANOSECONDS) - 1)
+        last = bisect_right(self.stamps, until_ns)
+        first = bisect_left(self.stamps, stamp_ns - int(SMOOTHING_BACK * NANOSECONDS) - 1)
         first = max(0, min(first, last - MIN_POINTS))
-        time = np.array([s - stamp_ns for s in self._stamps[first:last]]) / NANOSECONDS
-        speed = np.array(self._speeds[first:last])
+        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
+        speed = np.array(self.values[first:last])
         if len(time) < MIN_POINTS:
             return float(speed[-1]) if len(speed) else np.nan, np.nan
         basis = np.stack((np.ones_like(time), time, time**2), axis=1)
@@ -85,8 +110,8 @@ class SpeedTrack:
             return float(speed[-1]), np.nan
         return float(coefficients[0]), float(coefficients[1])
 
-    def course(self, stamp_ns: int, until_ns: int, acceleration: float) -> tuple[float, ...]:
-        """How the acceleration runs around a past moment: what one number for it leaves out.
+    def profile(self, stamp_ns: int, until_ns: int, acceleration: float) -> tuple[float, ...]:
+        """Acceleration profile around a past moment: what one number for it leaves out.
 
         Args:
             stamp_ns: the moment.
@@ -94,17 +119,17 @@ class SpeedTrack:
             acceleration: at the moment, m/s^2.
 
         Returns:
-            Mean slope of speed in each `COURSE_PERIOD`, latest first, less the acceleration,
-            m/s^2, shape (COURSE,); 0 where speed is not known.
+            Mean slope of speed over each span of `PROFILE_EDGES` less the acceleration, m/s^2,
+            shape (PROFILE,); 0 where speed is not known.
         """
-        last = bisect_right(self._stamps, until_ns)
-        first = bisect_left(self._stamps, stamp_ns - int(_COURSE_SPAN * NANOSECONDS))
+        last = bisect_right(self.stamps, until_ns)
+        first = bisect_left(self.stamps, stamp_ns - int(_PROFILE_SPAN * NANOSECONDS))
         first = max(0, first - 1)
-        time = np.array([s - stamp_ns for s in self._stamps[first:last]]) / NANOSECONDS
-        speed = np.interp(_COURSE_GRID, time, self._speeds[first:last])
-        slopes = (speed[:-1] - speed[1:]) / COURSE_PERIOD
+        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
+        ends = np.interp(PROFILE_EDGES, time, self.values[first:last])
+        slopes = (ends[:, 1] - ends[:, 0]) / (PROFILE_EDGES[:, 1] - PROFILE_EDGES[:, 0])
         tolerance = LAG_TOLERANCE_NS / NANOSECONDS
-        known = (_COURSE_GRID[:-1] <= time[-1] + tolerance) & (_COURSE_GRID[1:] >= time[0])
+        known = (PROFILE_EDGES[:, 1] <= time[-1] + tolerance) & (PROFILE_EDGES[:, 0] >= time[0])
         return tuple(np.where(known, slopes - acceleration, 0.0).tolist())
 
     def differences(self) -> np.ndarray:
@@ -112,12 +137,12 @@ class SpeedTrack:
 
         Between readings speed is taken as linear; before the first as constant.
         """
-        newest = self._stamps[-1]
-        first = bisect_left(self._stamps, newest - int((TAPS + 1) * TAP_PERIOD * NANOSECONDS))
+        newest = self.stamps[-1]
+        first = bisect_left(self.stamps, newest - int((TAPS + 1) * TAP_PERIOD * NANOSECONDS))
         first = max(0, first - 1)
-        time = np.array([s - newest for s in self._stamps[first:]]) / NANOSECONDS
+        time = np.array([s - newest for s in self.stamps[first:]]) / NANOSECONDS
         grid = -TAP_PERIOD * np.arange(TAPS + 1)
-        speed = np.interp(grid, time, self._speeds[first:])
+        speed = np.interp(grid, time, self.values[first:])
         slopes: np.ndarray = (speed[:-1] - speed[1:]) / TAP_PERIOD
         return slopes
 
@@ -158,6 +183,4 @@ class CausalDifferentiator:
         self._pending.clear()
 
 
-_COURSE_GRID = COURSE_PERIOD * (COURSE_AHEAD - np.arange(COURSE + 1))  # s after the moment
-COURSE_TIMES = _COURSE_GRID[:-1] - COURSE_PERIOD / 2  # s after the moment, of each slope
-_COURSE_SPAN = -float(_COURSE_GRID[-1])
+_PROFILE_SPAN = -float(PROFILE_EDGES.min())

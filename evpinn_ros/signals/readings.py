@@ -12,6 +12,8 @@ import math
 from typing import TypeAlias
 
 NANOSECONDS = 1_000_000_000
+MAX_TORQUE = 20_000.0  # N m, more than the axle of any production car
+MAX_MOTOR_SPEED = 4_000.0  # rad/s, 38,000 rpm, faster than any traction motor turns
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,29 @@ class AuxiliaryReading:
     others: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class MotorReading:
+    """Torque of the car's motors together and their speed, at the motor shaft.
+
+    Inverters compute torque from currents: it is an estimate, commonly a few percent off.
+
+    Attributes:
+        stamp_ns: of the measurement.
+        torque: N m, positive when it drives the car forward, negative when it brakes.
+        speed: rad/s, negative in reverse, NaN where not known.
+    """
+
+    stamp_ns: int
+    torque: float
+    speed: float = math.nan
+
+
+def motor_reading_plausible(reading: MotorReading) -> bool:
+    """A finite torque that a car can have, with a motor speed that is unknown or possible."""
+    speed_possible = math.isnan(reading.speed) or abs(reading.speed) <= MAX_MOTOR_SPEED
+    return abs(reading.torque) <= MAX_TORQUE and speed_possible
+
+
 Reading: TypeAlias = (
     SpeedReading
     | BatteryReading
@@ -100,4 +125,5 @@ Reading: TypeAlias = (
     | PressureReading
     | WindReading
     | AuxiliaryReading
+    | MotorReading
 )

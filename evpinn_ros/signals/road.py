@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from enum import Enum
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -14,10 +14,13 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     TemperatureReading,
     WindReading,
+    motor_reading_plausible,
 )
+from evpinn_ros.signals.track import SignalTrack
 
 SLOPE_STD = 0.015  # 1-sigma of the slope of roads, between a plain and hills
 SLOPE_LENGTH = 300.0  # m of road over which slopes are alike
@@ -42,6 +45,7 @@ RoadReading: TypeAlias = (
     AltitudeReading
     | AuxiliaryReading
     | GradeReading
+    | MotorReading
     | PressureReading
     | TemperatureReading
     | WindReading
@@ -60,6 +64,8 @@ def why_impossible(reading: RoadReading) -> str | None:
         case AuxiliaryReading():
             load, what = reading.heating + reading.others, "auxiliary"
             possible = reading.heating >= 0.0 and 0.0 <= load <= MAX_AUXILIARY
+        case MotorReading():
+            possible, what = motor_reading_plausible(reading), "motor_torque"
         case GradeReading():
             possible, what = abs(reading.grade) <= GRADE_LIMIT, "grade"
         case AltitudeReading():
@@ -90,6 +96,24 @@ class GradeSource(str, Enum):
     FIX = "fix"
 
 
+class Conditions(NamedTuple):
+    """What the surroundings are at a moment.
+
+    Attributes:
+        air_density: kg/m^3.
+        head_wind: wind against the car, m/s over ground; 0 while unknown.
+        celsius: temperature outside, None while unknown.
+        load: auxiliary power the car reports, W; 0 while unknown.
+        load_known: whether it reports any.
+    """
+
+    air_density: float
+    head_wind: float
+    celsius: float | None
+    load: float
+    load_known: bool
+
+
 class Road:
     """Grade, air density and known loads at a moment, from optional readings."""
 
@@ -104,6 +128,8 @@ class Road:
         self._pitch: deque[tuple[int, float]] = deque()
         self._hill = _Hill()
         self._altitude_ns: int | None = None
+        self._altitudes = SignalTrack(STALE_AFTER)
+        self._odometer = self._climbed = 0.0  # m
 
     def push(self, reading: RoadReading) -> None:
         """Take one reading."""
@@ -124,6 +150,7 @@ class Road:
             case AltitudeReading():
                 self._hill.see(reading.altitude)
                 self._altitude_ns = reading.stamp_ns
+                self._altitudes.add(reading.stamp_ns, reading.altitude)
 
     def travel(self, distance: float) -> None:
         """Move on by a distance, m."""
@@ -134,7 +161,9 @@ class Road:
         self._pitch.clear()
         self._hill = _Hill()
         self._altitude_ns = None
+        self._altitudes = SignalTrack(STALE_AFTER)
         self._auxiliary = None
+        self._odometer = self._climbed = 0.0
 
     def grade(self, stamp_ns: int) -> float:
         """Road incline angle, rad, 0 while unknown."""
@@ -148,6 +177,26 @@ class Road:
     def celsius(self) -> float | None:
         """Temperature of the air outside, None while unknown."""
         return self._celsius
+
+    def conditions(self, stamp_ns: int) -> Conditions:
+        """The surroundings at a moment."""
+        return Conditions(
+            self.air_density(),
+            self.head_wind(stamp_ns),
+            self._celsius,
+            self.known_auxiliary(stamp_ns),
+            self._auxiliary is not None,
+        )
+
+    def height_at(self, stamp_ns: int, odometer: float) -> float | None:
+        """Height of the road, m, from altitude or the integral of pitch; None while unknown."""
+        step, self._odometer = odometer - self._odometer, odometer
+        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamp_ns):
+            self._climbed += step * math.sin(self.grade(stamp_ns))
+            return self._climbed
+        if self._source in (GradeSource.AUTO, GradeSource.FIX):
+            return self._altitudes.at(stamp_ns)
+        return None
 
     def air_density(self) -> float:
         """Air density, kg/m^3: that of the vehicle file until temperature or pressure is known."""

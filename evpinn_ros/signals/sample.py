@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 from typing import TypeAlias
+
+from evpinn_ros.signals.interval import Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,10 +20,11 @@ class Sample:
         grade: road incline angle, rad, positive uphill; 0 while unknown.
         air_density: kg/m^3.
         known_auxiliary: power of auxiliary loads the car reports, W; 0 while unknown.
-        course: of a smoothed sample, how the acceleration runs around it, shape
-            (`kinematics.COURSE`,), m/s^2; empty for the newest moment, whose future is unknown.
+        profile: of a smoothed sample, its acceleration profile, shape (`kinematics.PROFILE`,),
+            m/s^2; empty for the newest moment, whose future is unknown.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature of the air outside, None while unknown.
+        motor_power: mechanical power of the motor, W, NaN where no bus tells it.
     """
 
     stamp_ns: int
@@ -29,9 +33,10 @@ class Sample:
     grade: float
     air_density: float
     known_auxiliary: float
-    course: tuple[float, ...] = ()
+    profile: tuple[float, ...] = ()
     head_wind: float = 0.0
     celsius: float | None = None
+    motor_power: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,4 +76,4 @@ class TimeJump:
     stamp_ns: int
 
 
-StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Gap | TimeJump
+StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Interval | Gap | TimeJump

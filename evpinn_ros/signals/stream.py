@@ -1,11 +1,13 @@
-"""Readings in, one time-ordered stream of samples out.
+"""Readings in, one time-ordered stream of samples and intervals out.
 
 Speed sets the pace. Each new speed gives a `NewestSample` at once; each moment that lies
 `smoothing_lag` back gives a `SmoothedSample` (at most one each `SAMPLE_PERIOD`), and a
 `MeasuredSample` once battery readings on both sides of it are known, not before the smoothed
 moments up to the later one, so that no prediction rests on a battery reading of its own moment or
 after, and not before `allowed_lateness` has passed since the later one, so that the samples are
-the same in whatever order battery readings come until then. What is late, doubled or impossible is
+the same in whatever order battery readings come until then. Voltage and current may come apart.
+Beside the samples, which predict and follow power, stand the intervals that the car is learned
+from (`signals.interval`). What is late, doubled or impossible is
 dropped and counted by reason. When nothing but late readings come, time itself went back and the
 stream starts anew.
 """
@@ -17,9 +19,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
-from evpinn_ros.signals.battery import PowerTrack
+from evpinn_ros.signals.battery import BatteryTrack
+from evpinn_ros.signals.interval import IntervalBuilder
 from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS, CausalDifferentiator, SpeedTrack
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.motor import MotorTrack
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    MotorReading,
+    Reading,
+    SpeedReading,
+)
 from evpinn_ros.signals.road import GradeSource, Road, RoadReading, why_impossible
 from evpinn_ros.signals.sample import (
     Gap,
@@ -48,7 +58,8 @@ class StreamSettings:
         smoothing_lag: s of future speed the smoothed samples may use.
         allowed_lateness: s by which a reading may be older than the newest of its kind. Power is
             learned this much later; beyond `smoothing_lag` that costs accuracy.
-        max_gap: s without speed (or battery) across which nothing is joined.
+        max_gap: s without speed (or battery) across which nothing is joined; signals that come
+            slowly are joined across some of their own steps (`track.Cadence`).
         grade_source: where grade comes from.
     """
 
@@ -61,13 +72,21 @@ class StreamSettings:
 class SampleStream:
     """Aligns the readings of one car; see the module's text."""
 
-    def __init__(self, settings: StreamSettings, air_density: float) -> None:
-        """Start empty; air_density, kg/m^3, is used while no temperature is known."""
+    def __init__(
+        self, settings: StreamSettings, air_density: float, motor_ratio: float = math.nan
+    ) -> None:
+        """Start empty.
+
+        Args:
+            settings: how to align.
+            air_density: kg/m^3, used while no temperature is known.
+            motor_ratio: rad that the motor turns per m of road, NaN where unknown.
+        """
         self._settings = settings
         self._lag_ns = int(settings.smoothing_lag * NANOSECONDS) - LAG_TOLERANCE_NS
         lateness_ns = int(settings.allowed_lateness * NANOSECONDS)
         self._late_ns = max(0, lateness_ns - LAG_TOLERANCE_NS)
-        self._gap_ns = int(settings.max_gap * NANOSECONDS)
+        self._motor_ratio = motor_ratio
         self._differentiator = CausalDifferentiator()
         self._road = Road(settings.grade_source, air_density)
         self.dropped: Counter[str] = Counter()
@@ -75,14 +94,22 @@ class SampleStream:
 
     def reset(self) -> None:
         """Forget every reading, after a jump of time; what was learned of speed is kept."""
-        self._speed = SpeedTrack()
-        self._power = PowerTrack(self._settings.max_gap)
+        gap = self._settings.max_gap
+        self._speed, self._battery = SpeedTrack(gap), BatteryTrack(gap)
+        self._motor = MotorTrack(gap, self._motor_ratio)
         self._moments: deque[int] = deque()
         self._unmeasured: deque[Sample] = deque()
         self._last_moment_ns: int | None = None
         self._speeds_late = self._batteries_late = 0
+        self._begin_stretch()
+
+    def _begin_stretch(self) -> None:
+        """Join nothing across what was: a jump of time, or a gap."""
         self._differentiator.forget_pending()
         self._road.forget()
+        self._intervals = IntervalBuilder(
+            self._speed, self._battery, self._motor, self._road, self._late_ns
+        )
 
     @property
     def newest_ns(self) -> int | None:
@@ -102,7 +129,21 @@ class SampleStream:
     @property
     def battery_ns(self) -> int | None:
         """Stamp of the newest battery reading, None before the first."""
-        return self._power.newest_ns
+        return self._battery.newest_ns
+
+    @property
+    def silent_after_ns(self) -> int:
+        """Nanoseconds without the battery after which it counts as silent, by its own rate."""
+        return self._battery.gap_ns
+
+    def measured_power(self, reading: BatteryReading) -> float | None:
+        """Power that a reading measures, W; of a current alone, with the latest voltage."""
+        if math.isnan(reading.current):
+            return None
+        if not math.isnan(reading.voltage):
+            return reading.power
+        voltage = self._battery.latest_voltage(reading.stamp_ns)
+        return None if voltage is None else -voltage * reading.current
 
     def push(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""
@@ -115,7 +156,9 @@ class SampleStream:
                 self._push_road(reading)
         if self._last_moment_ns is not None:
             yield from self._match_power(self._last_moment_ns)
-        self._drop_hopeless()
+        if len(self._speed):
+            self._drop_hopeless()
+            yield from self._intervals.intervals()
 
     def _push_speed(self, reading: SpeedReading) -> Iterator[StreamEvent]:
         if not abs(reading.speed) <= MAX_SPEED:
@@ -135,21 +178,19 @@ class SampleStream:
             if not self._speed.add(reading.stamp_ns, reading.speed):
                 self.dropped["speed_doubled"] += 1
             return
-        if newest is not None and reading.stamp_ns - newest > self._gap_ns:
-            yield Gap(reading.stamp_ns, (reading.stamp_ns - newest) / NANOSECONDS)
-            self._begin_after_gap()
+        if newest is not None and reading.stamp_ns - newest > self._speed.cadence.gap_ns:
+            yield from self._intervals.finish()
+            gap = (reading.stamp_ns - newest) / NANOSECONDS
+            yield Gap(reading.stamp_ns, gap)
+            self._speed.restart(gap)
+            self._moments.clear()
+            self._begin_stretch()
         elif newest is not None:
             self._road.travel(abs(reading.speed) * (reading.stamp_ns - newest) / NANOSECONDS)
         self._speed.add(reading.stamp_ns, reading.speed)
         self._moments.append(reading.stamp_ns)
         yield from self._newest_sample(reading)
         yield from self._smoothed_samples()
-
-    def _begin_after_gap(self) -> None:
-        self._speed = SpeedTrack()
-        self._moments.clear()
-        self._differentiator.forget_pending()
-        self._road.forget()
 
     def _newest_sample(self, reading: SpeedReading) -> Iterator[NewestSample]:
         differences = self._speed.differences()
@@ -174,8 +215,8 @@ class SampleStream:
             yield from self._match_power(stamp_ns - 1)
             self._last_moment_ns = stamp_ns
             self._differentiator.learn(stamp_ns, acceleration)
-            course = self._speed.course(stamp_ns, newest, acceleration)
-            sample = self._sample(stamp_ns, speed, acceleration, course)
+            profile = self._speed.profile(stamp_ns, newest, acceleration)
+            sample = self._sample(stamp_ns, speed, acceleration, profile)
             self._unmeasured.append(sample)
             yield SmoothedSample(sample)
 
@@ -187,7 +228,7 @@ class SampleStream:
         return step >= int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
 
     def _sample(
-        self, stamp_ns: int, speed: float, acceleration: float, course: tuple[float, ...] = ()
+        self, stamp_ns: int, speed: float, acceleration: float, profile: tuple[float, ...] = ()
     ) -> Sample:
         return Sample(
             stamp_ns=stamp_ns,
@@ -196,52 +237,64 @@ class SampleStream:
             grade=self._road.grade(stamp_ns),
             air_density=self._road.air_density(),
             known_auxiliary=self._road.known_auxiliary(stamp_ns),
-            course=course,
+            profile=profile,
             head_wind=self._road.head_wind(stamp_ns),
             celsius=self._road.celsius,
+            motor_power=self._motor.at(stamp_ns),
         )
 
     def _push_battery(self, reading: BatteryReading) -> None:
-        if not (
-            MIN_VOLTAGE <= reading.voltage <= MAX_VOLTAGE and abs(reading.current) <= MAX_CURRENT
-        ):
-            known = math.isfinite(reading.voltage) and math.isfinite(reading.current)
-            self.dropped["battery_out_of_range" if known else "battery_unmeasured"] += 1
+        reason = _why_unusable(reading)
+        if reason is not None:
+            self.dropped[reason] += 1
             return
-        newest = self._power.newest_ns
+        newest = self._battery.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
             self._batteries_late += 1
             if self._batteries_late < JUMP_AFTER:
                 self.dropped["battery_late"] += 1
                 return
-            self._power = PowerTrack(self._settings.max_gap)
+            self._battery.restart()
         self._batteries_late = 0
-        if not self._power.add(reading.stamp_ns, reading.power):
+        if not self._battery.add(reading.stamp_ns, reading.voltage, reading.current):
             self.dropped["battery_doubled"] += 1
 
     def _match_power(self, until_ns: int) -> Iterator[MeasuredSample]:
         """Samples whose power battery readings up to a moment, and none to come, determine."""
         until_ns = min(until_ns, self._speed.newest_ns - self._late_ns)
         while self._unmeasured:
-            after = self._power.next_ns(self._unmeasured[0].stamp_ns)
+            after = self._battery.next_ns(self._unmeasured[0].stamp_ns)
             if after is None or after > until_ns:
                 return
             sample = self._unmeasured.popleft()
-            power = self._power.at(sample.stamp_ns)
+            power = self._battery.at(sample.stamp_ns)
             if power is not None:
                 yield MeasuredSample(sample, power)
 
     def _drop_hopeless(self) -> None:
         """Stop waiting for the battery at moments that no two readings to be joined settled."""
-        while self._unmeasured and len(self._speed):
+        while self._unmeasured:
             age_ns = self._speed.newest_ns - self._unmeasured[0].stamp_ns
-            if age_ns <= self._gap_ns + self._late_ns + self._lag_ns:
+            if age_ns <= self._battery.gap_ns + self._late_ns + self._lag_ns:
                 return
             self._unmeasured.popleft()
 
     def _push_road(self, reading: RoadReading) -> None:
         reason = why_impossible(reading)
-        if reason is None:
-            self._road.push(reading)
-        else:
+        if reason is not None:
             self.dropped[reason] += 1
+        elif not isinstance(reading, MotorReading):
+            self._road.push(reading)
+        elif len(self._speed):
+            self._motor.add(reading, self._speed.newest)
+
+
+def _why_unusable(reading: BatteryReading) -> str | None:
+    """Why a battery reading tells no power, or None; voltage or current may be missing."""
+    voltage, current = reading.voltage, reading.current
+    if math.isnan(voltage) and math.isnan(current):
+        return "battery_unmeasured"
+    possible = (math.isnan(voltage) or MIN_VOLTAGE <= voltage <= MAX_VOLTAGE) and (
+        math.isnan(current) or abs(current) <= MAX_CURRENT
+    )
+    return None if possible else "battery_out_of_range"

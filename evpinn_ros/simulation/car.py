@@ -20,6 +20,7 @@ from evpinn_ros.vehicle.physics import drag_force, grade_force, inertia_force, r
 
 STEP = 1 / SAMPLE_RATE
 ROLLING_SPEED = 150.0  # m/s: rolling resistance grows as 1 + (v / ROLLING_SPEED)^2
+TORQUE_GAIN_STD = 0.02  # of the torque that inverters compute from currents
 CELL_RESISTANCE = 0.09  # ohm of a 350 V pack; grows with the square of the voltage
 
 
@@ -38,6 +39,7 @@ class Car:
         drivetrain: inverter, motor and gear.
         brakes: motor and friction brakes.
         battery: the pack.
+        torque_gain: torque that the inverter reports over the true one, for it is an estimate.
     """
 
     mass: float
@@ -50,6 +52,7 @@ class Car:
     drivetrain: Drivetrain
     brakes: Brakes
     battery: Battery
+    torque_gain: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +119,7 @@ def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator)
             capacity=capacity,
             start=rng.uniform(0.4, 0.9),
         ),
+        torque_gain=1 + TORQUE_GAIN_STD * rng.standard_normal(),
     )
 
 

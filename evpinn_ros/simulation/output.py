@@ -12,6 +12,7 @@ import yaml
 from evpinn_ros.bags.convert import reported, write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
+from evpinn_ros.signals.readings import MotorReading
 from evpinn_ros.simulation.simulate import SimulatedDrive
 from evpinn_ros.simulation.truth import DEFINITIONS
 from evpinn_ros.simulation.truth_file import TRUTH_FILE
@@ -70,6 +71,7 @@ def _hidden(drive: SimulatedDrive) -> dict[str, float]:
     car, trace = drive.car, drive.trace
     braking = trace.wheel_power < 0
     offered = -float(np.sum(trace.wheel_power[braking]))
+    inverter = any(isinstance(reading, MotorReading) for reading in drive.readings)
     return {
         "auxiliary_load_w": float(np.mean(trace.auxiliary)),
         "no_load_loss_w": float(np.mean(trace.no_load_loss)),
@@ -79,6 +81,7 @@ def _hidden(drive: SimulatedDrive) -> dict[str, float]:
         "air_density": car.air_density,
         "rotating_mass_factor": car.rotating_mass_factor,
         "battery_resistance_ohm": car.battery.resistance,
+        **({"torque_gain": car.torque_gain} if inverter else {}),
     }
 
 

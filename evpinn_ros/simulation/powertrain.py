@@ -36,7 +36,7 @@ class Drivetrain:
 
     def no_load_loss(self, speed: np.ndarray) -> np.ndarray:
         """Heat of merely turning, W, at `speed`, m/s; zero at standstill. Elementwise."""
-        turning = self._turning(speed)
+        turning = self.turning(speed)
         moving = np.clip(speed / STANDSTILL, 0.0, 1.0)
         return np.asarray(
             moving * (CONSTANT_LOSS + IRON_LOSS * turning + WINDAGE_LOSS * turning**2)
@@ -47,13 +47,18 @@ class Drivetrain:
 
         Elementwise, the same for either sign of the force, zero at standstill.
         """
-        torque = np.abs(force) * self.wheel_radius / self.gear_ratio
+        torque = np.abs(self.torque(force))
         moving = np.clip(speed / STANDSTILL, 0.0, 1.0)
-        loss = COPPER_LOSS * torque**2 + MESH_LOSS * torque * self._turning(speed)
+        loss = COPPER_LOSS * torque**2 + MESH_LOSS * torque * self.turning(speed)
         return np.asarray(self.load_scale * moving * loss)
 
-    def _turning(self, speed: np.ndarray) -> np.ndarray:
-        return speed * (self.gear_ratio / self.wheel_radius)  # rad/s of the motor
+    def torque(self, force: np.ndarray) -> np.ndarray:
+        """Torque at the motor shaft, N m, that drives the wheels with `force`, N. Elementwise."""
+        return np.asarray(force * (self.wheel_radius / self.gear_ratio))
+
+    def turning(self, speed: np.ndarray) -> np.ndarray:
+        """Speed of the motor, rad/s, at `speed`, m/s. Elementwise."""
+        return np.asarray(speed * (self.gear_ratio / self.wheel_radius))
 
 
 @dataclass(frozen=True, slots=True)

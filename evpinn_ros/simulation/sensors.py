@@ -6,7 +6,7 @@ to 10 Hz; each message has its own phase and jitter, so nothing arrives together
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -22,11 +22,12 @@ from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
+    MotorReading,
     Reading,
     SpeedReading,
     TemperatureReading,
 )
-from evpinn_ros.simulation.car import STEP, Trace
+from evpinn_ros.simulation.car import STEP, Car, Trace
 from evpinn_ros.simulation.noise import slow_noise
 
 SPEED_RATE, BATTERY_RATE, CHARGE_RATE = 10.0, 10.0, 1.0  # Hz
@@ -38,6 +39,9 @@ STILL = 0.05  # m/s, below this no wheel pulse comes and the car says zero
 JITTER = 0.002  # s, to either side
 LOST = 0.002  # share of frames that never arrive
 
+MOTOR_RATE, MOTOR_LAG = 10.0, 0.02  # Hz, s
+TORQUE_STEP, MOTOR_SPEED_STEP = 0.5, 0.1  # N m, rad/s (1 rpm): resolution of the inverter's own
+
 ALTITUDE_RATE, TEMPERATURE_RATE = 1.0, 0.2  # Hz
 ALTITUDE_NOISE = 0.15  # m, of one reading
 ALTITUDE_DRIFT, ALTITUDE_DRIFT_MEMORY = 0.5, 60.0  # m, s: gusts and doors move the pressure
@@ -47,31 +51,42 @@ MICROSECOND = 1000  # ns, the resolution of a candump log
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """Frames that reached the log, and what was decoded of them, both in order of time."""
+    """Frames that reached the log, in order of time, and the readings that the car made known."""
 
     frames: tuple[CanFrame, ...]
     readings: tuple[Reading, ...]
 
 
-def tell(trace: Trace, profile: CanProfile, start_ns: int, rng: np.random.Generator) -> Told:
+def tell(
+    trace: Trace,
+    profile: CanProfile,
+    start_ns: int,
+    rng: np.random.Generator,
+    motors: Sequence[MotorReading] = (),
+) -> Told:
     """What the bus of a car with this profile tells of a drive that starts at `start_ns`.
 
     Speed and current beyond what their signals can show read as the most that they can, as in a
-    car. A voltage beyond is that of another car, and refused.
+    car. A voltage beyond is that of another car, and refused. `motors` go over the bus where the
+    profile has a motor; where not, they are readings as they are.
 
     Raises:
         InputError: the profile has no broadcast speed or battery, or cannot show the voltage.
     """
     try:
         sent = _sent(trace, profile, start_ns, rng)
+        encoder, on_bus = Encoder(profile), "motor" in profile.messages
+        torque = [frame for each in motors if on_bus for frame in encoder.motor(each)]
     except ValueError as error:
         raise InputError(f"CAN profile '{profile.key}': {error}") from error
     arrives = rng.uniform(size=len(sent)) >= LOST
     kept = [frame for frame, here in zip(sent, arrives, strict=True) if here]
+    kept += torque
     kept.sort(key=attrgetter("stamp_ns"))
     decoder = Decoder(profile)
     readings = (reading for frame in kept for reading in decoder.push(frame))
-    return Told(tuple(kept), tuple(readings))
+    beside = () if on_bus else motors
+    return Told(tuple(kept), (*readings, *beside))
 
 
 def _sent(
@@ -92,6 +107,29 @@ def _sent(
         every = round(BATTERY_RATE / CHARGE_RATE)
         frames += [encoder.state_of_charge(reading) for reading in batteries[::every]]
     return frames
+
+
+def motor_readings(
+    trace: Trace, car: Car, start_ns: int, rng: np.random.Generator
+) -> list[MotorReading]:
+    """Torque of the motor as its inverter estimates it: a gain of its own, rounded; and its speed.
+
+    Friction brakes are not the motor's, and at standstill they hold the car.
+    """
+    time, stamps = _moments(trace, MOTOR_RATE, start_ns, rng)
+    speed = trace.motion.speed
+    power = trace.wheel_power + trace.friction_power
+    force = np.divide(power, speed, out=np.zeros_like(speed), where=speed > STILL)
+    torque = car.torque_gain * _lagged(trace, car.drivetrain.torque(force), MOTOR_LAG, time)
+    turning = car.drivetrain.turning(np.interp(time, trace.motion.time, speed))
+    shown = (_rounded(torque, TORQUE_STEP), _rounded(turning, MOTOR_SPEED_STEP))
+    arrives = rng.uniform(size=time.size) >= LOST
+    told = zip(stamps, *shown, arrives, strict=True)
+    return [MotorReading(stamp, *values) for stamp, *values, here in told if here]
+
+
+def _rounded(values: np.ndarray, step: float) -> list[float]:
+    return [float(value) for value in np.round(values / step) * step]
 
 
 def altitudes(trace: Trace, start_ns: int, rng: np.random.Generator) -> list[Reading]:

@@ -16,7 +16,7 @@ from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
 from evpinn_ros.simulation.equation_car import drive_equation_car, equation_car
 from evpinn_ros.simulation.road import hilly_road
-from evpinn_ros.simulation.sensors import altitudes, tell, temperatures
+from evpinn_ros.simulation.sensors import altitudes, motor_readings, tell, temperatures
 from evpinn_ros.simulation.surroundings import ambient_celsius, draw_surroundings
 from evpinn_ros.simulation.truth import Truth, plausible_parameters, true_values, tuned
 from evpinn_ros.vehicle.files import Vehicle
@@ -74,6 +74,7 @@ def simulate(
     can_profile: str | None = None,
     altitude: bool = False,
     temperature: bool = False,
+    motor_torque: bool = False,
     start_ns: int = EPOCH_NS,
     equation: RegenForm | None = None,
 ) -> SimulatedDrive:
@@ -91,6 +92,8 @@ def simulate(
         can_profile: profile of the bus, of the vehicle file when None.
         altitude: whether there is a barometer.
         temperature: whether there is an outside thermometer.
+        motor_torque: whether the car tells the torque of its motor, over the bus where the profile
+            has it.
         start_ns: stamp of the start.
         equation: a car that obeys eq. 21 in this form to the letter, on a flat road; `car` then
             names parameters.
@@ -103,8 +106,8 @@ def simulate(
     if profile_name is None:
         raise InputError(f"vehicle '{vehicle.key}' has no CAN profile: name one (--can-profile)")
     profile = load_profile(profile_name)
-    streams = np.random.SeedSequence(seed).spawn(5)
-    route, hills, weather, factory, sensors = (np.random.default_rng(s) for s in streams)
+    streams = np.random.SeedSequence(seed).spawn(6)
+    route, hills, weather, factory, sensors, inverter = (np.random.default_rng(s) for s in streams)
     steepness = rms_grade if equation is None else 0.0
     motion = motion_on(hilly_road(steepness, hills), drive_speed(kind, duration_s, route))
     around = draw_surroundings(motion.time, weather)
@@ -121,7 +124,8 @@ def simulate(
             car = tuned(draw_car(vehicle, wish, factory), motion, around, wish)
         trace = drive_car(car, motion, around)
         truth = true_values(car, trace)
-    told = tell(trace, profile, start_ns, sensors)
+    motors = motor_readings(trace, car, start_ns, inverter) if motor_torque else []
+    told = tell(trace, profile, start_ns, sensors, motors)
     extra = altitudes(trace, start_ns, sensors) if altitude else []
     if temperature:
         extra += temperatures(trace, ambient_celsius(car.air_density), start_ns, sensors)

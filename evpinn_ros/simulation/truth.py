@@ -2,14 +2,13 @@
 
 A car with an efficiency map has no single eta. The values that go beside a drive are those with
 which the `wheel_power` form of the dynamics, fed with the true wheel power W, spends exactly the
-energy that this drive spent. Losses that come with torque belong to eta and mu, whatever is drawn
-without any torque to p_aux:
+energy that this drive spent, beside what the drivetrain loses by turning. Losses that come with
+torque belong to eta and mu:
 
 - eta: sum of W over sum of (W + load loss), both where W > 0;
 - mu: sum of (-W - friction - load loss) over sum of (-W), both where W < 0. What the friction
   brakes take counts as not recovered, so mu depends on how the car was driven;
-- p_aux: mean of auxiliary load and no-load loss of the drivetrain, over the whole drive. At
-  standstill the car draws less, the auxiliary load alone;
+- p_aux: the standing load, the mean of the auxiliary load over the whole drive;
 - c_rr: work lost in the tyres over (m g cos(grade) times distance);
 - mass, c_d: those of the car; wind counts as a disturbance, not as drag of the car.
 
@@ -44,7 +43,7 @@ DEFINITIONS: Mapping[str, str] = {
     "mass": "kg, with everyone and everything in the car",
     "c_rr": "work of rolling resistance / (weight on the road * distance)",
     "c_d": "of the car; wind is a disturbance",
-    "p_aux": "mean of auxiliary load and no-load loss of the drivetrain over the drive, W",
+    "p_aux": "mean of the auxiliary load over the drive, W",
 }
 
 
@@ -73,7 +72,7 @@ def true_values(car: Car, trace: Trace) -> Truth:
         mass=car.mass,
         c_rr=float(np.sum(trace.rolling_power)) / load if load else car.c_rr,
         c_d=car.c_d,
-        p_aux=float(np.mean(trace.auxiliary + trace.no_load_loss)),
+        p_aux=float(np.mean(trace.auxiliary)),
     )
     return Truth(parameters, identifiable(parameters, car.frontal_area))
 
@@ -115,7 +114,7 @@ def tuned(car: Car, motion: Motion, around: Surroundings, wish: Parameters) -> C
     """The car whose true values on this drive are `wish`; mass and c_d are taken as they are.
 
     Two wishes may be more than a car can do: mu, when even without friction brakes less comes
-    back (none are used then but for the limits of `Brakes`), and a p_aux below no-load loss and
+    back (none are used then but for the limits of `Brakes`), and a p_aux below
     LEAST_AUXILIARY. `true_values` tells what came of it.
     """
     plain = true_values(car, drive_car(car, motion, around)).parameters
@@ -127,7 +126,7 @@ def tuned(car: Car, motion: Motion, around: Surroundings, wish: Parameters) -> C
     car = replace(
         car,
         drivetrain=replace(car.drivetrain, load_scale=car.drivetrain.load_scale * scale),
-        mean_auxiliary=max(wish.p_aux - float(np.mean(trace.no_load_loss)), LEAST_AUXILIARY),
+        mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY),
     )
     return _with_recovery(car, motion, around, wish.mu)
 

@@ -32,8 +32,9 @@ CONSTANTS: Mapping[str, Constant] = {
     "nominal_voltage": Constant(10.0, 2000.0, "V"),
     "rotating_mass_factor": Constant(1.0, 1.5, "1"),
     "battery_capacity": Constant(1e6, 5e9, "J"),
+    "motor_ratio": Constant(1.0, 200.0, "rad/m"),
 }
-OPTIONAL_CONSTANTS = ("battery_capacity",)
+OPTIONAL_CONSTANTS = ("battery_capacity", "motor_ratio")
 LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
 
 
@@ -51,6 +52,8 @@ class Vehicle:
         nominal_voltage: V, used when a log holds power alone.
         rotating_mass_factor: effective over static mass when accelerating (wheels, rotor).
         battery_capacity: usable energy, J, NaN if unknown.
+        motor_ratio: rad that the motor turns per m of road, NaN if unknown; used where a bus
+            tells its torque and not its speed.
         priors: one `Prior` for each of `PARAMETER_NAMES`.
     """
 
@@ -63,6 +66,7 @@ class Vehicle:
     nominal_voltage: float
     rotating_mass_factor: float
     battery_capacity: float
+    motor_ratio: float
     priors: Mapping[str, Prior]
 
     @property
@@ -107,7 +111,8 @@ def _parse(path: Path) -> Vehicle:
     for key in CONSTANTS:
         if key not in constants and key not in OPTIONAL_CONSTANTS:
             raise root.error(f"'{key}' is missing")
-    constants.setdefault("battery_capacity", math.nan)
+    for key in OPTIONAL_CONSTANTS:
+        constants.setdefault(key, math.nan)
     return Vehicle(
         key=path.stem,
         name=root.text("name"),

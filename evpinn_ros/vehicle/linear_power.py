@@ -1,10 +1,10 @@
 """Battery power of one car as numbers that add up: what an estimator gives and a forecast takes.
 
-Power at a moment is a sum of features of the moment, each times a coefficient (`FEATURES`, then a
-grid of Gaussian units over speed and acceleration), and what is not known of the coefficients is a
-sum of independent directions, each of one sigma. So energy along a trip is one product with the
-integrals of the features, and its variance the sum of the squares of the products with the
-directions: an error of a coefficient is wrong in the same sense for the whole trip.
+Power at a moment is a sum of features of the moment, each times a coefficient, and what is not
+known of the coefficients is a sum of independent directions, each of one sigma. So energy along a
+trip is one product with the integrals of the features, and its variance the sum of the squares of
+the products with the directions: an error of a coefficient is wrong in the same sense for the
+whole trip.
 """
 
 from __future__ import annotations
@@ -14,7 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 # With drag (air_density v^3 / 2, per m^2), rolling (g v cos(grade), per kg of mass times c_rr) and
-# force (v (g sin(grade) + factor a), per kg): apart for a car that drives and one that brakes.
+# force (v (g sin(grade) + factor a), per kg): apart for a car that drives and one that brakes,
+# whose recuperation fades at a walking pace (`FADE_SPEED`).
+FADE_SPEED = 3.5  # m/s, below it recuperation fades, none is left at `FADE_END`
+FADE_END = 0.5  # m/s
+CREEPING = 0.3  # m/s, slower the drivetrain stands
+MOST_FORCE = 4.0  # m/s^2 of force over mass, more is no tyre's
 FEATURES = (
     "drive_drag",
     "drive_rolling",
@@ -23,7 +28,8 @@ FEATURES = (
     "brake_rolling",
     "brake_force",
     "constant",
-    "acceleration_squared",
+    "moving",  # 1 while the drivetrain turns
+    "force_squared",  # (force at the wheels over mass)^2 while it turns
     "present_drift",  # exp(-t / drift_time): what is left of the present drift of auxiliary power
 )
 
@@ -44,11 +50,8 @@ class LinearPower:
         drift_time: s within which that forgets itself.
         slope_force: N at the battery, 1-sigma of unknown slopes and wind.
         slope_length: m within which these change.
-        mean: coefficients, shape (len(FEATURES) + p q,); those of the features in W per unit of
-            the feature, those of the units in N.
-        directions: of what is not known of them, shape (k, len(FEATURES) + p q).
-        unit_speeds: centres of the units, evenly spaced and as wide as far apart, m/s, shape (p,).
-        unit_accelerations: likewise, m/s^2, shape (q,).
+        mean: coefficients, shape (len(FEATURES),), W per unit of the feature.
+        directions: of what is not known of them, shape (k, len(FEATURES)).
     """
 
     drag_area: float
@@ -63,10 +66,3 @@ class LinearPower:
     slope_length: float
     mean: np.ndarray
     directions: np.ndarray
-    unit_speeds: np.ndarray
-    unit_accelerations: np.ndarray
-
-    @property
-    def has_network(self) -> bool:
-        """Whether there are units."""
-        return self.unit_speeds.size > 0

@@ -15,13 +15,13 @@ import pytest
 import zstandard
 
 from evpinn_ros.bags import mcap_file
-from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.limits import FREE_BYTES, most_messages, most_unpacked
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.can.blf import LARGEST_OBJECT
 from evpinn_ros.can.logs import LogFile
+from evpinn_ros.drives import open_drive
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.errors import InputError
 from evpinn_ros.text_lines import LONGEST_LINE
@@ -194,7 +194,7 @@ def test_a_line_without_an_end_is_not_read(tmp_path, name):
     head = b"t_s,speed_mps,power_w\n0,1,2\n" if name == "drive.csv.gz" else b""
     path.write_bytes(gzip.compress(head + b"1" * (LONGEST_LINE + 1)))
     with pytest.raises(InputError, match="a line is longer than 1000000 characters"):
-        list(CsvDrive(path, 350.0).readings() if head else LogFile(path).frames())
+        list(open_drive(path, 350.0).readings() if head else LogFile(path).frames())
 
 
 def blf(path, objects):

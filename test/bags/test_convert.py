@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.bags.convert import BagReadings, write_readings
-from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.drives import open_drive
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.messages import scalar, speed_message
 from evpinn_ros.signals.readings import (
@@ -18,6 +18,7 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     Reading,
     SpeedReading,
@@ -38,6 +39,7 @@ READINGS = st.one_of(
     st.builds(PressureReading, STAMPS, NUMBERS),
     st.builds(WindReading, STAMPS, NUMBERS),
     st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
+    st.builds(MotorReading, STAMPS, NUMBERS, NUMBERS | st.just(math.nan)),
 )
 
 
@@ -137,7 +139,7 @@ def test_bad_messages_are_counted(tmp_path):
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
 def test_a_real_drive_survives(tmp_path):
-    drive = CsvDrive(DATA / "can" / "tesla_model_s_2017" / "decoded_2017-02-19.csv", 346.0)
+    drive = open_drive(DATA / "can" / "tesla_model_s_2017" / "decoded_2017-02-19.csv", 346.0)
     with BagWriter(tmp_path / "a") as writer:
         assert not write_readings(drive.readings(), writer)
     with BagReader(tmp_path / "a") as reader:

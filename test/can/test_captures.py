@@ -4,6 +4,7 @@ The data is not part of the package: without it these tests are skipped.
 """
 
 import csv
+from dataclasses import replace
 import itertools
 from pathlib import Path
 
@@ -15,8 +16,8 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.can.profile import bundled_profiles, load_profile
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.can.profile import MOTORS, bundled_profiles, load_profile
+from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "can"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no captures beside the checkout")
@@ -36,9 +37,14 @@ TESLA = [
 ]
 
 
+def without_motors(profile):
+    return {name: rule for name, rule in profile.messages.items() if name not in MOTORS}
+
+
 def decode(profile, path):
     """The decoder after the log, and arrays of time (s from the first frame) and values."""
-    decoder = Decoder(load_profile(profile))
+    profile = load_profile(profile)
+    decoder = Decoder(replace(profile, messages=without_motors(profile)))
     speed, battery, start = [], [], None
     for frame in LogFile(path).frames():
         start = frame.stamp_ns if start is None else start
@@ -137,3 +143,40 @@ def test_the_guard_lets_out_the_right_profile_alone(right, log, patient):
             assert repr(got) == repr([r for frame in frames for r in plain.push(frame)])
         else:
             assert not got, profile.key
+
+
+# Gear over tyre, rad/m, where the bus tells no motor speed; s by which the battery lags; least
+# correlation; battery over motor power, driving and braking.
+TORQUE = [
+    *(("nissan_leaf", *log, None, 0.05, 0.999, (1.06, 1.09), (0.85, 0.91))
+      for log in ((f"nissan_leaf_62kwh/{name}",) for name in LEAF)),
+    ("tesla_model_s", "tesla_model_s_2017/models_2017-02-19", None, 0.0, 0.998,
+     (1.15, 1.19), (0.74, 0.78)),
+    ("tesla_model_3_2019", "tesla_model3_2019/drive_first_300s", 9.04 / 0.334, 0.0, 0.99,
+     (1.08, 1.12), (0.83, 0.87)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("profile", "log", "gear", "lag", "alike", "driving", "braking"), TORQUE)
+def test_motor_power_explains_battery_power(profile, log, gear, lag, alike, driving, braking):
+    decoder = Decoder(load_profile(profile))
+    frames = LogFile(DATA / f"{log}.candump.log").frames()
+    readings = [reading for frame in frames for reading in decoder.push(frame)]
+
+    def rows(kind, *names):
+        found = [each for each in readings if isinstance(each, kind)]
+        return np.array(
+            [[each.stamp_ns / 1e9, *(getattr(each, n) for n in names)] for each in found]
+        )
+
+    motor, battery = rows(MotorReading, "torque", "speed"), rows(BatteryReading, "power")
+    speed = rows(SpeedReading, "speed")
+    turning = motor[:, 2]
+    if gear is not None:
+        assert np.isnan(turning).all()
+        turning = gear * np.interp(motor[:, 0], speed[:, 0], speed[:, 1])
+    drawn = np.interp(motor[:, 0] + lag, battery[:, 0], battery[:, 1])
+    shaft = motor[:, 1] * turning
+    assert np.corrcoef(shaft, drawn)[0, 1] > alike and not decoder.dropped
+    for part, (low, high) in ((shaft > 3e3, driving), (shaft < -3e3, braking)):
+        assert low < drawn[part].sum() / shaft[part].sum() < high

@@ -4,10 +4,16 @@ import math
 import pytest
 
 from evpinn_ros.can.checksum import id_sum, nissan_crc8
-from evpinn_ros.can.decoder import CHARGE_HOLD_NS, STUCK_AFTER, Decoder
+from evpinn_ros.can.decoder import (
+    ALONE_AFTER_NS,
+    CHARGE_HOLD_NS,
+    STUCK_AFTER,
+    TORQUE_HOLD_NS,
+    Decoder,
+)
 from evpinn_ros.can.frame import MOST_IDS, CanFrame, nanoseconds
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
 
 
 def frame(can_id: int, payload: str, stamp_ns: int = 0, *, extended: bool = False) -> CanFrame:
@@ -215,3 +221,63 @@ def test_other_pages_of_a_multiplexed_message_are_no_fault(tmp_path):
     assert decoder.push(frame(100, "09E80300")) == ()
     assert decoder.push(frame(100, "01E8")) == ()
     assert decoder.dropped.total() == 2
+
+
+def leaf_motor(torque: int, rpm: int, counter: int = 0) -> CanFrame:
+    """0x1DA by hand: 11 bits from bit 2 of byte 2 on, 15 bits from byte 4 on, CRC in byte 7."""
+    body = bytearray(7)
+    body[2:4] = (torque & 0x7FF).to_bytes(2, "big")
+    body[4:6] = ((rpm & 0x7FFF) << 1).to_bytes(2, "big")
+    body[6] = counter
+    return CanFrame(7, 0x1DA, bytes(body) + bytes([nissan_crc8(0x1DA, bytes(body))]))
+
+
+def test_motor_of_the_leaf(leaf):
+    # 200 x 0.5 N m; 3000 rpm are 314.16 rad/s; then regeneration, and reverse.
+    assert leaf.push(leaf_motor(200, 3000)) == (
+        MotorReading(7, 100.0, pytest.approx(3000 * 2 * math.pi / 60)),
+    )
+    (braking,) = leaf.push(leaf_motor(-60, -300, 1))
+    assert (braking.torque, braking.speed) == (-30.0, pytest.approx(-10 * math.pi))
+    good = leaf_motor(200, 3000, 2)
+    assert leaf.push(CanFrame(7, good.can_id, good.data[:7] + b"\x00")) == ()
+    assert leaf.dropped == Counter(bad_checksum=1)
+
+
+def model_3_motor(can_id: int, axle_torque: int, stamp_ns: int) -> CanFrame:
+    """0x108, 0x186 by hand: 13 bits at bit 27 of 2 N m at the axle, 100.0 rpm at bit 40."""
+    rest = ((axle_torque // 2 & 0x1FFF) << 19 | 1000 << 32).to_bytes(7, "little")
+    return CanFrame(stamp_ns, can_id, bytes([id_sum(can_id, rest)]) + rest)
+
+
+def test_torque_of_two_motors_is_their_sum_and_waits_for_both(tesla):
+    rear, front = 0x108, 0x186
+    assert tesla.push(model_3_motor(rear, 904, 0)) == ()
+    assert tesla.push(model_3_motor(front, -90, 10)) == ()
+    (reading,) = tesla.push(model_3_motor(rear, 904, 20))
+    assert reading.torque == pytest.approx((904 - 90) / 9.04, rel=1e-4)
+    assert reading.speed == pytest.approx(100 * 9.04 * 2 * math.pi / 60)
+    assert tesla.push(model_3_motor(rear, 904, TORQUE_HOLD_NS + 11)) == ()
+    assert not tesla.dropped
+
+
+def test_a_car_without_a_second_motor_has_the_torque_of_the_first(tesla):
+    assert tesla.push(model_3_motor(0x108, -904, 5)) == ()
+    assert tesla.push(model_3_motor(0x108, -904, ALONE_AFTER_NS)) == ()
+    (reading,) = tesla.push(model_3_motor(0x108, -904, ALONE_AFTER_NS + 6))
+    assert reading.torque == pytest.approx(-100.0, rel=1e-4)
+
+
+def test_no_torque_where_that_of_the_second_motor_cannot_be_read():
+    decoder = Decoder(load_profile("tesla_model_s"))
+
+    def motor(stamp_ns: int, counter: int) -> CanFrame:
+        body = bytes((0, counter << 5, 0x90, 0x01, 0, 0x10, 0))
+        return CanFrame(stamp_ns, 0x106, body + bytes([id_sum(0x106, body)]))
+
+    assert decoder.push(motor(0, 0)) == ()
+    (reading,) = decoder.push(motor(ALONE_AFTER_NS + 1, 1))
+    assert reading == MotorReading(ALONE_AFTER_NS + 1, 100.0, pytest.approx(4096 * math.pi / 30))
+    decoder.push(frame(0x1D4, "0000000000000000", ALONE_AFTER_NS + 2))
+    assert decoder.push(motor(ALONE_AFTER_NS + 3, 2)) == ()
+    assert decoder.push(motor(10 * ALONE_AFTER_NS, 3)) == ()

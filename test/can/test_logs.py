@@ -210,4 +210,4 @@ def test_frames_that_no_bus_can_carry_are_skipped_and_counted(tmp_path):
 )
 def test_another_program_has_limits(monkeypatch, program, said):
     monkeypatch.setattr(logs, "MF4_SECONDS", 2.0 if "60" in program else 60.0)
-    assert logs._run_limited([sys.executable, "-c", program]) == said
+    assert logs.run_limited([sys.executable, "-c", program]) == said

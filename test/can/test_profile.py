@@ -17,7 +17,8 @@ def broken(tmp_path):
         text = (CONFIG / f"{name}.yaml").read_text()
         assert old in text
         (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
-        (tmp_path / f"{name}.dbc").write_bytes((CONFIG / f"{name}.dbc").read_bytes())
+        if (dbc := CONFIG / f"{name}.dbc").exists():
+            (tmp_path / dbc.name).write_bytes(dbc.read_bytes())
         with pytest.raises(InputError) as error:
             load_profile(tmp_path / "mine.yaml")
         return str(error.value)
@@ -67,6 +68,11 @@ def test_missing_file_is_one_line(tmp_path):
         # Signed bits that are all ones read as -1, which is a current of no suspicion.
         ("charge, valid:", "charge, not_available: [2047], valid:", "signed, are -1024 to 1023"),
         ("valid: [200, 460]", "valid: [2000, 4600]", "no raw value is within 'valid'"),
+        ("positive_means: drive", "positive_means: charge", "is not one of brake, drive"),
+        ("torque: {signal", "speeds: {signal", "unknown key 'speeds'"),
+        ("motor:  #", "second_motor:  #", "'motor' is missing"),
+        ("unit: rpm", "unit: Hz", "unit 'Hz' is not one of rad/s, rpm"),
+        ("signal: Torque", "signal: Speed", "overlap in 'MotorState'"),
         ("rule: nissan_crc8", "rule: crc", "rule 'crc' is not one of id_sum, nissan_crc8"),
         ("signal: Checksum}", "signal: Speed}", "'Speed' is not one whole byte"),
         ("dbc: nissan_leaf.dbc", "dbc: other.dbc", "other.dbc: No such file or directory"),
@@ -91,10 +97,9 @@ def test_a_raw_value_may_be_hexadecimal(tmp_path):
 
 def test_source_is_required(broken):
     text = broken(
-        'source: "layout: joshwardell/model3dbc, onyx-m2 (15-bit current), commaai/opendbc '
-        '(checksum, SNA)"\n',
+        'source: "SAE J1979, service 01, identifier 0D"\n',
         "",
-        "tesla_model_3",
+        "obd2_speed",
     )
     assert "'source' is missing" in text
 

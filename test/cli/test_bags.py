@@ -9,8 +9,8 @@ import sys
 import pytest
 from rosbags.rosbag2 import Reader
 
-from evpinn_ros.bags.csv_drive import CsvDrive
 from evpinn_ros.bags.writer import BagWriter, Split
+from evpinn_ros.drives import open_drive
 
 ROOT = Path(__file__).parents[2]
 URBAN = ROOT / "bags" / "urban"
@@ -80,7 +80,9 @@ def test_told_columns_reach_both_commands(folder):
     told = ("--column", "time=a", "--column", "speed=b:km/h", "--column", "power=c:kW")
     assert evpinn("convert", "odd.csv", "odd", *told, cwd=folder).returncode == 0
     assert evpinn("replay", "odd.csv", *told, cwd=folder).returncode == 0
-    assert CsvDrive(folder / "odd.csv", 1.0, told[1::2]).rules[1].factor == pytest.approx(1 / 3.6)
+    assert open_drive(folder / "odd.csv", 1.0, told[1::2]).drive.rules[1].factor == pytest.approx(
+        1 / 3.6
+    )
 
 
 def test_start_duration_and_loop(folder):
@@ -170,5 +172,5 @@ def test_a_csv_without_one_usable_time_makes_no_bag(folder):
     rows = "".join(f"some day,{i},{i}\n" for i in range(20))
     (folder / "days.csv").write_text("time,speed_mps,power_w\n" + rows)
     done = evpinn("convert", "days.csv", "days", cwd=folder)
-    assert_fails_in_one_line(done, "days.csv", "no reading in it; dropped: 20 no_time")
+    assert_fails_in_one_line(done, "days.csv", "'some day' is no time that is known")
     assert not (folder / "days").exists()

@@ -220,3 +220,13 @@ def test_parameter_file_reaches_the_cores(folder):
     )
     assert done.returncode == 0, done.stderr
     assert json.loads((folder / "p.json").read_text())["mode"] == "paper"
+
+
+def test_the_paper_s_mode_has_a_floor_and_a_choice_of_optimizer(folder):
+    options = ("--mode", "paper", "--optimizer", "gauss_newton", "--metrics", "g.json")
+    done = evpinn("replay", "speed.csv", *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    power = json.loads((folder / "g.json").read_text())["power"]
+    assert power["floor_w"] is None  # nothing was measured
+    done = evpinn("replay", "speed.csv", "--optimizer", "gauss_newton", cwd=folder)
+    assert_fails_in_one_line(done, "--optimizer", "--mode paper")

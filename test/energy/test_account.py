@@ -1,13 +1,16 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.plausible import MAX_POWER
 from evpinn_ros.energy.reconciliation import Verdict
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.errors import InputError
+from evpinn_ros.signals.stream import MAX_SPEED
 
 START = 1_700_000_000_000_000_000
 CAPACITY = 70e6  # J
@@ -163,6 +166,104 @@ def test_a_wrong_saved_account_is_refused(wrong, reason):
     saved = drive(account(), range(60)).export()
     with pytest.raises(InputError, match=reason):
         account().restore({**saved, **wrong})
+
+
+@pytest.mark.parametrize("wrong", [1e9, -1e9, 1e308, math.inf, math.nan])
+def test_what_no_car_can_do_is_refused_and_all_goes_on(wrong):
+    """One speed of 1e9 m/s used to be 50 000 km of the lifetime; a power of 1e308 ended it."""
+    counted, sound = account(), drive(account(), range(120))
+    drive(counted, range(60))
+    late = START + 60_250_000_000
+    counted.push_speed(late, wrong)
+    counted.push_measured(late, wrong, 30.0)
+    assert not counted.push_predicted(late, wrong, 1e3)
+    counted.push_measured(late, 1e4, 1e308)
+    assert not counted.push_predicted(late, 1e4, -1.0)
+    drive(counted, range(60, 120))
+    assert counted.summary().lifetime == pytest.approx(sound.summary().lifetime)
+    assert counted.refused == {"speed_out_of_range": 1, "power_out_of_range": 4}
+    json.dumps(counted.export(), allow_nan=False)
+
+
+def test_the_largest_power_and_speed_that_are_taken_never_stop_the_account():
+    counted = account()
+    for second in range(1000):
+        stamp = START + second * 1_000_000_000
+        counted.push_speed(stamp, MAX_SPEED)
+        counted.push_predicted(stamp, MAX_POWER, MAX_POWER)
+    again = account()
+    again.restore(json.loads(json.dumps(counted.export(), allow_nan=False)))
+    assert again.lifetime().distance == pytest.approx(999 * MAX_SPEED)
+
+
+def changed(saved, path, value):
+    """A copy of a saved account with one value changed."""
+    saved = json.loads(json.dumps(saved))
+    place = saved
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return saved
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (["trip", "speed", "drawn"], 1e8),  # in a minute
+        (["trip", "energy"], 1e300),
+        (["trip", "windows", 2, 0, 0], 1e300),
+        (["trip", "windows", 0, 0, 1], -1e300),
+        (["meter", "measured", "drawn"], 1e12),
+        (["meter", "predicted", "regenerated"], 1e12),
+        (["meter", "rknn"], -1e12),
+        (["meter", "bridged", 0], 1e300),
+        (["meter", "measured_sigma"], 1e200),
+        (["meter", "measured", "covered_s"], 1e300),
+        (["before_reset", 0], 1e300),
+        (["before_reset", 3], 1e11),
+        (["before_reset", 6], 1e300),
+        (["correction", 0], 1e300),
+    ],
+)
+def test_a_saved_account_of_what_no_car_can_do_is_refused(path, value):
+    saved = drive(account(), range(60)).export()
+    account().restore(saved)
+    with pytest.raises(InputError, match="saved energy"):
+        account().restore(changed(saved, path, value))
+
+
+def test_a_state_of_charge_cannot_add_what_no_battery_can_give():
+    """Full, then empty, a minute later: 70 MJ in 61 s of dropout are 1.1 MW; of 5 GJ 80 MW."""
+    counted = drive(account(5e9), range(30), first_charge=1.0)
+    drive(counted, range(95, 97), first_charge=0.01)
+    assert counted.reconciled.verdict is Verdict.PREDICTED
+    assert counted.lifetime().net.value < 1e6
+
+
+def test_the_lifetime_never_falls_whatever_time_does():
+    """Jumps under both policies, trips reset, restarts from what was saved last."""
+    counted, random = account(), np.random.default_rng(3)
+    before = counted.lifetime()
+    for _ in range(60):
+        begin = int(random.integers(0, 500))
+        drive(counted, range(begin, begin + 20), silent=range(begin, begin + 5))
+        now = counted.lifetime()
+        assert now.distance > before.distance and now.drawn > before.drawn
+        match random.integers(4):
+            case 0:
+                counted.begin_next_stretch()
+            case 1:
+                counted.begin_next_trip()
+                assert counted.since_reset().distance == 0.0
+            case 2:
+                counted.reset_trip()
+                counted.begin_next_stretch()
+            case _:
+                again = account()
+                again.restore(json.loads(json.dumps(counted.export(), allow_nan=False)))
+                counted = again
+        before = counted.lifetime()
+        assert before == pytest.approx(now)
 
 
 def test_a_jump_of_time_joins_nothing():

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evpinn_ros.bags.csv_drive import CsvDrive
+from evpinn_ros.drives import open_drive
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
@@ -98,7 +98,7 @@ def test_what_data_determine_of_a_simulated_car(simulated):
 @pytest.mark.skipif(not REAL.exists(), reason="needs ../shared/data")
 def test_a_real_drive():
     """Four minutes of the public Model 3 log (SUNY-MEC-MEIC-Lab/EV-PINO), 10 Hz."""
-    readings = CsvDrive(REAL, nominal_voltage=350.0).readings()
+    readings = open_drive(REAL).readings()
     first = next(readings)
     within = [r for r in readings if r.stamp_ns < first.stamp_ns + 240 * NANOSECONDS]
     found = Replayed([first, *within])

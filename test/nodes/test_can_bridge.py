@@ -18,7 +18,7 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.messages import Level
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
 
 channels = map("bridge{}".format, itertools.count())
 
@@ -141,3 +141,20 @@ def test_a_right_profile_publishes_from_its_first_frames(bench, bus):
     bench.pump(lambda: bench.heard[topics.SPEED] and bench.heard[topics.BATTERY])
     assert bench.heard[topics.BATTERY][0].voltage == pytest.approx(350.0)
     assert bench.diagnosis(node)["bus"][0] is Level.OK
+
+
+def test_motor_torque_is_published(bench, bus):
+    encoder = Encoder(load_profile("nissan_leaf"))
+    start(bench, bus, can_profile="nissan_leaf")
+    bench.listen(topics.MOTOR_TORQUE)
+
+    def leaf() -> Iterator[CanFrame]:
+        for index in itertools.count():
+            yield encoder.battery(BatteryReading(0, 380.0, -index % 50))
+            yield encoder.speed(SpeedReading(0, index % 20 / 10))
+            yield from encoder.motor(MotorReading(0, 100.0, 200.0))
+
+    drive(bench, bus, leaf(), lambda: bench.heard[topics.MOTOR_TORQUE])
+    message = bench.heard[topics.MOTOR_TORQUE][0]
+    assert list(message.name) == ["torque", "speed"] and message.header.stamp.sec > 0
+    assert list(message.position) == pytest.approx([100.0, 200.0], abs=0.1)

@@ -187,6 +187,96 @@ def test_a_bag_that_starts_over_is_counted_on(bench):
     assert totals.distance == pytest.approx((2 * 29 - 1) * SPEED)
 
 
+@pytest.mark.parametrize("policy", ["reset", "hold"])
+def test_a_jump_of_time_never_takes_from_the_lifetime(bench, tmp_path, policy):
+    """The default policy used to go back to what was loaded, and the next save wrote that."""
+    path = str(tmp_path / "energy.json")
+    first = bench.start(EnergyNode, energy_file=path, time_jump_policy=policy)
+    drive(bench, first, range(60))
+    stop(bench, first)
+    node = bench.start(EnergyNode, energy_file=path, time_jump_policy=policy)
+    for _ in range(3):  # two jumps back, and the first drive of this node one more
+        drive(bench, node, range(60))
+    lifetime = node.account.lifetime()
+    assert lifetime.net.value == pytest.approx((4 * 59) * POWER)
+    # Speed jumps before power does, and at the jump of power distance joins nothing once more.
+    assert lifetime.distance == pytest.approx((4 * 59 - 2) * SPEED)
+    trip = node.account.since_reset()
+    drives = {"reset": 1, "hold": 4}[policy]
+    assert trip.net.value == pytest.approx(drives * 59 * POWER)
+    assert bench.call(Trigger, "/ev/energy/save").success
+    stop(bench, node)
+    last = bench.start(EnergyNode, energy_file=path)
+    assert last.account.lifetime() == pytest.approx(lifetime)
+
+
+def test_under_ignore_neither_energy_nor_distance_is_counted_twice(bench):
+    node = bench.start(EnergyNode, time_jump_policy="ignore")
+    for _ in range(2):
+        drive(bench, node, range(30))
+    totals = node.account.lifetime()
+    assert totals.net.value == pytest.approx(29 * POWER)
+    assert totals.distance == pytest.approx(29 * SPEED)
+
+
+@pytest.mark.parametrize("policy", ["reset", "hold"])
+def test_two_publishers_an_hour_apart_are_one_that_is_followed_and_one_that_is_told(bench, policy):
+    node = bench.start(EnergyNode, time_jump_policy=policy)
+    for turn in range(12):
+        for offset in (0, -3600):
+            drive(bench, node, range(offset + 3 * turn, offset + 3 * turn + 3))
+    assert node._guard.jumps <= 1 and node._speed_guard.jumps <= 1
+    level, text, told = bench.diagnosis(node)["meter"]
+    assert level is Level.WARN and "stamps_of_a_second_publisher" in text
+    assert int(told["bad.stamps_of_a_second_publisher"]) > 80
+    driven = node.account.lifetime()
+    assert driven.net.value == pytest.approx(35 * POWER, rel=0.15)
+    assert driven.distance == pytest.approx(35 * SPEED, rel=0.15)
+
+
+@pytest.mark.parametrize("wrong", [1e9, 1e308, -1e308])
+def test_hostile_speeds_and_powers_stop_nothing(bench, tmp_path, wrong):
+    """They were added, saved and came back; four of them ended energy/state and every save."""
+    path = tmp_path / "energy.json"
+    node = bench.start(EnergyNode, energy_file=str(path))
+    bench.listen(topics.ENERGY_STATE, *SUMMARY)
+    drive(bench, node, range(10))
+    for tick in range(20):
+        stamp = (START + 10) * NANOSECONDS + tick * NANOSECONDS // 10
+        message = speed_message(new_message, SpeedReading(stamp, wrong))
+        bench.deliver(node, topics.SPEED, message)
+        for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
+            bench.deliver(node, topic, power(stamp, wrong))
+    drive(bench, node, range(11, 31))
+    bench.settle()
+    assert values(bench.heard[topics.ENERGY_STATE][-1])["consumed"] == pytest.approx(
+        30 * POWER, rel=0.05
+    )
+    consumption = values(bench.heard[topics.ENERGY_CONSUMPTION][-1])
+    assert consumption["distance_lifetime"] <= 30 * SPEED
+    assert int(bench.diagnosis(node)["meter"][2]["bad.speed_out_of_range"]) == 20
+    assert int(bench.diagnosis(node)["meter"][2]["bad.power_out_of_range"]) == 40
+    assert bench.call(Trigger, "/ev/energy/save").success
+    assert json.loads(path.read_text())["trip"]["speed"]["drawn"] <= 30 * SPEED
+
+
+def test_a_saved_file_with_totals_of_no_car_is_set_aside(bench, tmp_path):
+    path = tmp_path / "energy.json"
+    first = bench.start(EnergyNode, energy_file=str(path))
+    drive(bench, first, range(10))
+    stop(bench, first)
+    saved = json.loads(path.read_text())
+    saved["trip"]["speed"]["drawn"] = 5e7  # one speed of 1e9 m/s, as it was counted once
+    path.write_text(json.dumps(saved))
+    node = bench.start(EnergyNode, energy_file=str(path))
+    assert node.account.lifetime().distance == 0.0
+    drive(bench, node, range(5))
+    level, text, _ = bench.diagnosis(node)["meter"]
+    assert level is Level.WARN and "energy.json.refused" in text
+    assert bench.call(Trigger, "/ev/energy/save").success
+    assert json.loads((tmp_path / "energy.json.refused").read_text()) == saved
+
+
 def test_a_silence_and_what_became_of_it_is_in_the_diagnostics(bench):
     node = bench.start(EnergyNode)
     drive(bench, node, range(30))

@@ -26,6 +26,7 @@ from evpinn_ros.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     SpeedReading,
     TemperatureReading,
@@ -44,6 +45,7 @@ READINGS = st.one_of(
     st.builds(PressureReading, STAMPS, NUMBERS),
     st.builds(WindReading, STAMPS, NUMBERS),
     st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
+    st.builds(MotorReading, STAMPS, NUMBERS, NUMBERS | st.just(math.nan)),
 )
 
 
@@ -168,6 +170,20 @@ def test_a_bad_message_says_why(reason, make):
     assert caught.value.reason == reason
 
 
+def test_motor_torque_is_told_by_name_and_an_unknown_speed_is_left_out():
+    message = reading_messages.motor_message(new_message, MotorReading(NOW, -30.0))
+    assert (message.name, list(message.position)) == (["torque"], [-30.0])
+    vector = messages.named_vector(
+        new_message, NOW, ["temperature", "speed", "torque"], [60.0, 400.0, 120.0]
+    )
+    assert reading_messages.motor_reading(vector) == MotorReading(NOW, 120.0, 400.0)
+    vector = messages.named_vector(new_message, NOW, ["speed"], [400.0])
+    with pytest.raises(BadMessage, match="nothing_measured"):
+        reading_messages.motor_reading(vector)
+    with pytest.raises(ValueError):
+        reading_messages.motor_message(new_message, MotorReading(NOW, math.nan, 400.0))
+
+
 def test_auxiliary_power_is_heating_by_its_name_and_the_sum_of_all_else():
     names = ["Cabin_Heating", "aircon", "lights"]
     vector = messages.named_vector(new_message, NOW, names, [1500.0, 250.0, 100.0])
@@ -241,6 +257,7 @@ def every_message(new: messages.NewMessage) -> list[tuple[str, Any]]:
         AltitudeReading(NOW, 570.0),
         TemperatureReading(NOW, 21.5),
         AuxiliaryReading(NOW, 1500.0, 250.0),
+        MotorReading(NOW, 120.5, 400.0),
     ]
     built = [
         ("geometry_msgs/msg/TwistWithCovarianceStamped", 0),
@@ -249,6 +266,7 @@ def every_message(new: messages.NewMessage) -> list[tuple[str, Any]]:
         ("sensor_msgs/msg/NavSatFix", 3),
         ("sensor_msgs/msg/Temperature", 4),
         ("sensor_msgs/msg/JointState", 5),
+        ("sensor_msgs/msg/JointState", 6),
     ]
     level_reasons = {"updates": 3, "sigma": 0.5, "state": "predicting"}
     return [
@@ -274,7 +292,7 @@ def test_the_same_builders_give_the_same_bytes_with_rclpy():
 
 def test_readers_take_rclpy_messages():
     pytest.importorskip("rclpy.serialization")
-    for name, message in every_message(rclpy_message)[:6]:
+    for name, message in every_message(rclpy_message)[:7]:
         assert (
             messages.stamp_ns(message)
             == reading_messages.to_reading(name, message).stamp_ns

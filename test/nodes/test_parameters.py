@@ -14,6 +14,7 @@ from evpinn_ros.energy.quadrature import MAX_GAP
 from evpinn_ros.energy.rknn import STEP_LIMIT
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameter_file import check_parameter_file, read_parameter_file
@@ -58,19 +59,21 @@ def test_choices_and_defaults_are_those_of_the_cores():
     for name, kind in (
         ("mode", Mode),
         ("regen_form", RegenForm),
+        ("paper_optimizer", PaperOptimizer),
         ("grade_source", GradeSource),
         ("time_jump_policy", JumpPolicy),
     ):
         assert set(estimator[name].choices) == {member.value for member in kind}
     assert estimator["mode"].default == settings.mode.value
     assert estimator["regen_form"].default == settings.regen_form.value
+    assert estimator["paper_optimizer"].default == settings.paper_optimizer.value
     assert estimator["grade_source"].default == settings.stream.grade_source.value
     for name in ("smoothing_lag", "allowed_lateness", "max_gap"):
         assert estimator[name].default == getattr(settings.stream, name)
     energy = table("energy")
     assert (energy["max_gap"].default, energy["max_gap"].upper) == (MAX_GAP, STEP_LIMIT)
     assert set(energy["integrator"].choices) == {member.value for member in Integrator}
-    assert energy["integrator"].default == Integrator.TRAPEZOID.value
+    assert energy["integrator"].default == Integrator.RKNN.value
     speed = energy["nominal_speed"]
     assert (speed.default, speed.upper) == (NOMINAL_SPEED, MAX_SPEED)
 
@@ -84,7 +87,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
         ("estimator", "seed", True, "a whole number"),
         ("estimator", "seed", -1, "outside"),
         ("estimator", "mode", "clever", "not one of hybrid, paper"),
-        ("energy", "integrator", "simpson", "not one of trapezoid, rknn"),
+        ("energy", "integrator", "simpson", "not one of rknn, trapezoid"),
         ("estimator", "vehicle", "tesla", "no vehicle named 'tesla'"),
         ("estimator", "time_jump_threshold", 0.3, "above allowed_lateness"),
         ("can_bridge", "can_profile", "vw", "no CAN profile named 'vw'"),

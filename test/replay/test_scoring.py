@@ -1,5 +1,7 @@
 """Scores against values worked out by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from evpinn_ros.replay.scoring import (
     measured_at,
     null_scores,
     power_score,
+    speed_floor,
     worst_window,
 )
 
@@ -122,3 +125,17 @@ def test_the_worst_five_minutes_by_hand():
     worst = worst_window(drive(measured, [0], energy=energy))
     assert worst == pytest.approx(10.0, abs=0.5)  # 30 kJ of 300 kJ; steps of 1 s at the turns
     assert worst_window(drive(measured[:299], [0], energy=energy[:299])) is None
+
+
+def test_the_floor_is_what_no_function_of_speed_explains():
+    rng = np.random.default_rng(1)
+    speed = rng.uniform(0.0, 30.0, 20_000)
+    rest = rng.choice([-2000.0, 2000.0], speed.size)
+    power = 500.0 * speed + 20.0 * speed**2 + rest
+    found = drive(power, np.zeros(speed.size))
+    found = replace(found, speed=np.stack((found.smoothed.time, speed), axis=1))
+    assert speed_floor(found, WHOLE) == pytest.approx(2000.0, rel=0.02)
+    assert speed_floor(found, Span(-1.0, 400.0)) is None  # too few samples for its bins
+    # Power that speed determines leaves what it varies by within a bin.
+    alone = replace(found, measured=np.stack((found.measured[:, 0], power - rest), axis=1))
+    assert speed_floor(alone, WHOLE) < 350.0

@@ -50,9 +50,9 @@ def test_spans_need_speed_and_battery_without_long_gaps():
 
 VERDICTS = [
     (drive([], [1, 2]), "no speed"),
-    (drive([1, 2], []), "no battery"),
-    ([BatteryReading(START, math.nan, math.nan), SpeedReading(START, 1.0)], "no battery"),
-    (drive(range(0, 100, 5), range(100)), "speed comes 0.2 times a second with gaps to 5 s"),
+    (drive([1, 2], []), "no voltage"),
+    ([BatteryReading(START, math.nan, math.nan), SpeedReading(START, 1.0)], "no voltage"),
+    (drive(range(0, 900, 30), range(900)), "speed comes 0.033 times a second with gaps to 30 s"),
     (drive(range(5), range(5)), "no 10 s with both"),
     (drive(range(50), range(50), speed=0.0), "never moves"),
     ([], "no speed"),
@@ -72,6 +72,28 @@ def test_a_flow_takes_any_stamps(stamps):
     assert flow.count == len(stamps)
     assert len(flow.all_runs()) == (flow.gaps + 1 if stamps else 0)
     assert all(begin <= end for begin, end in flow.all_runs())
+
+
+def test_voltage_and_current_have_stamps_of_their_own():
+    """As a phone polls them: one after the other, each every 1.2 s."""
+    steps = [1.2 * i for i in range(200)]
+    polled = [(t, SpeedReading(START + int(t * 1e9), 8.0)) for t in steps]
+    polled += [
+        (t + 0.4, BatteryReading(START + int((t + 0.4) * 1e9), 390.0, math.nan)) for t in steps
+    ]
+    late = [t + 0.8 for t in steps if not 100 < t < 150]
+    polled += [(t, BatteryReading(START + int(t * 1e9), math.nan, -20.0, 0.5)) for t in late]
+    found = usable(reading for _, reading in sorted(polled, key=lambda pair: pair[0]))
+    assert [flow.count for flow in found.flows.values()] == [200, 200, len(late), len(late)]
+    assert len(found.spans) == 2 and found.seconds == pytest.approx(238 - 50, abs=3)
+    assert found.charge == (0.5, 0.5)
+
+
+def test_a_signal_every_five_seconds_is_bridged_over_its_own_steps():
+    times = [5.0 * i for i in range(100) if i not in (40, 41) and not 60 <= i < 70]
+    found = usable(drive(times, times))
+    assert seconds(found) == [(0.0, 295.0), (350.0, 495.0)]
+    assert found.distance == pytest.approx(10 * (295 + 145))
 
 
 def test_a_part_of_a_drive():
@@ -123,7 +145,8 @@ def test_a_can_log_and_a_bag_of_its_frames(tmp_path):
         ("a.mcap", b"", "empty"),
         ("a.csv", b"x,y\n1,2\n", "no column of time and speed"),
         ("a.log", b"", "empty"),
-        ("a.txt", b"hello", "not a CAN log"),
+        ("a.dat", b"hello", "not a CAN log"),
+        ("a.txt", b"hello", "no column of time"),
     ],
 )
 def test_what_holds_nothing_is_one_line(tmp_path, name, content, reason):

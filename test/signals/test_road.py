@@ -8,6 +8,7 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
+    MotorReading,
     PressureReading,
     TemperatureReading,
     WindReading,
@@ -170,6 +171,7 @@ def test_what_no_input_tells_is_named():
         (AltitudeReading, "altitude"),
         (AuxiliaryReading, "auxiliary"),
         (GradeReading, "grade"),
+        (MotorReading, "motor_torque"),
         (TemperatureReading, "temperature"),
         (WindReading, "wind"),
     ],
@@ -177,3 +179,9 @@ def test_what_no_input_tells_is_named():
 def test_what_cannot_be_is_named(kind, what, value):
     assert why_impossible(kind(0, value)) == f"{what}_out_of_range"
     assert why_impossible(kind(0, 0.1)) is None
+
+
+@pytest.mark.parametrize("speed", [math.inf, 5000.0, -5000.0])
+def test_a_motor_speed_that_cannot_be_voids_the_torque(speed):
+    assert why_impossible(MotorReading(0, 100.0, speed)) == "motor_torque_out_of_range"
+    assert why_impossible(MotorReading(0, 100.0, math.nan)) is None

@@ -9,6 +9,7 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
+    MotorReading,
     SpeedReading,
     TemperatureReading,
 )
@@ -232,6 +233,8 @@ def test_impossible_surroundings_are_dropped(new_stream, play, ramp, at):
         TemperatureReading(at(0), -273.15),
         AltitudeReading(at(0), math.nan),
         AuxiliaryReading(at(0), -1.0),
+        MotorReading(at(0), 20_001.0),
+        MotorReading(at(0), math.nan),
     ]
     events = play(stream, [*wrong, *ramp(10.0, 0.0, 1.0)])
     assert {(e.sample.grade, e.sample.air_density, e.sample.known_auxiliary) for e in events} == {
@@ -241,6 +244,7 @@ def test_impossible_surroundings_are_dropped(new_stream, play, ramp, at):
         "temperature_out_of_range": 1,
         "altitude_out_of_range": 1,
         "auxiliary_out_of_range": 1,
+        "motor_torque_out_of_range": 2,
     }
 
 

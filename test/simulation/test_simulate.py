@@ -10,6 +10,7 @@ from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
+    MotorReading,
     SpeedReading,
     TemperatureReading,
 )
@@ -17,6 +18,7 @@ from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable, combined_power
+from evpinn_ros.vehicle.physics import RegenForm
 
 CAR = load_vehicle("tesla_model_3_lr")
 
@@ -170,3 +172,39 @@ def test_wrong_wishes_are_refused_in_one_line(arguments, reason):
     with pytest.raises(InputError, match=reason) as error:
         simulate(DriveKind.URBAN, duration_s=60.0, seed=1, **arguments)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("model", ["tesla_model_3_lr", "nissan_leaf", "chevrolet_bolt"])
+def test_motor_torque_is_told_with_a_gain_of_the_car_and_changes_nothing_else(model):
+    profile = {"can_profile": "tesla_model_3_2019"} if model == "chevrolet_bolt" else {}
+    vehicle = load_vehicle(model)
+    plain = simulate(DriveKind.URBAN, vehicle, 120.0, 3, **profile)
+    more = simulate(DriveKind.URBAN, vehicle, 120.0, 3, motor_torque=True, **profile)
+    assert repr([r for r in more.readings if not isinstance(r, MotorReading)]) == repr(
+        list(plain.readings)
+    )
+    assert len(more.frames) > len(plain.frames)
+    trace, motors = more.trace, of(more, MotorReading)
+    time, torque = seconds(motors), np.array([reading.torque for reading in motors])
+    speed = np.interp(time, trace.motion.time, trace.motion.speed)
+    power = np.interp(time, trace.motion.time, trace.wheel_power + trace.friction_power)
+    moving = speed > 1.0
+    gear = more.car.drivetrain.gear_ratio / more.car.drivetrain.wheel_radius
+    gain = np.polyfit((power / np.maximum(speed, 1.0) / gear)[moving], torque[moving], 1)[0]
+    assert gain == pytest.approx(more.car.torque_gain, abs=0.01) and gain != 1.0
+    assert np.abs(torque[speed == 0.0]).max() < 1.0
+    told = np.array([reading.speed for reading in motors])
+    if model == "chevrolet_bolt":  # a profile without the speed of the motor
+        assert np.isnan(told).all()
+    else:
+        np.testing.assert_allclose(told, gear * speed, atol=0.3)
+
+
+def test_motor_torque_needs_no_motor_in_the_profile():
+    drive = simulate(
+        DriveKind.URBAN, load_vehicle("nissan_leaf"), 60.0, 3,
+        can_profile="tesla_model_3", motor_torque=True, equation=RegenForm.RECOVERY,
+    )  # fmt: skip
+    assert of(drive, MotorReading)
+    spread = [simulate(DriveKind.URBAN, CAR, 20.0, seed).car.torque_gain for seed in range(30)]
+    assert 0.01 < np.std(spread) < 0.03

@@ -1,0 +1,112 @@
+"""The interface of a method that is scored, and our own estimator behind it.
+
+A method is made by `factory(vehicle)` and gets every reading of a car in recorded order. It must
+be possible to copy it with `copy.deepcopy`: the copy then goes on without battery readings, and
+the original goes on with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+import math
+from typing import NamedTuple, Protocol, TypeAlias
+
+from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.signals.readings import BatteryReading, Reading
+from evpinn_ros.vehicle.files import Vehicle
+
+Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
+
+
+class Prediction(NamedTuple):
+    """What a method says of one moment, from readings before it and at most a little after.
+
+    Attributes:
+        stamp_ns: the moment.
+        power: battery power, W, positive when drawn.
+        sigma: its 1-sigma, W, NaN if unknown.
+        energy: integral of the predicted power since the start of the drive, J; NaN: take the
+            trapezoid of `power`.
+        energy_sigma: 1-sigma, J, of the energy predicted since the last battery reading.
+    """
+
+    stamp_ns: int
+    power: float
+    sigma: float = math.nan
+    energy: float = math.nan
+    energy_sigma: float = math.nan
+
+
+class Method(Protocol):
+    """What is scored."""
+
+    def add_reading(self, reading: Reading) -> Iterable[Prediction]:
+        """Take one reading; give the predictions it completes, in order of time."""
+
+    def begin_next_drive(self) -> None:
+        """What comes is another drive of the same car."""
+
+    def combinations(self) -> Mapping[str, Estimate]:
+        """What is known of the car, by the names of `truth.NAMES`; empty if nothing is."""
+
+
+Factory: TypeAlias = Callable[[Vehicle], Method]
+
+
+class OnlineChain:
+    """Our estimator and energy account, as `evpinn replay` runs them."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start at the vehicle's priors."""
+        self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(_no_clock))
+        self._variance_measured = 0.0  # J^2, of the energy up to the last battery reading
+
+    def add_reading(self, reading: Reading) -> Iterable[Prediction]:
+        """The `power/smoothed` that the reading completes, each with the energy up to it."""
+        smoothed: PowerEstimate | None = None
+        for output in self._chain.push(reading):
+            if isinstance(output, PowerEstimate) and output.kind is PowerKind.SMOOTHED:
+                smoothed = output
+            elif isinstance(output, EnergyState) and smoothed is not None:
+                variance = max(output.consumed_sigma**2 - self._variance_measured, 0.0)
+                yield Prediction(
+                    smoothed.stamp_ns,
+                    smoothed.power,
+                    smoothed.sigma,
+                    output.predicted.energy,
+                    math.sqrt(variance),
+                )
+        if isinstance(reading, BatteryReading):
+            self._variance_measured = self._chain.account.state.consumed_sigma**2
+
+    def begin_next_drive(self) -> None:
+        """Keep what was learned of the car."""
+        self._chain.begin_next_drive()
+        self._variance_measured = 0.0
+
+    def combinations(self) -> Mapping[str, Estimate]:
+        """The published combinations.
+
+        C_rr m/eta is the product of two of them, whose errors are taken as independent.
+        """
+        found = self._chain.estimator.parameters()
+        value, std = found.identifiable, found.identifiable_std
+        rolling = value.c_rr * value.mass_over_eta
+        share = math.hypot(std.c_rr / value.c_rr, std.mass_over_eta / value.mass_over_eta)
+        p_aux = found.parameters["p_aux"]
+        return {
+            "mass_over_eta": (value.mass_over_eta, std.mass_over_eta),
+            "regeneration": (value.regeneration, std.regeneration),
+            "rolling_over_eta": (rolling, rolling * share),
+            "drag_area_over_eta": (value.drag_area_over_eta, std.drag_area_over_eta),
+            "p_aux": (p_aux.value, p_aux.std),
+        }
+
+
+def _no_clock() -> float:
+    """Updates are not timed here."""
+    return 0.0

@@ -1,0 +1,55 @@
+"""What was made of the columns of a table, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from evpinn_ros.cli.console import note
+from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.open_drive import DriveSource
+from evpinn_ros.replay.sources import Source
+
+
+def explain_columns(source: Source) -> None:
+    """Say what was guessed of a table; of one with our own names what is not used."""
+    if not isinstance(source, DriveSource):
+        return
+    drive = source.drive
+    guessed = [rule for rule in drive.rules if rule.why]
+    if not guessed:
+        if drive.ignored:
+            note(f"{source.path}: columns not used: {shorter(drive.ignored)}")
+        return
+    note(f"{source.path}: columns were found by their names and values:")
+    for rule in drive.rules:
+        note(f"  {_line(rule)}")
+    if drive.ignored:
+        note(f"  not used: {shorter(drive.ignored)}")
+    note("  if one is wrong: --column speed='NAME:km/h', --column current='NAME:-A', ...")
+
+
+def explain_notes(source: Source) -> None:
+    """Say what turned out on reading."""
+    for text in getattr(source, "notes", ()):
+        note(text if text.startswith(str(source.path)) else f"{source.path}: {text}")
+
+
+def shorter(names: Sequence[str]) -> str:
+    """Names in a list, those that differ by a number alone as the first and the last of them."""
+    runs: list[list[str]] = []
+    for name in names:
+        if runs and _stem(name) == _stem(runs[-1][-1]) != name:
+            runs[-1].append(name)
+        else:
+            runs.append([name])
+    told = (f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(run) for run in runs)
+    return ", ".join(told)
+
+
+def _stem(name: str) -> str:
+    return name.rstrip("0123456789")
+
+
+def _line(rule: Column) -> str:
+    told = f", {rule.unit}, {rule.why}" if rule.why else ""
+    return f"{rule.quantity}: {rule.name!r}{told}"

@@ -1,0 +1,87 @@
+"""Which of the columns that could be the time is the best one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import permutations
+
+import numpy as np
+
+from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.numbers import Style
+from evpinn_ros.drives.quantities import QUANTITIES, score
+from evpinn_ros.drives.survey import Survey
+from evpinn_ros.drives.times import (
+    DAY_NS,
+    NONE,
+    Clock,
+    clock_of_numbers,
+    clock_of_text,
+    is_newest_first,
+)
+
+
+def choose_clock(
+    found: Sequence[Column], survey: Survey, styles: Mapping[int, Style], header: Sequence[str]
+) -> Clock | None:
+    """The clock of a table; None when no column of time can be read.
+
+    The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
+    `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
+
+    Args:
+        found: columns of quantity `time`, among others.
+        survey: their cells.
+        styles: of their numbers.
+        header: names of all columns.
+    """
+    columns = [column for column in found if column.quantity == "time"]
+    clocks = [clock for column in columns if (clock := _clock(column, survey, styles))]
+    by_place = {clock.columns[0]: clock for clock in clocks}
+    for date, time in permutations(clocks, 2):
+        # A date in one column and the time of day in another; half a clock each.
+        if _is_day_alone(date, survey) and time.kind == "time of day":
+            cells = [survey.cells[date.columns[0]], survey.cells[time.columns[0]]]
+            if joined := clock_of_text((date.columns[0], time.columns[0]), cells):
+                by_place[date.columns[0]] = joined
+    merits = {
+        clock: _merit(clock, survey, header)
+        for clock in by_place.values()
+        if not _is_day_alone(clock, survey)
+    }
+    return max(merits, key=lambda clock: merits[clock], default=None)
+
+
+def _clock(column: Column, survey: Survey, styles: Mapping[int, Style]) -> Clock | None:
+    cells = survey.cells[column.place]
+    own = column.name == QUANTITIES["time"].column
+    numbers = clock_of_numbers(column.place, cells, styles[column.place], column.unit or None)
+    if own:  # its name says seconds; cells that are none are counted one by one
+        return numbers or Clock((column.place,), "number", style=styles[column.place])
+    return numbers or clock_of_text((column.place,), [cells])
+
+
+def _is_day_alone(clock: Clock, survey: Survey) -> bool:
+    """Whether the column holds dates without a clock, or with that of midnight."""
+    if clock.kind != "date" or len(clock.columns) > 1:
+        return False
+    stamps = clock.stamps([survey.cells[clock.columns[0]]])
+    known = stamps[stamps != NONE]
+    return known.size > 1 and not (known % DAY_NS).any()
+
+
+def _merit(clock: Clock, survey: Survey, header: Sequence[str]) -> tuple[float, ...]:
+    stamps = clock.stamps([survey.cells[place] for place in clock.columns])
+    if is_newest_first(stamps[stamps != NONE]):
+        stamps = stamps[::-1]
+    if unwrapped := clock.unwrapped:
+        stamps = unwrapped.add(stamps)
+    known = stamps[stamps != NONE]
+    steps = np.diff(known)
+    return (
+        round(known.size / max(1, stamps.size), 1),
+        -float((steps < 0).sum()),
+        float(clock.dated),
+        round(float((steps > 0).mean()) if steps.size else 0.0, 1),
+        score("time", header[clock.columns[0]]),
+    )

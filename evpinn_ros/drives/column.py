@@ -1,0 +1,150 @@
+"""A column of a table that is used, and what a person may say about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from evpinn_ros.drives.quantities import BY_COLUMN, QUANTITIES, Unit, known_unit, score, unit_of
+from evpinn_ros.errors import InputError
+
+SIGNED = ("current", "power")
+LONGEST_LIST = 200  # characters of column names in a message
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column that is used.
+
+    Attributes:
+        quantity: of `QUANTITIES`.
+        name: in the file.
+        factor: to SI.
+        unit: that of the file, with a minus where the sign is turned.
+        why: the unit is believed; empty when the name is one of ours.
+        offset: to SI, added after the factor.
+        place: of the column in the file, from 0.
+    """
+
+    quantity: str
+    name: str
+    factor: float = 1.0
+    unit: str = ""
+    why: str = ""
+    offset: float = 0.0
+    place: int = 0
+
+    def measured_in(self, text: str, unit: Unit, why: str) -> Column:
+        """The same column, its unit known."""
+        return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
+
+
+def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column]:
+    """The columns of a header that are used, those for the time all: their cells decide.
+
+    Args:
+        header: names of the columns.
+        chosen: `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign.
+
+    Raises:
+        InputError: a choice that names no quantity, no column or no unit, or a bracketed unit
+            that is not known.
+    """
+    own = [
+        Column(BY_COLUMN[name], name, place=i)
+        for i, name in enumerate(header)
+        if name in BY_COLUMN
+    ]
+    told = [_chosen(text, header) for text in chosen]
+    known = {column.quantity for column in told}
+    found = [column for column in own if column.quantity not in known] + told
+    if len({column.quantity for column in own}) < len(own):
+        raise InputError("a column is there twice")
+    if is_complete({column.quantity for column in found}):
+        return found
+    known = {column.quantity for column in found}
+    taken = {column.place for column in found}
+    for quantity in QUANTITIES:
+        if quantity in known:
+            continue
+        if quantity == "time":
+            names = [i for i in range(len(header)) if score(quantity, header[i]) > 0]
+            found += [_by_name(quantity, header, i) for i in names if i not in taken]
+            continue
+        # Power is voltage times current: of a stranger's file it is not needed then.
+        if quantity == "power" and {"voltage", "current"} <= known:
+            continue
+        scores = {i: score(quantity, header[i]) for i in range(len(header)) if i not in taken}
+        best = max(scores, key=lambda i: scores[i], default=None)
+        if best is not None and scores[best] > 0:
+            found.append(_by_name(quantity, header, best))
+            known.add(quantity)
+            taken.add(best)
+    return found
+
+
+def is_complete(quantities: set[str]) -> bool:
+    """Whether all that is needed is there: other columns of such a file are not guessed at."""
+    battery = "power" in quantities or {"voltage", "current"} <= quantities
+    return battery and {"time", "speed"} <= quantities
+
+
+def check_columns(found: Sequence[Column], header: Sequence[str]) -> None:
+    """Refuse a table without what is needed.
+
+    Raises:
+        InputError: with the option that would mend it.
+    """
+    quantities = {column.quantity for column in found}
+    there = f"there are {', '.join(header)[:LONGEST_LIST]}"
+    if missing := [name for name in ("time", "speed") if name not in quantities]:
+        say = " ".join(f"--column {name}=NAME" for name in missing)
+        raise InputError(f"no column of {' and '.join(missing)}; {there}; say {say}")
+    if not is_complete(quantities):
+        one = [name for name in ("voltage", "current") if name in quantities]
+        lacks = f"a column of {one[0]} alone" if one else "no columns of voltage and current"
+        raise InputError(f"{lacks}, and none of power; {there}; say --column power=NAME")
+
+
+def _chosen(text: str, header: Sequence[str]) -> Column:
+    quantity, _, rest = text.partition("=")
+    if quantity not in QUANTITIES or not rest:
+        known = ", ".join(QUANTITIES)
+        raise InputError(f"--column {text}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {known}")
+    name, unit = (rest, "") if rest in header else (*rest.rpartition(":")[::2],)
+    if name not in header:
+        raise InputError(f"--column {text}: no such column; there are {', '.join(header)}")
+    place = list(header).index(name)
+    if not unit:
+        told, meant = unit_of(quantity, name)
+        column = Column(quantity, name, why="as told", place=place)
+        return column.measured_in(told, meant, "as told") if meant else column
+    meant = known_unit(quantity, unit.lower().lstrip("-"))
+    if meant is None:
+        raise InputError(f"--column {text}: the unit is one of {_spellings(quantity)}")
+    column = Column(quantity, name, place=place).measured_in(unit, meant, "as told")
+    return turned(column) if unit.startswith("-") else column
+
+
+def turned(column: Column) -> Column:
+    """The column with the other sign."""
+    return replace(column, factor=-column.factor, offset=-column.offset)
+
+
+def _by_name(quantity: str, header: Sequence[str], place: int) -> Column:
+    """A column with the unit that its name tells, or none."""
+    name = header[place]
+    text, unit = unit_of(quantity, name)
+    column = Column(quantity, name, place=place)
+    if unit is not None:
+        return column.measured_in(text, unit, "by its name")
+    if text and quantity != "time":
+        raise InputError(
+            f"column {name!r}: the unit [{text}] of {quantity} is not known; say "
+            f"--column '{quantity}={name}:UNIT' with one of {_spellings(quantity)}"
+        )
+    return column
+
+
+def _spellings(quantity: str) -> str:
+    return ", ".join(QUANTITIES[quantity].units)

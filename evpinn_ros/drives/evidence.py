@@ -1,0 +1,307 @@
+"""Units and signs that no name tells, by what is in the columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.drives.column import SIGNED, Column
+from evpinn_ros.drives.quantities import QUANTITIES, UNITS_OF_APPS, Unit
+from evpinn_ros.signals.readings import NANOSECONDS
+
+FASTEST = 62.0  # m/s: what is larger is no speed of a car in m/s
+STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no speed in m/s
+LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
+EVENT = 0.3  # m/s^2 from which on it is accelerating or braking
+LONGEST_STEP = 10.0  # s between two speeds that still tell an acceleration
+CRUISING = 5.0  # m/s: a car that goes faster takes from its battery in the mean
+LEAST_CRUISE = 30  # readings of such a mean
+SAME_ROAD = 0.2  # logarithm of ways by speed and by odometer; mph is 0.48 from km/h
+LEAST_SEGMENTS = 3  # from one step of the odometer to the next
+SAG = 0.3  # correlation of current and voltage from which on the battery's resistance is seen
+LEAST_SAGS = 30  # steps of both
+STANDING = 1000.0  # m by the odometer that a speed of zero throughout contradicts
+LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass
+USUAL_MASS = 2000.0  # kg
+WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
+HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """What was looked at of a column: times, s, and values in the file's unit; shape (n,)."""
+
+    time: FloatArray
+    value: FloatArray
+
+
+def with_units(
+    found: Mapping[str, Column], cells: Mapping[str, Signal], header: frozenset[str]
+) -> dict[str, Column]:
+    """The columns, each with a unit and a sign.
+
+    Args:
+        found: columns by quantity; those without a unit are completed.
+        cells: what is in them.
+        header: names of all columns, which may tell the app.
+    """
+    done = {name: _by_app(column, header) for name, column in found.items()}
+    if "odometer" in done and not done["odometer"].unit:
+        done["odometer"] = done["odometer"].measured_in("km", Unit(1e3), "assumed")
+    if "power" in done and not done["power"].unit and not _is_known(done["power"]):
+        done["power"] = _power_unit(done["power"], cells["power"].value)
+    if "speed" in done and not _is_known(done["speed"]):
+        done["speed"] = _speed_unit(done["speed"], cells, _road(done, cells), done)
+    for name in SIGNED:
+        if name in done and _is_guessed(done[name]):
+            positive, shows = _sign(cells[name], done["speed"], cells)
+            done[name] = _say_sign(done[name], positive, shows)
+    if "charge" in done and not _is_known(done["charge"]):
+        done["charge"] = _charge_unit(done["charge"], cells["charge"].value)
+    if "ambient" in done and not _is_known(done["ambient"]):
+        done["ambient"] = _temperature_unit(done["ambient"], cells["ambient"].value)
+    for name, column in done.items():
+        if not _is_known(column):
+            text, unit = next(iter(QUANTITIES[name].units.items()))
+            done[name] = column.measured_in(text, unit, "assumed")
+    return done
+
+
+def _is_known(column: Column) -> bool:
+    return bool(column.unit) or column.name == QUANTITIES[column.quantity].column
+
+
+def _is_guessed(column: Column) -> bool:
+    """Whether neither its name nor a person says how a column is to be read."""
+    return column.why != "as told" and column.name != QUANTITIES[column.quantity].column
+
+
+def _by_app(column: Column, header: frozenset[str]) -> Column:
+    for mark, units in UNITS_OF_APPS.items():
+        if mark in header and column.name in units and not column.unit:
+            text = units[column.name]
+            return column.measured_in(
+                text, QUANTITIES[column.quantity].units[text], f"as beside {mark!r}"
+            )
+    return column
+
+
+def _road(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:
+    """Metres by the odometer over the integral of speed in the file's unit; NaN if not known.
+
+    A low quantile over the ways from one step of the odometer to the next: where a phone has lost
+    its GPS the speed is zero for a while, so a way is too short or right.
+    """
+    if "odometer" not in found:
+        return np.nan
+    counted, speed = cells["odometer"], cells["speed"]
+    known = np.isfinite(counted.time) & (counted.value > 0)
+    time, value = counted.time[known], counted.value[known]
+    steps = np.flatnonzero(np.diff(value) > 0) + 1
+    known = np.isfinite(speed.time) & np.isfinite(speed.value)
+    if steps.size <= LEAST_SEGMENTS or known.sum() < LEAST_EVENTS:
+        return np.nan
+    times, span = speed.time[known], np.diff(speed.time[known])
+    middle = 0.5 * np.abs(speed.value[known][1:] + speed.value[known][:-1])
+    way = np.concatenate(([0.0], np.cumsum(middle * span)))
+    gaps = np.concatenate(([0.0], np.cumsum(span > LONGEST_STEP)))
+    ways = np.diff(np.interp(time[steps], times, way))
+    whole = (np.diff(np.interp(time[steps], times, gaps)) == 0) & (ways > 0)
+    if whole.sum() < LEAST_SEGMENTS:
+        return np.nan
+    ratios = np.diff(value[steps])[whole] * found["odometer"].factor / ways[whole]
+    return float(np.quantile(ratios, 0.25))
+
+
+def _mass(speed: Signal, power: Signal) -> float:
+    """Power over speed times acceleration in the file's units of speed; NaN where they differ.
+
+    The change of kinetic energy is most of a car's power, so this is its mass, kg, where the
+    speed is in m/s, and a thirteenth of it where it is in km/h.
+    """
+    times, change = accelerations(speed)
+    kinetic = change * at_times(speed, times)
+    drawn = at_times(power, times)
+    known = np.isfinite(kinetic) & np.isfinite(drawn)
+    if known.sum() < LEAST_EVENTS or not kinetic[known].any() or not np.ptp(drawn[known]):
+        return np.nan
+    spread = np.cov(kinetic[known], drawn[known])
+    if abs(spread[0, 1]) < LIKE * np.sqrt(spread[0, 0] * spread[1, 1]):
+        return np.nan
+    return float(abs(spread[0, 1]) / spread[0, 0])
+
+
+def _power_of(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signal | None:
+    """Power of the battery, W, its sign unknown."""
+    if {"voltage", "current"} <= cells.keys():
+        current = cells["current"]
+        scale = found["voltage"].factor * found["current"].factor
+        volts = at_times(cells["voltage"], current.time)
+        return Signal(current.time, scale * current.value * volts)
+    if "power" in cells:
+        return Signal(cells["power"].time, cells["power"].value * found["power"].factor)
+    return None
+
+
+def _speed_unit(
+    column: Column, cells: Mapping[str, Signal], road: float, found: Mapping[str, Column]
+) -> Column:
+    signal, odometer = cells["speed"], found.get("odometer")
+    units = QUANTITIES["speed"].units
+    if road > 0:
+        ratios = {text: abs(np.log(units[text].factor / road)) for text in ("km/h", "mph", "m/s")}
+        text = min(ratios, key=lambda each: ratios[each])
+        if ratios[text] < SAME_ROAD:
+            return column.measured_in(text, units[text], "by the odometer")
+    if odometer is not None and odometer.why == "by its name":
+        text = "mph" if odometer.unit.startswith("mi") else "km/h"
+        return column.measured_in(text, units[text], "as the unit of the odometer")
+    power = _power_of(found, cells)
+    mass = _mass(signal, power) if power is not None else np.nan
+    if mass > 0:
+        masses = {text: mass / units[text].factor ** 2 for text in ("km/h", "m/s")}
+        text = min(masses, key=lambda each: abs(np.log(masses[each] / USUAL_MASS)))
+        if abs(np.log(masses[text] / USUAL_MASS)) < np.log(3.0):
+            return column.measured_in(text, units[text], "by the power that accelerating takes")
+    value = signal.value[np.isfinite(signal.value)]
+    fastest = float(np.abs(value).max(initial=0.0))
+    changes = np.sort(np.abs(accelerations(signal)[1]))
+    strongest = changes[int(0.99 * changes.size)] if changes.size else 0.0
+    if fastest > FASTEST or strongest > STRONGEST:
+        why = "by its size" if fastest > FASTEST else "by how fast it changes"
+        return column.measured_in("km/h", units["km/h"], why)
+    if fastest > 1 and value.size > LEAST_EVENTS and not (value % 1).any():
+        return column.measured_in("km/h", units["km/h"], "by its whole numbers")
+    return column.measured_in("m/s", units["m/s"], f"by its size, up to {fastest:.3g}")
+
+
+def stands_still(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> bool:
+    """Whether speed is zero throughout while the odometer goes on: a phone without GPS."""
+    if "odometer" not in found or "speed" not in cells:
+        return False
+    speed, odometer = cells["speed"].value, cells["odometer"].value
+    odometer = odometer[odometer > 0]
+    way = float(np.ptp(odometer)) * found["odometer"].factor if odometer.size else 0.0
+    return way >= STANDING and not np.nan_to_num(speed).any()
+
+
+def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
+    """Change of speed over about a second or one step, and the middle of it, s.
+
+    Returns:
+        times, and unit of the speed per second; shape (n,) each.
+    """
+    known = np.isfinite(speed.time) & np.isfinite(speed.value)
+    time, value = speed.time[known], speed.value[known]
+    if time.size < 3:
+        return np.empty(0), np.empty(0)
+    steps = np.diff(time)
+    typical = np.median(steps[steps > 0]) if (steps > 0).any() else 1.0
+    stride = int(np.clip(round(1.0 / typical), 1, 1000)) if typical > 0 else 1
+    span = time[stride:] - time[:-stride]
+    near = (span > 0.2) & (span <= LONGEST_STEP)
+    change = (value[stride:] - value[:-stride])[near] / span[near]
+    return 0.5 * (time[stride:] + time[:-stride])[near], change
+
+
+def at_times(signal: Signal, times: FloatArray) -> FloatArray:
+    """The signal at other times by interpolation; NaN where none of its own is near."""
+    known = np.isfinite(signal.time) & np.isfinite(signal.value)
+    time, value = signal.time[known], signal.value[known]
+    if time.size < 2:
+        return np.full(times.shape, np.nan)
+    order = np.argsort(time, kind="stable")
+    time, value = time[order], value[order]
+    found = np.interp(times, time, value)
+    after = np.clip(np.searchsorted(time, times), 1, time.size - 1)
+    far = (time[after] - time[after - 1] > LONGEST_STEP) | (times < time[0]) | (times > time[-1])
+    found[far] = np.nan
+    return found
+
+
+def _sign(drawn: Signal, speed: Column, cells: Mapping[str, Signal]) -> tuple[bool, str]:
+    """Whether a current or power is positive while the battery discharges, and what shows it."""
+    if "voltage" in cells and (sag := _sag(drawn, cells["voltage"])) != 0.0:
+        return sag < 0, "as the voltage shows"
+    times, change = accelerations(cells["speed"])
+    at, change = at_times(drawn, times), change * speed.factor
+    taken = at[(change > EVENT) & np.isfinite(at)]
+    given = at[(change < -EVENT) & np.isfinite(at)]
+    if min(taken.size, given.size) >= LEAST_EVENTS:
+        return bool(taken.mean() > given.mean()), "as accelerating shows"
+    fast = at_times(cells["speed"], drawn.time) * speed.factor > CRUISING
+    cruise = drawn.value[fast & np.isfinite(drawn.value)]
+    if cruise.size < LEAST_CRUISE or cruise.mean() == 0:
+        return True, "assumed"
+    return bool(cruise.mean() > 0), "as driving shows"
+
+
+def _sag(current: Signal, voltage: Signal) -> float:
+    """Correlation of the steps of current and voltage, which falls under load; 0 if not clear."""
+    at = at_times(voltage, current.time)
+    known = np.isfinite(at) & np.isfinite(current.value)
+    amps, volts = np.diff(current.value[known]), np.diff(at[known])
+    near = np.diff(current.time[known]) <= LONGEST_STEP
+    amps, volts = amps[near], volts[near]
+    if amps.size < LEAST_SAGS or not amps.any() or not volts.any():
+        return 0.0
+    found = float(np.corrcoef(amps, volts)[0, 1])
+    return found if abs(found) > SAG else 0.0
+
+
+def _say_sign(column: Column, positive: bool, shows: str) -> Column:
+    text = column.unit or next(iter(QUANTITIES[column.quantity].units))
+    unit = QUANTITIES[column.quantity].units.get(text)
+    factor = column.factor if column.unit or unit is None else unit.factor
+    sign = 1.0 if positive else -1.0
+    return replace(
+        column,
+        factor=sign * factor,
+        unit=text if positive else f"-{text}",
+        why=f"{'positive' if positive else 'negative'} while it discharges, {shows}",
+    )
+
+
+def _power_unit(column: Column, values: FloatArray) -> Column:
+    """Watts, or kilowatts where they would not move a car."""
+    units = QUANTITIES["power"].units
+    known = np.abs(values[np.isfinite(values)])
+    largest = float(np.quantile(known, 0.99)) if known.size else 0.0
+    text = "kw" if 0 < largest < WEAKEST else "w"
+    return column.measured_in(text, units[text], f"by its size, up to {largest:.3g}")
+
+
+def _charge_unit(column: Column, values: FloatArray) -> Column:
+    units = QUANTITIES["charge"].units
+    known = values[np.isfinite(values)]
+    highest = float(known.max(initial=0.0))
+    if 0 < highest <= 1.0:
+        return column.measured_in("fraction", units["fraction"], "by its size")
+    if np.median(known) > 100.0 if known.size else False:
+        # LeafSpy counts 1/10000 of a percent.
+        factor = 10.0 ** -np.ceil(np.log10(highest / 101.0))
+        unit = units["%"]._replace(factor=float(factor))
+        return column.measured_in(f"{factor:g} %", unit, "by its size")
+    return column.measured_in("%", units["%"], "by its size")
+
+
+def _temperature_unit(column: Column, values: FloatArray) -> Column:
+    units = QUANTITIES["ambient"].units
+    known = values[np.isfinite(values)]
+    middle = float(np.median(known)) if known.size else 0.0
+    if middle > HOTTEST:
+        return column.measured_in(
+            "f", units["f"], f"{middle:.3g} in the median is no weather in C"
+        )
+    return column.measured_in("c", units["c"], f"{middle:.3g} in the median, assumed")
+
+
+def seconds(stamps_ns: NDArray[np.int64], first_ns: int) -> FloatArray:
+    """Times as floats, since the first."""
+    found: FloatArray = (stamps_ns - first_ns) / NANOSECONDS
+    return found

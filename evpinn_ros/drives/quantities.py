@@ -1,0 +1,284 @@
+"""What the columns of log apps are called and in which units they come, as one table.
+
+A name is matched by its words: `Battery DC Current (A)`, `pack_current_a`, `v.b.current` and
+`Batteriestrom [A]` are all the battery's current. Sources of the names: exports of Car Scanner and
+LeafSpy; Torque's header lines as read by torque-visualizer and torque2influx; OBD Fusion's
+`# StartTime` preamble; OVMS' metrics (docs.openvehicles.com, "Standard Metrics"); the telemetry
+fields of ABRP (documenter.getpostman.com, "Iternio Telemetry API"); TeslaMate's table `positions`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+import math
+import re
+from typing import NamedTuple
+
+
+class Unit(NamedTuple):
+    """A unit: the SI value is the number in the file times `factor` plus `offset`."""
+
+    factor: float
+    offset: float = 0.0
+
+
+class Quantity(NamedTuple):
+    """What a column may hold.
+
+    Attributes:
+        column: the name that needs no guessing, with the unit in it.
+        words: phrases of which a name must have one.
+        needs: phrases of which it must have one as well; empty for none.
+        better: that speak for a name.
+        worse: that speak against it, where another one is there.
+        never: that rule a name out.
+        units: by their lower-case spelling; the first is taken when nothing tells.
+    """
+
+    column: str
+    words: tuple[str, ...]
+    needs: tuple[str, ...]
+    better: tuple[str, ...]
+    worse: tuple[str, ...]
+    never: tuple[str, ...]
+    units: Mapping[str, Unit]
+
+
+def _phrases(text: str) -> tuple[str, ...]:
+    return tuple(phrase.strip() for phrase in text.split(",") if phrase.strip())
+
+
+def _units(**factors: float) -> dict[str, Unit]:
+    return {name: Unit(factor) for name, factor in factors.items()}
+
+
+_KMH, _MPH, _KNOT = Unit(1 / 3.6), Unit(0.44704), Unit(1852 / 3600)
+_SPEED = {"m/s": Unit(1.0), "mps": Unit(1.0), "ms": Unit(1.0), "meters/second": Unit(1.0)}
+_SPEED |= dict.fromkeys(("km/h", "kmh", "kph", "kmph", "km/hr", "kilometers/hour"), _KMH)
+_SPEED |= dict.fromkeys(("mph", "mi/h", "mi/hr", "miles/hour"), _MPH)
+_SPEED |= dict.fromkeys(("kn", "kt", "kts", "knots"), _KNOT)
+_TIME = _units(s=1.0, sec=1.0, seconds=1.0, ms=1e-3, us=1e-6, µs=1e-6, ns=1e-9, min=60.0, h=3600.0)
+_POWER = _units(w=1.0, kw=1e3, watts=1.0, kilowatts=1e3)
+_CELSIUS, _FAHRENHEIT = Unit(1.0), Unit(5 / 9, -160 / 9)
+_TEMPERATURE = dict.fromkeys(("c", "°c", "℃", "degc", "deg c", "celsius"), _CELSIUS)
+_TEMPERATURE |= dict.fromkeys(("f", "°f", "℉", "degf", "deg f", "fahrenheit"), _FAHRENHEIT)
+_TEMPERATURE |= {"k": Unit(1.0, -273.15)}
+_LENGTH = _units(m=1.0, meters=1.0, ft=0.3048, feet=0.3048)
+_DISTANCE = _units(km=1e3, kilometers=1e3, mi=1609.344, miles=1609.344, m=1.0)
+_PERCENT = {"%": Unit(1.0), "pct": Unit(1.0), "percent": Unit(1.0), "fraction": Unit(100.0)}
+
+_BATTERY = "battery,batt,bat,pack,hv,traction,dc,total,v b"
+_OTHERS = (
+    "motor,engine,cell,min,max,limit,charger,aux,auxiliary,lv,12v,phase,target,set,heating,heater,"
+    "htr,aircon,ac,a c,regen,available,fan,accuracy,acc,wind,rear,gps2,temp,temperature,module,"
+    "adapter,avg,average,obc,dcdc,evse,steering,sensor,throttle"
+)
+_NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
+
+QUANTITIES: Mapping[str, Quantity] = {
+    "time": Quantity(
+        "t_s",
+        _phrases(
+            "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,elapsed,stamp,utc,epoch"
+        ),
+        (),
+        _phrases("time,timestamp,elapsed,epoch"),
+        _phrases("since,trip"),
+        _phrases("charging,remaining,left,to full,charge,max,min,parking"),
+        _TIME,
+    ),
+    "speed": Quantity(
+        "speed_mps",
+        _phrases(
+            "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph"
+        ),
+        (),
+        _phrases("vehicle,car,obd,v p"),
+        _phrases("gps,gnss,ground"),
+        _phrases(_OTHERS + ",wheel,shaft,rpm,angular,air"),
+        _SPEED,
+    ),
+    "voltage": Quantity(
+        "voltage_v",
+        _phrases("voltage,volt,volts,spannung,batteriespannung"),
+        (),
+        _phrases(_BATTERY),
+        (),
+        _phrases(_OTHERS + ",12,control"),
+        _units(v=1.0, volts=1.0, mv=1e-3),
+    ),
+    "current": Quantity(
+        "current_a",
+        _phrases("current,amps,ampere,amperage,strom,batteriestrom"),
+        (),
+        _phrases(_BATTERY),
+        (),
+        _phrases(_OTHERS),
+        _units(a=1.0, amps=1.0, ma=1e-3),
+    ),
+    "power": Quantity(
+        "power_w",
+        _phrases("power,pwr,leistung,kw"),
+        (),
+        _phrases(_BATTERY),
+        (),
+        _phrases(_OTHERS + ",sw"),
+        _POWER,
+    ),
+    "elevation": Quantity(
+        "elevation_m",
+        _phrases("elevation,altitude,alt,elv,height,höhe"),
+        (),
+        _phrases("v p"),
+        (),
+        _phrases("accuracy,error"),
+        _LENGTH,
+    ),
+    "ambient": Quantity(
+        "ambient_c",
+        _phrases("ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp"),
+        (),
+        _phrases("temperature,temp,air"),
+        (),
+        _phrases("pressure,humidity,light"),
+        _TEMPERATURE,
+    ),
+    "heating": Quantity(
+        "heating_w",
+        _phrases("heating,heater,htr,heizung"),
+        _phrases("power,pwr,leistung,w,kw"),
+        (),
+        _phrases("est"),
+        _phrases("can,no,on," + _NO_POWER),
+        _POWER,
+    ),
+    "aircon": Quantity(
+        "aircon_w",
+        _phrases("aircon,airconditioning,air conditioning,a c,ac,climate"),
+        _phrases("power,pwr,leistung,w,kw"),
+        (),
+        _phrases("est"),
+        _phrases("charger,motor,charge,heater,heating,htr," + _NO_POWER),
+        _POWER,
+    ),
+    "auxiliary": Quantity(
+        "auxiliary_w",
+        _phrases("aux,auxiliary"),
+        _phrases("power,pwr,w,kw"),
+        (),
+        (),
+        _phrases(_NO_POWER + ",battery,bat"),
+        _POWER,
+    ),
+    "charge": Quantity(
+        "soc_pct",
+        _phrases("soc,stateofcharge,state of charge,battery level,ladezustand"),
+        (),
+        _phrases("battery,displayed,display,hv"),
+        _phrases("usable"),
+        _phrases("min,max,target,limit,health,cell"),
+        _PERCENT,
+    ),
+    "motor_torque": Quantity(
+        "motor_torque_nm",
+        _phrases("motor torque,motortorque,inverter torque"),
+        (),
+        (),
+        (),
+        _phrases("request,requested,target,limit,max,min"),
+        _units(nm=1.0),
+    ),
+    "motor_speed": Quantity(
+        "motor_speed_rad_s",
+        _phrases("motor speed,motorspeed,motor rpm"),
+        (),
+        (),
+        (),
+        _phrases("request,requested,target,limit,max,min,vehicle"),
+        {"rad/s": Unit(1.0), "rpm": Unit(math.pi / 30), "1/min": Unit(math.pi / 30)},
+    ),
+    "odometer": Quantity(
+        "odometer_km",
+        _phrases("odo,odometer,kilometerstand,v p odometer"),
+        (),
+        (),
+        (),
+        _phrases("temperature,since"),
+        _DISTANCE,
+    ),
+}
+BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
+# In brackets behind a name, but no unit: where the number comes from.
+QUALIFIERS = frozenset(_phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real"))
+
+# An unmistakable column of an app whose other names do not tell their units. LeafSpy writes the
+# ambient temperature in degrees F beside packs in both ("LeafSpy Log file format", lstech.io).
+UNITS_OF_APPS: Mapping[str, Mapping[str, str]] = {"Gids": {"Ambient": "f"}}
+
+
+@lru_cache(maxsize=4096)
+def words_of(name: str) -> tuple[str, tuple[str, ...]]:
+    """The words of a name between spaces, and what it has in brackets, in lower case.
+
+    A bracket at the start names a control unit (`[LEAF] HV Battery Current(A)`), not a unit.
+    """
+    rest = re.sub(r"^\s*\[[^\]]*\]", "", name)
+    brackets = re.findall(r"[\[(]([^\])]*)[\])]", rest)
+    bare = re.sub(r"[\[(][^\])]*[\])]?", " ", rest)
+    bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
+    words = re.findall(r"[^\W_]+", bare.lower())
+    return f" {' '.join(words)} ", tuple(text.strip().lower() for text in brackets)
+
+
+@lru_cache(maxsize=65536)
+def score(quantity: str, name: str) -> float:
+    """How much a name speaks for a quantity; 0 when it is none."""
+    known = QUANTITIES[quantity]
+    words, brackets = words_of(name)
+    # A bracket that qualifies, as in `Voltage (OBD Adapter)(V)`, is part of the name.
+    for text in brackets[:-1]:
+        words += f"{text} "
+
+    def has(phrases: tuple[str, ...]) -> int:
+        return sum(f" {phrase} " in words for phrase in phrases)
+
+    spelled = words if not brackets else f"{words}{re.sub(r'[^a-z]', '', brackets[-1])} "
+    needed = not known.needs or any(f" {phrase} " in spelled for phrase in known.needs)
+    if not has(known.words) or has(known.never) or not needed:
+        return 0.0
+    return 1.0 + has(known.better) - 0.5 * min(1, has(known.worse))
+
+
+def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
+    """The unit that a name tells, as it is spelled; none when it tells none.
+
+    Returns:
+        its spelling and what it means; (spelling, None) for a bracket that is no known unit, and
+        ("", None) where nothing is said.
+    """
+    units = QUANTITIES[quantity].units
+    words, brackets = words_of(name)
+    if brackets and (unit := known_unit(quantity, brackets[-1])):
+        return brackets[-1], unit
+    parts = words.split()
+    for text in ("/".join(parts[-2:]), parts[-1] if parts else ""):
+        # A name of one word is the name: "t" is no ton, and "h" no hour.
+        if len(parts) > 1 and text in units:
+            return text, units[text]
+        if len(parts) == 1 and quantity == "speed" and text in units:
+            return text, units[text]
+    unknown = brackets and brackets[-1] and brackets[-1] not in QUALIFIERS
+    return (brackets[-1], None) if unknown else ("", None)
+
+
+def known_unit(quantity: str, text: str) -> Unit | None:
+    """The unit of this spelling; `250w` is 250 of the unit w."""
+    units = QUANTITIES[quantity].units
+    if text in units:
+        return units[text]
+    multiple = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(\D+)", text)
+    if multiple is None or multiple[2] not in units or units[multiple[2]].offset:
+        return None
+    factor = float(multiple[1])
+    return Unit(factor * units[multiple[2]].factor) if factor > 0 else None

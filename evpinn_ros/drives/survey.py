@@ -1,0 +1,192 @@
+"""A look through a whole table before it is read: header, widths of rows, some cells."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Protocol
+
+from evpinn_ros.drives.quantities import QUANTITIES, known_unit, score
+from evpinn_ros.errors import InputError
+
+# The columns of a table with one value a row.
+NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")
+VALUES = ("value", "reading", "wert", "val")
+UNITS = ("units", "unit", "einheit")
+HEADER_WITHIN = 60  # rows
+LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
+NARROW_SHARE = 0.05  # of narrower ones, which leave out empty cells at the end
+ROWS_THAT_TELL = 2000  # whether a table can be read at all
+MOST_CELLS = 500_000  # kept
+MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
+
+Row = tuple[int, list[str]]
+
+
+class Table(Protocol):
+    """Rows of text cells, each with its number in the file."""
+
+    def rows(self) -> Iterator[Row]:
+        """The rows from the first, header and all."""
+
+
+@dataclass(slots=True)
+class Head:
+    """The header of a table.
+
+    Attributes:
+        names: of the columns.
+        row: its number; data begin below it.
+        comments: the lines before it.
+    """
+
+    names: list[str]
+    row: int
+    comments: list[str] = field(default_factory=list)
+
+
+def find_head(table: Table) -> Head:
+    """The first row whose cells are names of ours, a row of units below it joined in.
+
+    Raises:
+        InputError: the table is empty or cannot be read.
+    """
+    rows = list(islice(table.rows(), HEADER_WITHIN))
+    if not rows:
+        raise InputError("the file is empty")
+    place = next((i for i, (_, row) in enumerate(rows) if _names_some(row)), 0)
+    number, row = rows[place]
+    names = [name.strip().strip("\ufeff") for name in row]
+    comments = [",".join(cells) for _, cells in rows[:place]]
+    if place + 1 < len(rows) and (units := _units_row(names, rows[place + 1][1])):
+        number = rows[place + 1][0]
+        names = [
+            f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)
+        ]
+    return Head(names, number, comments)
+
+
+def long_form(head: Head) -> tuple[int, int, int | None] | None:
+    """The columns of names, values and units of a long table; None where it is none."""
+    names = [name.strip().lower() for name in head.names]
+
+    def place(known: Sequence[str]) -> int | None:
+        return next((names.index(each) for each in known if each in names), None)
+
+    name, value = place(NAMES), place(VALUES)
+    if name is None or value is None or name == value:
+        return None
+    return name, value, place(UNITS)
+
+
+def _names_some(row: Sequence[str]) -> bool:
+    """Whether two cells of a row or more are names of quantities."""
+    names = [cell.strip() for cell in row if 0 < len(cell) < 100]
+    names = [name for name in names if not name[0].isdigit()][:1000]
+    found = {
+        quantity
+        for quantity, known in QUANTITIES.items()
+        for name in names
+        if name == known.column or score(quantity, name) > 0
+    }
+    return len(found) >= 2 or ("time" in found and long_form(Head(names, 0)) is not None)
+
+
+def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
+    """The units of a row that holds nothing else; empty when it does."""
+    cells = [cell.strip().strip("[]()") for cell in row]
+    if len(cells) != len(names) or any(
+        character.isdigit() for cell in cells for character in cell
+    ):
+        return []
+    units = {
+        i
+        for i, cell in enumerate(cells)
+        for quantity in QUANTITIES
+        if cell and score(quantity, names[i]) > 0 and known_unit(quantity, cell.lower())
+    }
+    return cells if len(units) >= 2 else []
+
+
+@dataclass(slots=True)
+class Survey:
+    """What was seen of a table.
+
+    Attributes:
+        cells: of each wanted column, in the order of the file, thinned evenly.
+        widths: how many rows have so many cells.
+        width: of the header.
+    """
+
+    cells: dict[int, list[str]]
+    widths: Counter[int]
+    width: int
+
+    def is_whole(self, width: int) -> bool:
+        """Whether a row of so many cells is one of this table and not torn."""
+        if width == self.width:
+            return True
+        least, share = (3, LEAST_SHARE) if width > self.width else (10, NARROW_SHARE)
+        return self.widths[width] >= max(least, share * self.widths.total())
+
+
+def look_through(
+    table: Table,
+    head: Head,
+    wanted: Sequence[int],
+    early: Callable[[Survey], None],
+    limit: int | None = None,
+) -> Survey:
+    """Keep the cells of the wanted columns, every k-th row of a long table.
+
+    Args:
+        table: to read.
+        head: of it.
+        wanted: places of columns.
+        early: called after some rows; it may raise, so that a bomb is not read to its end.
+        limit: of rows to look at, `MOST_ROWS` when None.
+    """
+    widths: Counter[int] = Counter()
+    kept: list[tuple[str, ...]] = []
+    most = max(1000, MOST_CELLS // max(1, len(wanted)))
+    stride = 1
+
+    def seen() -> Survey:
+        columns = list(zip(*kept, strict=True)) if kept else [()] * len(wanted)
+        cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
+        return Survey(cells, widths, len(head.names))
+
+    looked = islice(data_rows(table, head), min(limit or MOST_ROWS, MOST_ROWS))
+    for index, (_, row) in enumerate(_until_broken(looked)):
+        width = len(row)
+        widths[width] += 1
+        if index == ROWS_THAT_TELL:
+            early(seen())
+        if index % stride:
+            continue
+        kept.append(tuple(row[i] if i < width else "" for i in wanted))
+        if len(kept) > most:
+            kept, stride = kept[::2], 2 * stride
+    return seen()
+
+
+def _until_broken(rows: Iterator[Row]) -> Iterator[Row]:
+    """The rows up to where the file breaks off, which is told on reading."""
+    with suppress(InputError):
+        yield from rows
+
+
+def data_rows(table: Table, head: Head) -> Iterator[Row]:
+    """The rows below the header, without comments and further headers."""
+    again = head.names[:5]  # an app that was restarted writes its header again
+    first, begin = head.names[0], head.row
+    for number, row in table.rows():
+        cell = row[0]
+        if number <= begin or cell[:1] == "#":
+            continue
+        if cell.strip() == first and [each.strip() for each in row[:5]] == again:
+            continue
+        yield number, row

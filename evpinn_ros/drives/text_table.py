@@ -1,0 +1,183 @@
+"""Tables of text: CSV and its kin in any encoding, with any separator, plain or `.gz`."""
+
+from __future__ import annotations
+
+import codecs
+from collections import Counter
+from collections.abc import Iterator
+import csv
+import gzip
+from itertools import islice
+from pathlib import Path
+from typing import IO, Any
+import zlib
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.text_lines import LONGEST_LINE
+
+MOST_COLUMNS = 10_000
+MOST_BLANK = 100_000  # lines in a row
+SEPARATORS = ",;\t|"
+LOOKED_AT = 20  # lines that tell the separator
+LOOKED_AT_BYTES = 4096
+PIECE = 1 << 18  # bytes read at once
+BLANK = "\r\n\t ,;"  # what a row of nothing is made of
+
+READ_ERRORS = (OSError, EOFError, zlib.error, ValueError, csv.Error)  # ValueError: no text
+
+Row = tuple[int, list[str]]  # the number of its line in the file, its cells
+
+codecs.register_error(
+    "evpinn-cp1252",
+    # Below an ASCII header a degree sign of Windows may come at any time.
+    lambda error: (
+        (error.object[error.start : error.end].decode("cp1252", "replace"), error.end)
+        if isinstance(error, UnicodeDecodeError)
+        else ("?", getattr(error, "end", 1))
+    ),
+)
+
+
+class TextTable:
+    """A text file with a row a line.
+
+    Attributes:
+        path: of it.
+        torn: lines that are no row, for a quote in them is not closed; complete after `rows`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Find the separator.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        self.path = path
+        self.torn = 0
+        self._encoding = ""
+        self.separator = self._separator()
+
+    def rows(self) -> Iterator[Row]:
+        """Every row that is not blank, comments and all.
+
+        Raises:
+            InputError: it cannot be read further.
+        """
+        self.torn = 0
+        lines = _Lines()
+        try:
+            with self._open() as file:
+                reader = csv.reader(lines.whole(self._texts(file)), delimiter=self.separator)
+                for row in reader:
+                    if len(row) > MOST_COLUMNS:
+                        raise ValueError(f"a row of more than {MOST_COLUMNS} columns")
+                    yield lines.number, row
+        except READ_ERRORS as error:
+            where = f"{self.path}:{lines.number + 1}" if lines.number else str(self.path)
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"{where}: {reason}") from error
+        finally:
+            self.torn = lines.torn
+
+    def _separator(self) -> str:
+        """What a line `sep=;` says, or the sign that most lines have in the same number."""
+        try:
+            with self._open() as file:
+                pieces = _pieces(self._texts(file))
+                lines = list(islice((line for piece, _ in pieces for line in piece), LOOKED_AT))
+        except READ_ERRORS as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"{self.path}: {reason}") from error
+        lines = [line for line in lines if line.strip()]
+        if lines and _says_separator(lines[0]):
+            said = lines[0].strip('\ufeff"\r\n ')[4:]
+            return said[:1] or "\t"
+        counts = {
+            sign: Counter(_outside_quotes(line, sign) for line in lines) for sign in SEPARATORS
+        }
+
+        def merit(sign: str) -> tuple[int, int]:
+            most, times = max(counts[sign].items(), key=lambda each: (each[0] > 0) * each[1])
+            return (times if most else 0, most)
+
+        return max(SEPARATORS, key=merit) if lines else ","
+
+    def _open(self) -> IO[bytes]:
+        opener: Any = gzip.open if self.path.suffix.lower() == ".gz" else Path.open
+        file: IO[bytes] = opener(self.path, "rb")
+        return file
+
+    def _texts(self, file: Any) -> Iterator[str]:
+        """The text of the file, piece by piece; what comes before a damage is not lost."""
+        data = file.read1(PIECE)
+        self._encoding = self._encoding or _encoding(data[:LOOKED_AT_BYTES])
+        errors = "evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace"
+        decoder = codecs.getincrementaldecoder(self._encoding)(errors)
+        while data:
+            yield decoder.decode(data)
+            data = file.read1(PIECE)
+        yield decoder.decode(b"", final=True)
+
+
+class _Lines:
+    """Lines that are whole rows, counted."""
+
+    def __init__(self) -> None:
+        self.number, self.torn = 0, 0
+
+    def whole(self, texts: Iterator[str]) -> Iterator[str]:
+        """The lines that hold a row, read some at a time: line by line takes as long as the rest.
+
+        Raises:
+            ValueError: a line without an end, or nothing but blank ones.
+        """
+        useless = 0  # lines since the last row
+        for piece, quotes in _pieces(texts):
+            for line in piece:
+                self.number += 1
+                if not line.strip(BLANK):
+                    useless += 1
+                # No app writes a cell of two lines; an odd quote would swallow all that follows.
+                elif quotes and line.count('"') % 2:
+                    useless, self.torn = useless + 1, self.torn + 1
+                elif self.number > 1 or not _says_separator(line):
+                    useless = 0
+                    yield line
+                if useless > MOST_BLANK:
+                    what = "a quote that is never closed" if quotes else "nothing"
+                    raise ValueError(f"more than {MOST_BLANK} lines of {what}")
+
+
+def _pieces(texts: Iterator[str]) -> Iterator[tuple[list[str], bool]]:
+    """Whole lines, some at a time, and whether there are quotes in them."""
+    rest = ""
+    for text in texts:
+        rest += text
+        if rest.endswith("\r") and len(rest) < LONGEST_LINE:  # a line feed may follow
+            continue
+        text = rest.replace("\r\n", "\n").replace("\r", "\n").replace("\0", "")
+        *lines, rest = text.split("\n")
+        if max(map(len, lines), default=0) > LONGEST_LINE or len(rest) > LONGEST_LINE:
+            raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
+        yield lines, '"' in text
+    if rest:
+        yield [rest], '"' in rest
+
+
+def _says_separator(line: str) -> bool:
+    """Whether it is the first line of a file that Excel shall split rightly: `sep=;`."""
+    return line.lstrip('\ufeff"').lower().startswith("sep=")
+
+
+def _outside_quotes(line: str, sign: str) -> int:
+    return sum(part.count(sign) for part in line.split('"')[::2])
+
+
+def _encoding(start: bytes) -> str:
+    """UTF-8 unless a mark or the zeros of UTF-16 say otherwise."""
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    even, odd = start[0::2].count(0), start[1::2].count(0)
+    if len(start) > 3 and max(even, odd) > len(start) // 8:
+        return "utf-16-be" if even > odd else "utf-16-le"
+    return "utf-8-sig"

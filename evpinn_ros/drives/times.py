@@ -1,0 +1,354 @@
+"""The clock of a table: dates of any order, 12 h clocks, times of day, seconds since anything.
+
+A format is chosen once, over the whole column: the one that reads most cells, runs backwards least
+and jumps least. polars reads the cells by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from itertools import product
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+import polars as pl
+
+from evpinn_ros.drives.numbers import MISSING, POINT, Style, to_floats
+from evpinn_ros.drives.quantities import QUANTITIES
+from evpinn_ros.signals.readings import NANOSECONDS
+
+NONE = np.iinfo(np.int64).min  # where there is no time
+DAY_NS = 86_400 * NANOSECONDS
+HALF_DAY_NS = DAY_NS // 2
+# Where a drive without a date is placed, 2020-01-01T00:00:00Z: header stamps must not be zero,
+# and the same file must give the same bag. `dated` says that it is no date.
+DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
+LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
+RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
+SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
+MOSTLY = 0.8  # of the steps between rows
+ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
+
+# Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
+# it, unless an AM or PM says that an American wrote it.
+_DATES = {
+    "year, month, day": ("%Y-%m-%d", "%Y%m%d"),
+    "day, month, year": ("%d-%m-%Y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y"),
+    "month, day, year": ("%m-%d-%Y", "%m-%d-%y", "%b-%d-%Y"),
+}
+_CLOCKS_24 = ("%H:%M:%S%.f", "%H:%M")
+_CLOCKS_12 = ("%I:%M:%S%.f %p", "%I:%M %p")
+_ZONES = ("", "%z")
+# Torque's "GPS Time", the text of a Java date: Mon Dec 17 17:46:23 GMT+01:00 2018.
+_JAVA = ("%a-%b-%d %H:%M:%S GMT%z %Y", "%a-%b-%d %H:%M:%S UTC %Y")
+
+_NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
+_SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """How the cells of the time columns are read.
+
+    Attributes:
+        columns: of the table, one, or two where date and time are apart.
+        kind: `number`, `date` or `time of day`.
+        formats: of polars, one for a date or a time of day.
+        unit: of numbers.
+        zoned: the cells name a zone or are seconds since 1970, so the stamps are UTC.
+        why: this was chosen, for people.
+        backwards: steps back in what was looked at.
+        twelve: hours are counted to twelve.
+        style: of numbers.
+        daily: numbers begin anew at midnight.
+    """
+
+    columns: tuple[int, ...]
+    kind: str
+    formats: str = ""
+    unit: str = "s"
+    zoned: bool = False
+    why: str = ""
+    backwards: int = 0
+    twelve: bool = False
+    style: Style = POINT
+    daily: bool = False
+
+    @property
+    def unwrapped(self) -> Unwrapped | None:
+        """What makes the times run on where the clock begins anew; None where it does not."""
+        if self.kind != "time of day" and not self.daily:
+            return None
+        return Unwrapped(self.twelve and "%p" not in self.formats)
+
+    @property
+    def dated(self) -> bool:
+        """Whether the cells tell the date."""
+        return self.kind == "date" or (self.kind == "number" and self.zoned)
+
+    def stamps(self, cells: Sequence[Sequence[str]]) -> NDArray[np.int64]:
+        """Times of the rows, ns since 1970, midnight or the start; `NONE` where there is none.
+
+        Args:
+            cells: of each of `columns`, n each.
+        """
+        if self.kind == "number":
+            values = to_floats(cells[0], self.style)
+            whole = np.floor(values)
+            bad = ~np.isfinite(values) | (np.abs(values) * _NS[self.unit] > 9e18)
+            whole[bad] = 0.0
+            values = np.where(bad, 0.0, values)
+            factor = _NS[self.unit]
+            found = whole.astype(np.int64) * int(factor) + np.rint((values - whole) * factor)
+            stamps: NDArray[np.int64] = found.astype(np.int64)
+            if factor == 1e9:  # exact: a float of ns since 1970 is 256 ns coarse
+                stamps = whole.astype(np.int64) * NANOSECONDS
+                stamps = stamps + np.rint((values - whole) * 1e9).astype(np.int64)
+            stamps[bad] = NONE
+            return stamps
+        return _parsed(_joined(cells), self.formats)
+
+
+def _joined(cells: Sequence[Sequence[str]]) -> pl.Series:
+    """Date and time of each row in one cell, their signs made uniform."""
+    text = pl.Series("", cells[0], dtype=pl.String).str.strip_chars()
+    if len(cells) > 1:  # a spreadsheet's date is one of midnight
+        text = text.str.replace(r"[T ]00:00(:00(\.0+)?)?$", "")
+    for other in cells[1:]:
+        more = pl.Series("", other, dtype=pl.String).str.strip_chars()
+        text = text + " " + more
+    # 2024-03-05T07:08:09,5Z and 5.3.2024 7:08:09.5 p.m. become one pattern.
+    return (
+        text.str.replace(r"^(\w{3}) (\w{3}) (\d)", "$1-$2-$3")
+        .str.replace(r"^(\d{1,4})[./ -]([\w]{1,9})[./ -](\d{1,4})\.?", "$1-$2-$3")
+        .str.replace(r"^(\d{1,4}-\w{1,9}-\d{1,4}),?[T ,]+", "$1 ")
+        .str.replace(r"(:\d\d)[,](\d+)", "$1.$2")
+        .str.replace(r"\s*([AaPp])\.?\s?[Mm]\.?", " ${1}M")
+        .str.replace(r"^(20\d{6})[T_ ]?(\d\d)(\d\d)(\d\d)$", "$1 $2:$3:$4")
+        .str.replace(r"(\d)\s*(Z|UTC|GMT)$", "$1+0000")
+        .str.replace(r"(:[\d.]+)\s+([+-]\d\d)", "$1$2")
+        .str.replace(r"([+-]\d\d)$", "${1}00")
+        .str.replace(r"^(\d+:\d+:\d+):(\d{3})\b", "$1.$2")
+    )
+
+
+def _parsed(text: pl.Series, formats: str) -> NDArray[np.int64]:
+    if formats.startswith(("%H", "%I")):
+        parsed = text.str.to_time(formats, strict=False).to_physical()
+    elif ":" not in formats:
+        days = text.str.to_date(formats, strict=False).to_physical().cast(pl.Int64)
+        parsed = pl.select(
+            pl.when(days.abs() < LAST_TIME_NS // DAY_NS).then(days * DAY_NS)
+        ).to_series()
+    else:
+        micros = text.str.to_datetime(formats, strict=False, time_unit="us").to_physical()
+        # Digits below a microsecond are for logs whose stamps are numbers.
+        far = micros.abs() > LAST_TIME_NS // 1000
+        parsed = pl.select(pl.when(~far).then(micros * 1000)).to_series()
+    return parsed.fill_null(NONE).to_numpy().astype(np.int64)
+
+
+def is_newest_first(times: NDArray[Any]) -> bool:
+    """Whether times run backwards on the whole, as a database exports them."""
+    steps = np.diff(times)
+    return steps.size >= 3 and float(np.mean(steps < 0)) > MOSTLY
+
+
+def _forward(times: NDArray[Any]) -> NDArray[Any]:
+    return times[::-1] if is_newest_first(times) else times
+
+
+def clock_of_numbers(
+    column: int, cells: Sequence[str], style: Style, unit: str | None
+) -> Clock | None:
+    """The clock of a column of numbers; None where most cells are none."""
+    values = to_floats(cells, style)
+    known = values[np.isfinite(values)]
+    filled = [cell for cell in cells if cell.strip().lower() not in MISSING]
+    if known.size == 0 or known.size < ENOUGH * len(filled):
+        return None
+    if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
+        return None  # 20240305070809 is a date
+    known = _forward(known)
+    steps = np.diff(known)
+    backwards = int((steps < 0).sum())
+    size = float(np.median(np.abs(known)))
+    since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
+    if since_1970 is not None and (unit is None or size * _NS[unit] / 1e9 >= RELATIVE_BELOW_S):
+        name = unit or since_1970
+        return Clock(
+            (column,), "number", "", name, True, "since 1970, by its size", backwards, style=style
+        )
+    if unit is not None:
+        return Clock(
+            (column,),
+            "number",
+            unit=unit,
+            why="by its name",
+            backwards=backwards,
+            style=style,
+            daily=_begins_anew(known * _NS[unit]),
+        )
+    forward = steps[steps > 0]
+    step = float(np.median(forward)) if forward.size else 0.0
+    name = "s"
+    if step > SLOWEST_STEP:
+        name = "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
+    return Clock(
+        (column,),
+        "number",
+        unit=name,
+        why="by the step between rows",
+        backwards=backwards,
+        style=style,
+        daily=_begins_anew(known * _NS[name]),
+    )
+
+
+def _begins_anew(times_ns: NDArray[np.float64]) -> bool:
+    """Whether times are those of a day, and midnight passes."""
+    inside = times_ns.min() >= 0 and times_ns.max() <= DAY_NS
+    return bool(inside and (np.diff(times_ns) < -0.9 * DAY_NS).any())
+
+
+def clock_of_text(columns: tuple[int, ...], cells: Sequence[Sequence[str]]) -> Clock | None:
+    """The clock of columns of dates or times of day; None where most cells are neither."""
+    text = _joined(cells)
+    text = text.filter(text.str.contains(r"\d\D\d|\d{8}"))
+    filled = max(sum(bool(cell.strip()) for cell in column) for column in cells)
+    if len(text) == 0 or len(text) < 0.5 * filled:
+        return None
+    first = text.head(200)
+    with_date = bool(text.str.contains(r"^\w+-\w+-\w+|^\d{8}").any())
+    twelve = bool(text.str.contains(r" [AaPp]M").any())
+    found: list[tuple[tuple[float, ...], Clock]] = []
+    for rank, (order, pattern) in enumerate(_formats(with_date, twelve)):
+        if (_parsed(first, pattern) == NONE).mean() > 0.5:
+            continue
+        stamps = _parsed(text, pattern)
+        stamps = stamps[stamps != NONE]
+        if stamps.size < 0.5 * len(text) or (with_date and not _plausible(stamps)):
+            continue
+        steps = np.diff(_forward(stamps))
+        backwards = int((steps < 0).sum())
+        if not with_date and not twelve:
+            hours = stamps // (3600 * NANOSECONDS)
+            twelve = bool(
+                hours.min() >= 1 and hours.max() <= 12 and (steps < -HALF_DAY_NS * 0.9).any()
+            )
+        long = float(np.sum(np.abs(steps) > DAY_NS)) if with_date else 0.0
+        span = float(np.ptp(stamps)) if with_date else 0.0
+        merit = (-float(stamps.size), float(backwards), long, span, float(rank))
+        kind = "date" if with_date else "time of day"
+        clock = Clock(columns, kind, pattern, "", "%z" in pattern, order, backwards, twelve)
+        found.append((merit, clock))
+    return _best(found)
+
+
+def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
+    if not found:
+        return None
+    found.sort(key=lambda each: each[0])
+    merit, clock = found[0]
+    rivals = [other for m, other in found[1:] if m[:4] == merit[:4] and other.why != clock.why]
+    if rivals and clock.why:
+        said = f"{clock.why}; could be {rivals[0].why} as well"
+        clock = replace(clock, why=said)
+    return clock
+
+
+def _plausible(stamps: NDArray[np.int64]) -> bool:
+    """No log of an electric car is older than 2008 or from beyond the end of ROS time."""
+    return bool(np.median(stamps) > 1.2e18 and np.median(stamps) < LAST_TIME_NS)
+
+
+def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
+    clocks = _CLOCKS_12 if twelve else _CLOCKS_24
+    if not with_date:
+        return [("", clock) for clock in clocks]
+    orders = list(_DATES)
+    if twelve:
+        orders = [orders[0], orders[2], orders[1]]
+    dated = [
+        (order, f"{date} {clock}{zone}")
+        for order in orders
+        for date, clock, zone in product(_DATES[order], clocks, _ZONES)
+    ]
+    dated += [(order, date) for order in orders for date in _DATES[order]]
+    return [*dated, *(("", pattern) for pattern in _JAVA)]
+
+
+class Unwrapped:
+    """Times of day made to run on over midnight, batch by batch.
+
+    A 12 h clock without AM and PM goes from 12:59 to 1:00; what falls by about half a day and was
+    never above 12 is such a one.
+    """
+
+    def __init__(self, twelve_hours: bool) -> None:
+        self._period = HALF_DAY_NS if twelve_hours else DAY_NS
+        self._added = 0
+        self._before: int | None = None
+
+    def add(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The times of the next rows."""
+        there = np.flatnonzero(stamps != NONE)
+        if there.size == 0:
+            return stamps
+        known = stamps[there]
+        before = known[0] if self._before is None else self._before
+        steps = np.diff(known, prepend=before)
+        turns = np.where(steps < -self._period // 2, self._period, 0)
+        # A straggler from before midnight belongs to the day before.
+        turns = turns - np.where(steps > self._period // 2, self._period, 0) * (
+            (np.cumsum(turns) + self._added) > 0
+        )
+        added = self._added + np.cumsum(turns)
+        self._added, self._before = int(added[-1]), int(known[-1])
+        found = stamps.copy()
+        found[there] = known + added
+        return found
+
+
+def start_of_comments(comments: Sequence[str]) -> int | None:
+    """The moment that a line above the header tells, ns; None without one.
+
+    OBD Fusion begins with `# StartTime = 10/14/2017 01:20:36.0000 PM` and counts from there.
+    """
+    for comment in comments:
+        if match := re.search(r"start\w*\s*(?:time)?\s*[=:]\s*(.+)", comment, re.IGNORECASE):
+            cells = [match[1].strip(' ,;"')]
+            clock = clock_of_text((0,), [cells])
+            if clock is not None and clock.kind == "date":
+                return int(clock.stamps([cells])[0])
+    return None
+
+
+def date_of_name(stem: str, first_ns: int, *, certain: bool) -> int | None:
+    """Midnight of the date in a file's name, ns; None without one, or where its clock differs.
+
+    Args:
+        stem: of the file, as `2023-11-19_12-40-45` of Car Scanner.
+        first_ns: the first time in the file.
+        certain: whether that is a time of day; otherwise the name must have the same one.
+    """
+    match = re.search(
+        r"(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?:[ T_-]+([0-2]\d)[-_.:]?([0-5]\d))?", stem
+    )
+    if match is None:
+        return None
+    try:
+        day = datetime(int(match[1]), int(match[2]), int(match[3]), tzinfo=timezone.utc)
+    except ValueError:
+        return None
+    if match[4] is None and not certain:
+        return None
+    if match[4] is not None:
+        named = (int(match[4]) * 60 + int(match[5])) * 60 * NANOSECONDS
+        if abs(named - first_ns % DAY_NS) > 3600 * NANOSECONDS:
+            return None
+    return int(day.timestamp()) * NANOSECONDS

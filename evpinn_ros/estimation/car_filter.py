@@ -1,0 +1,399 @@
+"""The car, learned from intervals: a bank of extended Kalman filters in the weak form.
+
+All hypotheses hold the same states (`car_state`). They differ in what no car knows beforehand: how
+hilly and windy its roads are and how much its auxiliary load wanders. Each is weighted by how well
+it predicted the intervals so far (their evidence), so the widths of all intervals are learned.
+
+Slope that no sensor reports is the derivative of a height that stays bounded: a Matern-3/2
+process along the road (Rasmussen and Williams, 2006, eq. 4.17), so it has no mean and does not
+compete with rolling resistance. Where height is measured, the process is the error of that height.
+
+While the battery is silent, the predicted energy is a state too: its covariance with all others
+makes its interval exact, however long that lasts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.estimation.car_state import (
+    CABIN_TIME,
+    CAR,
+    DRIFTS,
+    DRIVE_BELIEF,
+    DRIVE_STD,
+    DRIVES_KEPT,
+    ROLL_WARM_TIME,
+    SIZE,
+    State,
+    prior_of,
+)
+from evpinn_ros.estimation.gaussian import (
+    Gaussian,
+    Innovation,
+    condition,
+    innovate,
+    mixture,
+    outlier_variance,
+    predict,
+    replace_states,
+)
+from evpinn_ros.estimation.weak_form import (
+    Constants,
+    Spent,
+    Warmth,
+    motor_energy,
+    spent,
+)
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.vehicle.files import Vehicle
+
+# What the hypotheses are about: 1-sigma of the unseen slope, the unseen force over the weight, and
+# the wandering load in W; and in place of the slope, of a measured height's error in m.
+SLOPES, FORCES, LOADS = (0.002, 0.008, 0.03), (0.0007, 0.002, 0.006), (60.0, 300.0)
+HEIGHT_ERRORS = (0.3, 1.5, 6.0)
+SLOPE_LENGTH, HEIGHT_ERROR_LENGTH = 600.0, 100.0  # m of road
+FORCE_LENGTH = 1500.0  # m of road
+LOAD_TIME = 300.0  # s
+EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
+
+STANDING_NOISE = 150.0  # W over `NOISE_TIME`, what no state explains
+FORCE_NOISE = 40.0  # N over `NOISE_TIME`, likewise while moving
+NOISE_TIME = 6.0  # s within which that forgets itself
+SHARE_NOISE = 0.03  # of the throughput: efficiency is a map, not a number
+SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
+SCALE_RANGE = (0.05, 50.0)
+MOTOR_NOISE = 0.05  # of the motor's energy, 1-sigma of torque times speed against the wheels
+OUTLIER = 2.5  # sigmas
+MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
+
+
+class Learned(NamedTuple):
+    """The innovation of one interval: mixture residual, J, and its 1-sigma, J."""
+
+    residual: float
+    sigma: float
+
+
+class CarFilter:
+    """See the module's text. Intervals must come in order of time.
+
+    Attributes:
+        state: means and covariances of the K hypotheses.
+        intervals: how many this drive was learned from.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start at the priors of a vehicle file."""
+        self._constants = Constants.of(vehicle)
+        self.prior = prior_of(vehicle)
+        self._hypotheses = np.array(list(product(range(3), FORCES, LOADS)))
+        count = len(self._hypotheses)
+        self.state = Gaussian(
+            np.tile(self.prior.mean, (count, 1)),
+            np.tile(np.diag(self.prior.std**2), (count, 1, 1)),
+        )
+        self._evidence = np.zeros(count)
+        self._scale = np.ones(count)
+        self._drive_variance = {state: std**2 for state, std in DRIVE_STD.items()}
+        self._drives = DRIVE_BELIEF
+        self.intervals = 0
+        self._begin_road(height_known=False)
+        self._begin_offsets()
+
+    # What goes on ----------------------------------------------------------------------------
+
+    def begin_drive(self) -> None:
+        """Another drive: its own offsets and roads, and a car that drifted a little.
+
+        The variance of what is of a drive is learned from the drive that was (expectation
+        maximisation with a prior of `DRIVE_BELIEF` drives).
+        """
+        if self.intervals:
+            whole = self.mixture()
+            for state, before in self._drive_variance.items():
+                found = whole.mean[state] ** 2 + whole.covariance[state, state]
+                self._drive_variance[state] = (self._drives * before + found) / (self._drives + 1)
+            self._drives = min(self._drives + 1, DRIVES_KEPT)
+            drift = np.zeros(SIZE)
+            for state, std in DRIFTS.items():
+                drift[state] = std**2
+            mean, covariance = self.state
+            self.state = Gaussian(mean, covariance + np.diag(drift))
+        self.intervals = 0
+        self._begin_offsets()
+        self._begin_road(height_known=self._height_known)
+
+    def forget_road(self) -> None:
+        """After a jump of time: another place on the road."""
+        self._begin_road(height_known=self._height_known)
+
+    def learn(self, interval: Interval) -> Learned | None:
+        """Let an interval pass and learn from it; None where its battery was not measured.
+
+        Where it was not, its energy is added to what is predicted (`unmeasured`).
+        """
+        self._pass(interval)
+        motor = not np.isnan(interval.steps.motor_drive).any()
+        if motor:
+            self._learn_motor(interval)
+        found = self._spent(interval)
+        noise = self._noise(interval, found)
+        if math.isnan(interval.energy):
+            self._accumulate(found, noise)
+            return None
+        self.state = replace_states(self.state, {State.ENERGY: 0.0})
+        seen = innovate(self.state, found.gradient, interval.energy - found.energy, noise)
+        weights = self.weights
+        self.state = condition(self.state, seen, outlier_variance(seen, noise, OUTLIER))
+        self._judge(seen)
+        self.intervals += 1
+        mean = float(weights @ seen.residual)
+        away = seen.residual - mean
+        return Learned(mean, math.sqrt(float(weights @ (seen.variance + away**2))))
+
+    def fork(self, mass_std: float) -> CarFilter:
+        """A copy that knows the mass less well, by this 1-sigma of its logarithm."""
+        other = self.copy()
+        other.state.covariance[:, State.MASS, State.MASS] += mass_std**2
+        return other
+
+    def copy(self) -> CarFilter:
+        """An independent copy."""
+        other = object.__new__(CarFilter)
+        other.__dict__.update(self.__dict__)
+        other.state = Gaussian(self.state.mean.copy(), self.state.covariance.copy())
+        other._drive_variance = dict(self._drive_variance)
+        return other
+
+    # What is known ---------------------------------------------------------------------------
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Probability of each hypothesis, shape (K,)."""
+        weights = np.exp(self._evidence - self._evidence.max())
+        return np.asarray(weights / weights.sum())
+
+    def mixture(self) -> Gaussian:
+        """Mean, shape (SIZE,), and covariance over all hypotheses."""
+        return mixture(self.weights, self.state)
+
+    def unmeasured(self) -> tuple[float, float]:
+        """Energy predicted since the battery was last measured, J, and its 1-sigma."""
+        whole = self.mixture()
+        variance = float(whole.covariance[State.ENERGY, State.ENERGY])
+        return float(whole.mean[State.ENERGY]), math.sqrt(max(0.0, variance))
+
+    @property
+    def warmth(self) -> Warmth:
+        """How cold tyres and cabin still are."""
+        return Warmth(
+            math.exp(-self._seconds / ROLL_WARM_TIME), math.exp(-self._seconds / CABIN_TIME)
+        )
+
+    @property
+    def constants(self) -> Constants:
+        """What is not learned of the car."""
+        return self._constants
+
+    @property
+    def spread(self) -> np.ndarray:
+        """1-sigma of the prior of every state of car and drive, shape (SIZE,)."""
+        spread = self.prior.std.copy()
+        for state, variance in self._drive_variance.items():
+            spread[state] = math.sqrt(variance)
+        return spread
+
+    @property
+    def hilliness(self) -> float:
+        """1-sigma of the unseen force over the weight, slopes and winds together."""
+        slopes, forces, _ = self._scales()
+        return math.sqrt(float(self.weights @ (slopes**2 + forces**2)))
+
+    @property
+    def load_std(self) -> float:
+        """1-sigma of the wandering load, W."""
+        return math.sqrt(float(self.weights @ self._scales()[2] ** 2))
+
+    def force_noise(self) -> float:
+        """1-sigma of what no state explains while moving, N, over `NOISE_TIME`."""
+        return FORCE_NOISE * math.sqrt(float(self.weights @ self._scale))
+
+    # State -----------------------------------------------------------------------------------
+
+    def export(self) -> dict[str, Any]:
+        """State to save."""
+        return {
+            "mean": self.state.mean.tolist(),
+            "covariance": self.state.covariance.tolist(),
+            "evidence": self._evidence.tolist(),
+            "scale": self._scale.tolist(),
+            "drive_variance": [self._drive_variance[state] for state in DRIVE_STD],
+            "drives": self._drives,
+            "intervals": self.intervals,
+            "seconds": self._seconds,
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
+        mean, covariance = (np.array(saved[key], float) for key in ("mean", "covariance"))
+        evidence, scale = (np.array(saved[key], float) for key in ("evidence", "scale"))
+        variances = np.array(saved["drive_variance"], float)
+        drives, seconds = float(saved["drives"]), float(saved["seconds"])
+        shapes = (mean.shape, covariance.shape, evidence.shape, scale.shape, variances.shape)
+        own = (self.state.mean.shape, self.state.covariance.shape, self._evidence.shape)
+        if shapes != (*own, self._scale.shape, (len(DRIVE_STD),)):
+            raise ValueError("the saved filter has another shape")
+        self._check(mean, covariance)
+        if not (
+            np.all(np.isfinite(evidence))
+            and np.all((scale >= SCALE_RANGE[0]) & (scale <= SCALE_RANGE[1]))
+            and np.all((variances >= 0.0) & (variances <= 1e8))
+            and DRIVE_BELIEF <= drives <= DRIVES_KEPT
+            and 0.0 <= seconds <= 1e7
+        ):
+            raise ValueError("the saved filter is out of range")
+        self.state = Gaussian(mean, covariance)
+        self._evidence, self._scale = evidence, scale
+        self._drive_variance = dict(zip(DRIVE_STD, variances.tolist(), strict=True))
+        self._drives, self._seconds = drives, seconds
+        self.intervals = int(saved["intervals"])
+
+    def _check(self, mean: np.ndarray, covariance: np.ndarray) -> None:
+        """Refuse what no drive leaves: far from the prior, or no covariance."""
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise ValueError("the saved filter is not finite")
+        away = np.abs(mean[:, CAR] - self.prior.mean[CAR]) / self.prior.std[CAR]
+        variance = np.diagonal(covariance, axis1=1, axis2=2)
+        if away.max() > MOST_AWAY or variance.min() < -1e-9:
+            raise ValueError("the saved filter is out of range")
+
+    # How -------------------------------------------------------------------------------------
+
+    def _begin_offsets(self) -> None:
+        self.state = replace_states(self.state, self._drive_variance)
+        self._seconds = 0.0
+
+    def _begin_road(self, height_known: bool) -> None:
+        self._height_known = height_known
+        slopes, forces, loads = self._scales()
+        rate = math.sqrt(3.0) / self._slope_length
+        self.state = replace_states(
+            self.state,
+            {
+                State.AUX: loads**2,
+                State.FORCE: forces**2,
+                State.HEIGHT: (slopes / rate) ** 2,
+                State.SLOPE: slopes**2,
+                State.CLIMB: 0.0,
+                State.ENERGY: 0.0,
+            },
+        )
+
+    @property
+    def _slope_length(self) -> float:
+        return HEIGHT_ERROR_LENGTH if self._height_known else SLOPE_LENGTH
+
+    def _scales(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """1-sigma of slope, force and load of each hypothesis, shape (K,) each."""
+        level, forces, loads = self._hypotheses.T
+        if self._height_known:
+            slopes = np.array(HEIGHT_ERRORS) * math.sqrt(3.0) / HEIGHT_ERROR_LENGTH
+        else:
+            slopes = np.array(SLOPES)
+        return slopes[level.astype(int)], forces, loads
+
+    def _pass(self, interval: Interval) -> None:
+        """Let time and road pass: fast states forget themselves, height gives the climb."""
+        if interval.height_known != self._height_known:
+            self._change_height(interval.height_known)
+        distance, duration = abs(interval.distance), interval.duration
+        self._seconds += duration
+        slopes, forces, loads = self._scales()
+        rate = math.sqrt(3.0) / self._slope_length
+        keep_load = math.exp(-duration / LOAD_TIME)
+        keep_force = math.exp(-distance / FORCE_LENGTH)
+        road = _matern(rate, distance)
+        transition = np.eye(SIZE)
+        transition[State.AUX, State.AUX] = keep_load
+        transition[State.FORCE, State.FORCE] = keep_force
+        transition[State.HEIGHT : State.CLIMB, State.HEIGHT : State.CLIMB] = road
+        transition[State.CLIMB] = transition[State.HEIGHT]
+        transition[State.CLIMB, State.HEIGHT] -= 1.0
+        noise = np.zeros((len(slopes), SIZE, SIZE))
+        noise[:, State.AUX, State.AUX] = loads**2 * (1.0 - keep_load**2)
+        noise[:, State.FORCE, State.FORCE] = forces**2 * (1.0 - keep_force**2)
+        still = np.diag([1.0 / rate**2, 1.0])
+        added = (still - road @ still @ road.T)[[0, 1, 0]][:, [0, 1, 0]]
+        block = slice(State.HEIGHT, State.CLIMB + 1)
+        noise[:, block, block] = slopes[:, None, None] ** 2 * added
+        self.state = predict(self.state, transition, noise)
+
+    def _change_height(self, height_known: bool) -> None:
+        """Height came or went: what is unseen of the road is of another kind."""
+        self._height_known = height_known
+        slopes, _, _ = self._scales()
+        rate = math.sqrt(3.0) / self._slope_length
+        road = {State.HEIGHT: (slopes / rate) ** 2, State.SLOPE: slopes**2, State.CLIMB: 0.0}
+        self.state = replace_states(self.state, road)
+
+    def _spent(self, interval: Interval) -> Spent:
+        return spent(
+            self.state.mean, interval.steps, interval.conditions, self.warmth, self._constants
+        )
+
+    def _noise(self, interval: Interval, found: Spent) -> np.ndarray:
+        """Variance of an interval's energy that no state explains, J^2, shape (K,)."""
+        speed = interval.distance / interval.duration
+        base = (STANDING_NOISE**2 + (FORCE_NOISE * speed) ** 2) * interval.duration * NOISE_TIME
+        own = self._scale * (base + (SHARE_NOISE * found.throughput) ** 2)
+        sampling = 0.0 if math.isnan(interval.sampling_variance) else interval.sampling_variance
+        return np.asarray(own + sampling)
+
+    def _learn_motor(self, interval: Interval) -> None:
+        """Condition on the motor's energy: what the wheels take, whatever the battery gave."""
+        steps = interval.steps
+        for part, measured in enumerate((steps.motor_drive.sum(), steps.motor_brake.sum())):
+            energy, gradient = motor_energy(
+                self.state.mean, steps, interval.conditions, self.warmth, self._constants
+            )[part]
+            duration = interval.duration
+            base = (FORCE_NOISE * interval.distance / duration) ** 2 * duration * NOISE_TIME
+            noise = self._scale * base + (MOTOR_NOISE * np.maximum(energy, measured)) ** 2 + 1.0
+            seen = innovate(self.state, gradient, measured - energy, noise)
+            self.state = condition(self.state, seen, outlier_variance(seen, noise, OUTLIER))
+
+    def _accumulate(self, found: Spent, noise: np.ndarray) -> None:
+        """Add the energy of an interval to what is predicted, with its covariances."""
+        mean, covariance = self.state.mean.copy(), self.state.covariance
+        mean[:, State.ENERGY] += found.energy
+        transition = np.tile(np.eye(SIZE), (len(mean), 1, 1))
+        transition[:, State.ENERGY] += found.gradient
+        covariance = transition @ covariance @ np.swapaxes(transition, 1, 2)
+        covariance[:, State.ENERGY, State.ENERGY] += noise
+        self.state = Gaussian(mean, covariance)
+
+    def _judge(self, seen: Innovation) -> None:
+        """Weigh the hypotheses by the evidence, and learn the scale of their noise."""
+        square = seen.residual**2 / seen.variance
+        likelihood = -0.5 * (np.minimum(square, 2 * OUTLIER**2) + np.log(seen.variance))
+        evidence = self._evidence * (1.0 - 1.0 / EVIDENCE_KEPT) + likelihood
+        self._evidence = evidence - evidence.max()
+        growth = np.exp((np.minimum(square, OUTLIER**2) - 1.0) / SCALE_INTERVALS)
+        self._scale = np.clip(self._scale * growth, *SCALE_RANGE)
+
+
+def _matern(rate: float, distance: float) -> np.ndarray:
+    """Transition of height and slope along the road, shape (2, 2)."""
+    decay = math.exp(-rate * distance)
+    return decay * np.array(
+        [
+            [1.0 + rate * distance, distance],
+            [-(rate**2) * distance, 1.0 - rate * distance],
+        ]
+    )

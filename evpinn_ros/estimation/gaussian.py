@@ -1,0 +1,103 @@
+"""Linear algebra of Gaussian beliefs in batches: predict and condition, knowing nothing of cars.
+
+Arrays carry leading axes for the hypotheses of a bank: means have shape (..., n), covariances
+(..., n, n). Functions are pure: they return new arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Gaussian(NamedTuple):
+    """A mean, shape (..., n), and a covariance, shape (..., n, n)."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+class Innovation(NamedTuple):
+    """A scalar measurement against its prediction.
+
+    Attributes:
+        residual: measured less predicted, shape (...).
+        variance: of that, as predicted, shape (...).
+        along: covariance times gradient, shape (..., n).
+    """
+
+    residual: np.ndarray
+    variance: np.ndarray
+    along: np.ndarray
+
+
+def predict(state: Gaussian, transition: np.ndarray, noise: np.ndarray) -> Gaussian:
+    """The state after a linear step.
+
+    Args:
+        state: before it.
+        transition: shape (n, n).
+        noise: covariance of what the step adds, shape (..., n, n).
+    """
+    mean = state.mean @ transition.T
+    return Gaussian(mean, transition @ state.covariance @ transition.T + noise)
+
+
+def innovate(
+    state: Gaussian, gradient: np.ndarray, residual: np.ndarray, noise: np.ndarray
+) -> Innovation:
+    """The innovation of a scalar measurement.
+
+    Args:
+        state: before it.
+        gradient: of the measurement by the state, shape (..., n).
+        residual: measured less predicted, shape (...).
+        noise: variance of the measurement, shape (...).
+    """
+    along = np.einsum("...ij,...j->...i", state.covariance, gradient)
+    return Innovation(residual, np.einsum("...i,...i->...", gradient, along) + noise, along)
+
+
+def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
+    """The state given a measurement.
+
+    Args:
+        state: before it.
+        seen: the innovation.
+        extra: variance added to the measurement's, of an outlier say, shape (...).
+    """
+    gain = seen.along / (seen.variance + extra)[..., None]
+    mean = state.mean + gain * seen.residual[..., None]
+    change = gain[..., :, None] * seen.along[..., None, :]
+    return Gaussian(mean, state.covariance - change)
+
+
+def replace_states(state: Gaussian, variances: Mapping[Any, Any]) -> Gaussian:
+    """The state with some entries forgotten: zero, and without correlation.
+
+    Args:
+        state: before it.
+        variances: of each entry by its index, a number or of shape (...).
+    """
+    mean, covariance = state.mean.copy(), state.covariance.copy()
+    for index, variance in variances.items():
+        mean[..., index] = 0.0
+        covariance[..., index, :] = covariance[..., :, index] = 0.0
+        covariance[..., index, index] = variance
+    return Gaussian(mean, covariance)
+
+
+def mixture(weights: np.ndarray, state: Gaussian) -> Gaussian:
+    """Mean, shape (n,), and covariance, shape (n, n), of a weighted mixture of K states."""
+    mean = weights @ state.mean
+    away = state.mean - mean
+    covariance = np.einsum("k,kij->ij", weights, state.covariance)
+    return Gaussian(mean, covariance + np.einsum("k,ki,kj->ij", weights, away, away))
+
+
+def outlier_variance(seen: Innovation, noise: np.ndarray, limit: float) -> np.ndarray:
+    """Variance that takes an innovation beyond `limit` sigmas for a heavy tail (Huber, 1964)."""
+    beyond = np.maximum(1.0, np.abs(seen.residual) / (limit * np.sqrt(seen.variance)))
+    return np.asarray(noise * (beyond**2 - 1.0))

@@ -1,0 +1,12 @@
+"""The choice of an optimizer for `mode: paper`, apart from the code that needs torch."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class PaperOptimizer(str, Enum):
+    """How `estimation.paper` trains the network and the parameters on its window."""
+
+    ADAM = "adam"  # as published
+    GAUSS_NEWTON = "gauss_newton"  # the same network and loss, much nearer to the minimum

@@ -1,0 +1,275 @@
+"""Payload that came or went at a stop, found from mass/eta after it against before it.
+
+mass/eta needs no prior, and eta does not change at a stop, so the ratio of two estimates of it is
+the ratio of two masses, whatever the absolute mass is (Vahidi 2005 has mass and grade; that the
+ratio is free of the gauge is what makes it sharp). At each stop the filter is forked: the fork
+keeps all that is known of the car but lets its mass go by `LOAD_SPREAD`, so after some driving its
+m/eta rests on what came after the stop alone. Once it differs from that before the stop by more
+than chance and by more than `LEAST_CHANGE`, the fork becomes the filter.
+
+What chance does is learned from the stops at which nothing changed: their changes over their
+sigmas have a root mean square (`Chance`). A car whose stops are not known yet is given no change.
+`SIGNIFICANT` is far out because there are 5000 stops in 100 hours.
+
+A change is reported as soon as it is certain that there is one, and sharpened for `MOST_MOTION`
+since the stop. An earlier stop may be certain first, having seen both loads; so later stops that
+were on trial then go on, and the most significant has it. Undone: for `PROBATION` of motion a
+change is compared with what the filter learns further. If m/eta comes back past half of it, the
+change is withdrawn; the next stop may also take it back.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+import copy
+from dataclasses import asdict, dataclass, replace
+import math
+from typing import Any
+
+import numpy as np
+
+from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.published import EnergySums, mass_over_eta, published
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
+
+STOP = 5.0  # s of standstill, or without intervals, in which someone may get in or out
+LOAD_SPREAD = 0.15  # 1-sigma of the logarithm of mass across a stop: full load of a passenger car
+LEAST_MOTION = 70.0  # s of motion after a stop before it is judged
+MOST_MOTION = 120.0  # s of motion after which a stop is judged no more
+KNOWN = 0.02  # 1-sigma of the logarithm of m/eta that must be reached before and after
+SIGNIFICANT = 4.8  # sigmas
+LEAST_CHANGE = 85.0  # kg: one grown person with a bag
+LEAST_STOPS = 3.0  # without a change, before one is reported
+STOPS_KEPT = 40.0  # that what chance does is learned from, about an hour in town
+PRIOR_STOPS = 8.0  # stops that the prior of true sigmas weighs
+FORKS = 4  # stops on trial at once
+PROBATION = 600.0  # s of motion in which a change may be withdrawn
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadChange:
+    """A change of payload.
+
+    Attributes:
+        stamp_ns: of the stop at which it happened.
+        delta_mass: kg, positive when load was added.
+        std: its 1-sigma, kg.
+    """
+
+    stamp_ns: int
+    delta_mass: float
+    std: float
+
+
+@dataclass(slots=True)
+class Chance:
+    """How far m/eta strays at stops without a change: `stops` seen, sum of `squares` of sigmas."""
+
+    stops: float = 0.0
+    squares: float = 0.0
+
+    def learn(self, deviate: float) -> None:
+        """Take a stop without a change: change of log m/eta over its 1-sigma."""
+        keep = min(1.0, (STOPS_KEPT - 1.0) / max(self.stops, 1.0))
+        self.stops = keep * self.stops + 1.0
+        self.squares = keep * self.squares + deviate**2
+
+    @property
+    def scale(self) -> float:
+        """By which sigmas are too small, at least 1."""
+        mean = (PRIOR_STOPS + self.squares) / (PRIOR_STOPS + self.stops)
+        return math.sqrt(max(1.0, mean))
+
+
+@dataclass(slots=True)
+class _Trial:
+    """A stop on trial.
+
+    `before`, log m/eta at it with 1-sigma and mass, kg; `motion`, s since; `change` of log m/eta
+    and its `significance` when it was found; `rival` of the change found, when it was on trial
+    already then.
+    """
+
+    stamp_ns: int
+    before: float
+    before_std: float
+    mass: float
+    motion: float = 0.0
+    change: float = 0.0
+    significance: float = 0.0
+    rival: bool = False
+
+
+class PayloadDetector:
+    """See the module's text. Feed it every interval that the filter learns from, after the filter.
+
+    Attributes:
+        change: the last change of payload, None when none was found or it was withdrawn.
+        found: changes found.
+        withdrawn: changes withdrawn.
+    """
+
+    def __init__(self) -> None:
+        """Nothing known of any stop."""
+        self.change: PayloadChange | None = None
+        self.found = self.withdrawn = 0
+        self._chance = Chance()
+        self._trials: deque[tuple[_Trial, CarFilter]] = deque(maxlen=FORKS)
+        self._given_up: list[_Trial] = []  # as it seems now, stops without a change
+        self._found: _Trial | None = None  # the change on probation
+        self._standing = 0.0
+        self._last_ns: int | None = None
+
+    def forget_time(self) -> None:
+        """After a jump of time or a gap: the car may have stood, and drive elsewhere."""
+        self._trials.clear()
+        self._given_up.clear()
+        self._last_ns = None
+        self._standing = STOP
+
+    def copy(self) -> PayloadDetector:
+        """An independent copy."""
+        other = copy.copy(self)
+        other._chance, other._found = replace(self._chance), copy.copy(self._found)
+        other._trials = deque(
+            ((replace(trial), fork.copy()) for trial, fork in self._trials), maxlen=FORKS
+        )
+        other._given_up = [replace(trial) for trial in self._given_up]
+        return other
+
+    def learn(self, current: CarFilter, sums: EnergySums, interval: Interval) -> CarFilter:
+        """Judge stops by one more interval; gives the filter to go on with."""
+        last, self._last_ns = self._last_ns, interval.end_ns
+        unseen = 0.0 if last is None else (interval.start_ns - last) * 1e-9
+        for _, fork in self._trials:
+            fork.learn(interval)
+        steps = interval.steps
+        stands = steps.distance < STANDSTILL_SPEED * steps.duration
+        moved = interval.duration - float(steps.duration @ stands)
+        before = self._standing + (interval.duration if stands.all() else _leading(stands, steps))
+        if moved > 0.0 and max(before, unseen) >= STOP:
+            self._begin(current, sums, interval.start_ns)
+        self._standing = _trailing(stands, steps) if moved > 0.0 else before
+        if moved == 0.0:
+            return current
+        self._watch(current, sums, moved)
+        return self._judge(current, sums, moved)
+
+    def export(self) -> dict[str, Any]:
+        """State to save; stops on trial are given up with the process."""
+        return {
+            "chance": asdict(self._chance),
+            "change": None if self.change is None else asdict(self.change),
+            "found": None if self._found is None else asdict(self._found),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
+        chance = Chance(**_finite(state["chance"]))
+        change = None if state["change"] is None else PayloadChange(**_finite(state["change"]))
+        found = None if state["found"] is None else _Trial(**_finite(state["found"]))
+        self._chance, self.change, self._found = chance, change, found
+        self._standing = STOP  # the car may have stood since
+
+    def _begin(self, current: CarFilter, sums: EnergySums, stamp_ns: int) -> None:
+        """The car sets off again after a stop."""
+        log, std = mass_over_eta(current, sums)
+        if std > KNOWN:
+            return
+        mass = math.exp(float(published(current, sums).now.mean[2]))
+        self._trials.append((_Trial(stamp_ns, log, std, mass), current.fork(LOAD_SPREAD)))
+
+    def _judge(self, current: CarFilter, sums: EnergySums, moved: float) -> CarFilter:
+        """Take the stop that the data speak for most."""
+        best: tuple[_Trial, CarFilter, float] | None = None
+        for trial, fork in self._trials:
+            trial.motion += moved
+            if trial.motion < LEAST_MOTION or self._chance.stops < LEAST_STOPS:
+                continue
+            log, std = mass_over_eta(fork, sums)
+            trial.change = log - trial.before
+            trial.significance = abs(trial.change) / self._spread(trial, std)
+            enough = abs(trial.mass * math.expm1(trial.change)) >= LEAST_CHANGE
+            decided = std <= KNOWN and enough and trial.significance >= SIGNIFICANT
+            rival = self._found if trial.rival else None
+            decided = decided and (rival is None or trial.significance > rival.significance)
+            if decided and (best is None or trial.significance > best[0].significance):
+                best = trial, fork, std
+        if best is not None:
+            return self._take(*best)
+        self._give_up(sums, moved)
+        return current
+
+    def _take(self, trial: _Trial, fork: CarFilter, std: float) -> CarFilter:
+        """A change is found, or found to be of a later stop than it seemed."""
+        self.found += not trial.rival
+        self.change = self._payload_change(trial, trial.change, std)
+        self._found = trial
+        later = [each for each in self._trials if each[0].stamp_ns > trial.stamp_ns]
+        self._trials.clear()
+        self._trials.extend(later)
+        self._given_up.clear()
+        for each, _ in later:
+            each.rival = True
+        return fork
+
+    def _give_up(self, sums: EnergySums, moved: float) -> None:
+        """Learn what chance does where nothing changed, once it is sure that nothing did."""
+        while self._trials and self._trials[0][0].motion > MOST_MOTION:
+            trial, fork = self._trials.popleft()
+            log, std = mass_over_eta(fork, sums)
+            if std <= KNOWN and not trial.rival:
+                trial.significance = abs(log - trial.before) / math.hypot(std, trial.before_std)
+                self._given_up.append(trial)
+        for trial in self._given_up:
+            trial.motion += moved
+        while self._given_up and self._given_up[0].motion > 2 * MOST_MOTION:
+            self._chance.learn(self._given_up.pop(0).significance)
+
+    def _watch(self, current: CarFilter, sums: EnergySums, moved: float) -> None:
+        """Sharpen a change by what is learned after it, or withdraw it."""
+        found = self._found
+        if found is None or self.change is None:
+            return
+        found.motion += moved
+        log, std = mass_over_eta(current, sums)
+        change = log - found.before
+        if found.motion > PROBATION:
+            self._found = None
+        elif change / found.change < 0.5:
+            self._found = self.change = None
+            self.withdrawn += 1
+            self._chance.learn(found.significance * self._chance.scale)  # chance did that
+        elif found.motion <= MOST_MOTION:
+            self.change = self._payload_change(found, change, std)
+
+    def _spread(self, trial: _Trial, std: float) -> float:
+        """1-sigma of a change of log m / eta, from that of log m / eta now."""
+        return self._chance.scale * math.hypot(std, trial.before_std)
+
+    def _payload_change(self, trial: _Trial, change: float, std: float) -> PayloadChange:
+        """The change of mass, kg, of a change of log m / eta, from the 1-sigma of this now."""
+        delta = trial.mass * math.expm1(change)
+        return PayloadChange(trial.stamp_ns, delta, trial.mass * self._spread(trial, std))
+
+
+def _leading(stands: np.ndarray, steps: Any) -> float:
+    """Seconds that the car stands at the begin of an interval in which it moves."""
+    return float(steps.duration[: int(np.argmin(stands))].sum())
+
+
+def _trailing(stands: np.ndarray, steps: Any) -> float:
+    """Seconds that it stands at its end."""
+    count = int(np.argmin(stands[::-1]))
+    return float(steps.duration[len(stands) - count :].sum())
+
+
+def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Saved numbers; ValueError when they are none, or one is not finite."""
+    if not isinstance(values, Mapping) or not all(
+        math.isfinite(value) for value in values.values()
+    ):
+        raise ValueError("the saved payload is not finite")
+    return dict(values)

@@ -1,0 +1,350 @@
+"""`mode: hybrid`: one physics-informed network of a car, learned online.
+
+Battery power is P = P_physics(x) + v N(u; w): eq. 12-21 with the states of the car (`car_state`)
+and a tanh network (`residual_network`) under a physics prior. The states are learned from energies
+of intervals (the weak form), the weights from what physics leaves at each sample. The states are
+conditioned once a second on the intervals that ended in it, in a thread beside the callbacks; the
+same filter solved again over a window of the last minute, linearised anew, was measured and gains
+nothing. The network's weights return to their prior within ten seconds: its sliding window.
+
+While the battery is silent the network fades and the energy of the intervals, with the exact
+heights and speeds of the weak form, leads: power is corrected by what it missed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+import math
+from typing import Any
+
+import numpy as np
+
+from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.car_state import State
+from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.estimation.evidence import Evidence
+from evpinn_ros.estimation.forecast_model import linear_power
+from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN, GradeSuspicion
+from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
+from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
+from evpinn_ros.estimation.payload import PayloadDetector
+from evpinn_ros.estimation.published import EnergySums, evidence_of, published
+from evpinn_ros.estimation.reported_loads import ReportedLoads
+from evpinn_ros.estimation.residual_network import ResidualNetwork
+from evpinn_ros.estimation.weak_form import spent, unit_step
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.signals.suspicion import CURRENT_SIGN, SignSuspicion
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.linear_power import LinearPower
+from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED
+
+SAMPLE_STEP = 0.1  # s that the first sample stands for
+MAX_STEP = 10.0  # s one sample may stand for
+PARKED = 600.0  # s without speed, then it is another drive
+CATCH_UP = 10.0  # s over which power makes up for what the intervals show it missed
+HISTORY = 1000  # published samples that intervals are compared with
+REVERSED = -0.1  # m, a step of an interval that goes back further is not learned from
+CHARGING = -500.0  # W at standstill, below it the battery is being charged
+
+
+class LearnedCar:
+    """All that is learned of a car from intervals, as one value that an update replaces.
+
+    Attributes:
+        filter: the states of car and drive.
+        sums: energies that the published parameters stand for.
+        payload: changes of payload.
+        grade: sign of the reported grade.
+        loads: what the car reports of heating and cooling.
+        gated: intervals not learned from, by reason.
+        end_ns: of the last interval.
+        measured: whether the battery was measured in it.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start at the priors of a vehicle file."""
+        self.filter, self.sums = CarFilter(vehicle), EnergySums()
+        self.payload, self.grade, self.loads = PayloadDetector(), GradeSuspicion(), ReportedLoads()
+        self.gated: Counter[str] = Counter()
+        self.end_ns, self.measured = 0, True
+
+    def after(self, intervals: list[Interval]) -> LearnedCar:
+        """The car after some more intervals; this one is left as it is."""
+        other = object.__new__(LearnedCar)
+        other.filter, other.payload = self.filter.copy(), self.payload.copy()
+        other.sums = EnergySums.restored(self.sums.export())
+        other.sums.distance, other.sums.cold_tyres = self.sums.distance, self.sums.cold_tyres
+        other.grade, other.loads = GradeSuspicion(), ReportedLoads.restored(self.loads.export())
+        other.grade.restore(self.grade.export())
+        other.gated = Counter()
+        other.end_ns, other.measured = self.end_ns, self.measured
+        for interval in intervals:
+            other.learn(interval)
+        return other
+
+    def learn(self, interval: Interval) -> None:
+        """Take one more interval, its battery measured or not."""
+        conditions = interval.conditions
+        self.loads.push(conditions.load, conditions.celsius, interval.duration)
+        reason = _why_not(interval)
+        if reason is not None:
+            self.gated[reason] += 1
+            return
+        found = spent(
+            self.filter.state.mean,
+            interval.steps,
+            conditions,
+            self.filter.warmth,
+            self.filter.constants,
+        )
+        self.sums.add(interval, found, self.filter.weights, self.filter.warmth.tyres)
+        learned = self.filter.learn(interval)
+        self.end_ns, self.measured = interval.end_ns, learned is not None
+        if learned is None:
+            return
+        mean = self.filter.mixture().mean
+        weight = GRAVITY * math.exp(mean[State.MASS] - mean[State.ETA])
+        self.grade.learn(interval, learned.residual, weight)
+        self.filter = self.payload.learn(self.filter, self.sums, interval)
+
+    def begin_drive(self) -> None:
+        """Another drive of this car."""
+        self.loads.end_drive()
+        self.filter.begin_drive()
+        self.sums.begin_drive()
+        self.payload.forget_time()
+
+    def is_finite(self) -> bool:
+        """Whether every number is one."""
+        state = self.filter.state
+        return bool(np.isfinite(state.mean).all() and np.isfinite(state.covariance).all())
+
+
+class EnergyDebt:
+    """Power that makes up for what the intervals show the published power missed.
+
+    Intervals have heights around a place and exact kinetic energy, but end some seconds ago. While
+    the battery is silent, published power is moved so that its integral follows theirs.
+    """
+
+    def __init__(self) -> None:
+        """Nothing owed."""
+        self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY)
+        self._energy = self._start = self._paid = self._owed = 0.0
+
+    def repay(self, stamp_ns: int, power: float) -> float:
+        """What to add to a power, W, at a moment."""
+        step = 0.0
+        if self._history:
+            step = min(max((stamp_ns - self._history[-1][0]) / NANOSECONDS, 0.0), MAX_STEP)
+        self._energy += power * step
+        self._history.append((stamp_ns, self._energy))
+        rate = (self._owed - self._paid) / max(CATCH_UP, step)
+        self._paid += rate * step
+        return rate
+
+    def settle(self, end_ns: int) -> None:
+        """The battery was measured until here: nothing is owed."""
+        self._start, self._owed, self._paid = self._at(end_ns), 0.0, 0.0
+
+    def owe(self, end_ns: int, energy: float) -> None:
+        """The intervals say that so much, J, was spent from the last settlement until here."""
+        self._owed = energy - (self._at(end_ns) - self._start)
+
+    def _at(self, stamp_ns: int) -> float:
+        """Energy that published power has until a moment, J."""
+        if not self._history:
+            return self._energy
+        stamps, energies = zip(*self._history, strict=True)
+        return float(np.interp(stamp_ns, stamps, energies))
+
+
+class PinnLearner:
+    """See the module's text."""
+
+    def __init__(self, vehicle: Vehicle, *, seed: int = 0) -> None:
+        """Start at the vehicle's priors, with a network that says zero."""
+        self._vehicle = vehicle
+        self._network = ResidualNetwork(seed)
+        self._suspicion = SignSuspicion()
+        self._states = StateHysteresis()
+        self._waiting: list[Interval] = []
+        self._last_ns: int | None = None  # of what was learned from
+        self._seen_ns: int | None = None  # of what was predicted
+        self._debt = EnergyDebt()
+        self.gated: Counter[str] = Counter()
+        self._adopt(LearnedCar(vehicle))
+
+    def advance(self, sample: Sample) -> None:
+        """Let time pass up to a smoothed sample.
+
+        After a pause of `PARKED`, or before what was last seen, the road is another. It is
+        another drive when the two are that far apart: a clock that is set right by some seconds
+        ends none.
+        """
+        seen_ns, self._seen_ns = self._seen_ns, sample.stamp_ns
+        passed = 0.0 if seen_ns is None else (sample.stamp_ns - seen_ns) / NANOSECONDS
+        if abs(passed) > PARKED:
+            self.end_drive()
+        elif passed < 0.0:
+            self._car.filter.forget_road()
+        self._network.advance(min(max(passed, 0.0), PARKED))
+
+    def predict(self, sample: Sample) -> PowerPrediction:
+        """Power of physics and network, W, and of the energy since the battery, 1-sigma, J."""
+        physics = self._physics(sample)
+        said = self._network.correct(sample)
+        power, sigma = physics.power + said.power, math.hypot(physics.sigma, said.sigma)
+        if not sample.profile:
+            return PowerPrediction(power, sigma)
+        power += self._debt.repay(sample.stamp_ns, power)
+        return PowerPrediction(power, sigma, *self._unmeasured)
+
+    def observe(self, sample: Sample, power: float) -> None:
+        """Let the network learn from a measured sample."""
+        step = self._step(sample)
+        reason = gate(sample, power)
+        if reason is not None:
+            self.gated[reason] += 1
+            return
+        self._suspicion.push(sample, power, step)
+        if self._suspicion.suspected:
+            self.gated[CURRENT_SIGN] += 1
+            return
+        self._network.learn(sample, power - self._physics(sample).power, step)
+
+    def add_interval(self, interval: Interval) -> None:
+        """Keep an interval for the next update."""
+        if not self._suspicion.suspected:
+            self._waiting.append(interval)
+
+    def prepare_update(self) -> Callable[[], LearnedCar] | None:
+        """Condition a copy of the car on the intervals that wait, None where there are none."""
+        if not self._waiting:
+            return None
+        car, intervals, self._waiting = self._car, self._waiting, []
+        return lambda: car.after(intervals)
+
+    def consider(self, candidate: LearnedCar) -> str | None:
+        """Take the result of an update, unless it is not finite."""
+        if not candidate.is_finite():
+            return "not_finite"
+        self.gated.update(candidate.gated)
+        self._adopt(candidate)
+        if candidate.measured:
+            self._debt.settle(candidate.end_ns)
+        else:
+            self._debt.owe(candidate.end_ns, self._unmeasured[0])
+        return None
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate of the parameters, in the sense of eq. 12-21."""
+        found = published(self._car.filter, self._car.sums)
+        now = parameter_set(self._last_ns or 0, found)
+        return self._states.judge(now, deviations(found), suspected=self._suspicion.suspected)
+
+    def linear_power(self, celsius: float | None) -> LinearPower:
+        """The car as forecasts take it."""
+        return linear_power(self._car.filter, self._car.loads, self._vehicle, celsius)
+
+    def evidence(self) -> Evidence:
+        """What the data alone say of the parameters, for populations of cars."""
+        return evidence_of(self._car.filter, self._car.sums)
+
+    def report(self) -> LearnerReport:
+        """Changes of payload, a current or grade of the wrong sign."""
+        payload = self._car.payload
+        return LearnerReport(payload.change, payload.found, payload.withdrawn, self._suspected())
+
+    def forget_window(self) -> None:
+        """Drop recent samples after a jump of time; keep what was learned."""
+        self._waiting.clear()
+        self._last_ns = None
+        self._network.advance(PARKED)
+        self._car.payload.forget_time()
+        self._car.filter.forget_road()
+        self._car.measured = True
+        self._debt = EnergyDebt()
+        self._adopt(self._car)
+
+    def end_drive(self) -> None:
+        """What comes is another drive."""
+        self.forget_window()
+        self._car.begin_drive()
+        self._adopt(self._car)
+
+    def export(self) -> Mapping[str, Any]:
+        """State to save."""
+        return {
+            "filter": self._car.filter.export(),
+            "energies": self._car.sums.export(),
+            "payload": self._car.payload.export(),
+            "loads": self._car.loads.export(),
+            "grade_suspicion": self._car.grade.export(),
+            "current_suspicion": self._suspicion.export(),
+            "network": self._network.export(),
+            "seen_ns": self._seen_ns,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take a saved state."""
+        car = LearnedCar(self._vehicle)
+        car.filter.restore(state["filter"])
+        car.sums = EnergySums.restored(state["energies"])
+        car.payload.restore(state["payload"])
+        car.loads = ReportedLoads.restored(state["loads"])
+        car.grade.restore(state["grade_suspicion"])
+        self._suspicion.restore(state["current_suspicion"])
+        self._network.restore(state["network"])
+        seen_ns = state["seen_ns"]
+        if seen_ns is not None and not 0 <= int(seen_ns) < 2**63:
+            raise ValueError("the saved stamp is out of range")
+        self._seen_ns = None if seen_ns is None else int(seen_ns)
+        self._adopt(car)
+
+    def _adopt(self, car: LearnedCar) -> None:
+        """Use this car from now on; its mixture is what samples are predicted by."""
+        self._car = car
+        self._mixture = car.filter.mixture()
+        self._unmeasured = (math.nan, math.nan) if car.measured else car.filter.unmeasured()
+
+    def _physics(self, sample: Sample) -> PowerPrediction:
+        """Power of the physics alone, W, and its 1-sigma, W."""
+        mean, covariance = self._mixture
+        mean = mean.copy()
+        mean[State.CLIMB] = mean[State.SLOPE] * abs(sample.speed)
+        steps, conditions = unit_step(sample)
+        filter_ = self._car.filter
+        found = spent(mean[None], steps, conditions, filter_.warmth, filter_.constants)
+        gradient = found.gradient[0]
+        gradient[State.SLOPE] = gradient[State.CLIMB] * abs(sample.speed)
+        gradient[State.CLIMB] = 0.0
+        noise = (filter_.force_noise() * sample.speed) ** 2 + 150.0**2
+        variance = float(gradient @ covariance @ gradient) + noise
+        return PowerPrediction(float(found.energy[0]), math.sqrt(max(variance, 0.0)))
+
+    def _suspected(self) -> str | None:
+        """The signal whose sign the data contradict; without current nothing tells of grade."""
+        if self._suspicion.suspected:
+            return CURRENT_SIGN
+        return GRADE_SIGN if self._car.grade.suspected else None
+
+    def _step(self, sample: Sample) -> float:
+        """Seconds this sample stands for."""
+        last, self._last_ns = self._last_ns, sample.stamp_ns
+        if last is None:
+            return SAMPLE_STEP
+        return min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
+
+
+def _why_not(interval: Interval) -> str | None:
+    """Why an interval may not be learned from, or None."""
+    if interval.steps.distance.min() < REVERSED:
+        return "reverse"
+    standing = interval.distance < STANDSTILL_SPEED * interval.duration
+    if standing and interval.energy < CHARGING * interval.duration:
+        return "charging"
+    return None

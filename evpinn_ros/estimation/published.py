@@ -1,0 +1,185 @@
+"""From the states of the car to the parameters of eq. 12-21, as they are on this drive.
+
+The filter keeps losses apart that eq. 21 has in eta and mu: heat that grows with force squared,
+and braking that friction takes at a walking pace. Sums of energy over the drives turn them into
+the constants with which eq. 21 spends the same energy. C_rr is that of this drive, with its cold
+and its tyres; p_aux is the standing load. What a drivetrain loses by turning is neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.car_state import MILD_CELSIUS, PARAMETERS, SIZE, State
+from evpinn_ros.estimation.evidence import Evidence, evidence
+from evpinn_ros.estimation.gaussian import Gaussian
+from evpinn_ros.estimation.weak_form import Spent
+from evpinn_ros.signals.interval import Interval
+
+ENERGY_FLOOR = 5e4  # J: a launch to town speed is more; less is no base for a share
+ENERGY_MEMORY = 36_000.0  # s of driving over which the sums are kept
+SHARE_RANGE = (0.3, 3.0)  # of published over learned values, no car leaves it
+MOST_ENERGY = 1e12  # J, no saved sum is larger
+LOGARITHMIC = [State.ETA, State.MU, State.MASS, State.C_D]
+LASTING = slice(0, State.AUX)  # states of car and drive
+
+
+@dataclass(slots=True)
+class EnergySums:
+    """What was spent so far, of the most probable hypothesis, and how cold it was.
+
+    Attributes:
+        driven: at the wheels where they drive, J.
+        driven_force: integral of (force over mass)^2 there, m^2/s^3.
+        braked: likewise where they brake, J.
+        braked_force: likewise.
+        recovered: of `braked`, what recuperation can take, J.
+        distance: of this drive, m.
+        cold_tyres: of it, how much is to be added for tyres not yet warm, m.
+        celsius: temperature outside, None while unknown.
+        load_known: whether the car reports its heating.
+    """
+
+    driven: float = 0.0
+    driven_force: float = 0.0
+    braked: float = 0.0
+    braked_force: float = 0.0
+    recovered: float = 0.0
+    distance: float = 0.0
+    cold_tyres: float = 0.0
+    celsius: float | None = field(default=None)
+    load_known: bool = False
+
+    def add(self, interval: Interval, found: Spent, weights: np.ndarray, tyres: float) -> None:
+        """Count an interval."""
+        keep = math.exp(-interval.duration / ENERGY_MEMORY)
+        braked = weights @ found.wheel_brake
+        for name, value in (
+            ("driven", weights @ found.wheel_drive),
+            ("driven_force", weights @ found.force_drive),
+            ("braked", braked),
+            ("braked_force", weights @ found.force_brake),
+            ("recovered", weights @ (found.recovered * found.wheel_brake)),
+        ):
+            setattr(self, name, keep * getattr(self, name) + float(value))
+        self.distance += abs(interval.distance)
+        self.cold_tyres += abs(interval.distance) * tyres
+        self.celsius = interval.conditions.celsius
+        self.load_known = interval.conditions.load_known
+
+    def begin_drive(self) -> None:
+        """Another drive: other tyres and weather."""
+        self.distance = self.cold_tyres = 0.0
+
+    def export(self) -> list[float]:
+        """State to save."""
+        return [self.driven, self.driven_force, self.braked, self.braked_force, self.recovered]
+
+    @classmethod
+    def restored(cls, saved: list[float]) -> EnergySums:
+        """Those of a saved state; ValueError when they do not fit."""
+        values = [float(value) for value in saved]
+        if len(values) != 5 or not all(0.0 <= value <= MOST_ENERGY for value in values):
+            raise ValueError("the saved energies are out of range")
+        driven, driven_force, braked, braked_force, recovered = values
+        return cls(driven, driven_force, braked, braked_force, recovered)
+
+
+class Published(NamedTuple):
+    """The six parameters, eta, mu, mass and C_d as logarithms, with what the prior said.
+
+    Attributes:
+        now: mean, shape (6,), and covariance, shape (6, 6).
+        prior: likewise, before any drive.
+        frontal_area: m^2.
+    """
+
+    now: Gaussian
+    prior: Gaussian
+    frontal_area: float
+
+
+def published(car: CarFilter, sums: EnergySums) -> Published:
+    """The parameters that the filter stands for."""
+    whole = car.mixture()
+    matrix, offset = _affine(car, sums, whole.mean)
+    prior = Gaussian(car.prior.mean, np.diag(car.prior.std**2))
+    now, before = (
+        Gaussian(matrix @ each.mean + offset, matrix @ each.covariance @ matrix.T)
+        for each in (whole, prior)
+    )
+    return Published(now, before, car.constants.frontal_area)
+
+
+def mass_over_eta(car: CarFilter, sums: EnergySums) -> tuple[float, float]:
+    """Logarithm of the published m / eta, kg, and its 1-sigma."""
+    mean, covariance = published(car, sums).now
+    direction = np.zeros(6)
+    direction[[State.MASS, State.ETA]] = 1.0, -1.0
+    return float(direction @ mean), math.sqrt(float(direction @ covariance @ direction))
+
+
+def evidence_of(car: CarFilter, sums: EnergySums) -> Evidence:
+    """What the data alone say of the published parameters, all but p_aux as logarithms.
+
+    The states are those of car and drive; published parameters stand in place of the first six.
+    """
+    whole, count = car.mixture(), LASTING.stop
+    matrix, offset = np.eye(SIZE), np.zeros(SIZE)
+    matrix[PARAMETERS], offset[PARAMETERS] = _affine(car, sums, whole.mean)
+    # C_rr as a logarithm, linear about what it is now.
+    rolling = float(matrix[State.C_RR] @ whole.mean + offset[State.C_RR])
+    matrix[State.C_RR] /= rolling
+    offset[State.C_RR] = offset[State.C_RR] / rolling - 1.0 + math.log(rolling)
+    matrix, offset = matrix[:count, :count], offset[:count]
+    before, scale = car.prior.mean[:count], car.spread[:count]
+    reference = before.copy()
+    reference[State.C_RR] = math.log(car.constants.c_rr)
+    return evidence(
+        (whole.mean[:count] - before) / scale,
+        whole.covariance[:count, :count] / np.outer(scale, scale),
+        np.column_stack(
+            (matrix * scale / scale[:, None], (matrix @ before + offset - reference) / scale)
+        ),
+    )
+
+
+def _affine(car: CarFilter, sums: EnergySums, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How the published parameters follow the states about a mean: (6, SIZE) and (6,)."""
+    matrix, offset = np.zeros((6, SIZE)), np.zeros(6)
+    matrix[:, PARAMETERS] = np.eye(6)
+    eta, mu = math.exp(mean[State.ETA]), math.exp(mean[State.MU])
+    loss = mean[State.COPPER]
+    driving = eta * sums.driven_force / max(sums.driven, ENERGY_FLOOR)
+    braking = sums.braked_force / max(sums.braked, ENERGY_FLOOR) / mu
+    unused = 1.0 - sums.recovered / sums.braked if sums.braked > ENERGY_FLOOR else 0.0
+    more = float(np.clip(1.0 + loss * driving, *SHARE_RANGE))
+    back = float(np.clip(1.0 - loss * braking - unused, *SHARE_RANGE))
+    matrix[State.ETA, State.COPPER] = -driving / more
+    offset[State.ETA] = loss * driving / more - math.log(more)
+    matrix[State.MU, State.COPPER] = -braking / back
+    offset[State.MU] = loss * braking / back + math.log(back)
+    _rolling(matrix, offset, sums, mean, car.constants.c_rr)
+    away = 0.0 if sums.celsius is None or sums.load_known else sums.celsius - MILD_CELSIUS
+    matrix[State.P_AUX, State.AUX_DRIVE] = 1.0
+    matrix[State.P_AUX, State.COLD] = max(0.0, -away)
+    matrix[State.P_AUX, State.HOT] = max(0.0, away)
+    return matrix, offset
+
+
+def _rolling(
+    matrix: np.ndarray, offset: np.ndarray, sums: EnergySums, mean: np.ndarray, c_rr: float
+) -> None:
+    """C_rr of this drive, in its temperature and with its tyres."""
+    cold = 0.0 if sums.celsius is None else max(0.0, MILD_CELSIUS - sums.celsius) / 10.0
+    own = mean[State.C_RR] * mean[State.ROLL_COLD] * cold
+    matrix[State.C_RR, State.C_RR] = c_rr * (1.0 + mean[State.ROLL_COLD] * cold)
+    matrix[State.C_RR, State.ROLL_COLD] = c_rr * mean[State.C_RR] * cold
+    matrix[State.C_RR, State.ROLL_DRIVE] = c_rr
+    matrix[State.C_RR, State.ROLL_START] = c_rr * sums.cold_tyres / max(sums.distance, 1.0)
+    offset[State.C_RR] = -c_rr * own

@@ -1,0 +1,288 @@
+"""Battery energy of some seconds of driving, and its gradient: eq. 12-21 integrated.
+
+Each step of an interval spends, with wheel energy
+
+    T = m (k d(v^2/2) + g (dh + climb)) + m g C_rr' ds + rho A C_d integral(u|u| v dt) / 2
+        + m g force ds,                      C_rr' the rolling resistance of this drive,
+
+T / eta where T > 0 and mu T where T < 0, and beside it the loss of a drivetrain that turns, that
+of force squared, and the standing load. Recuperation fades out below `FADE_SPEED`. Where the bus
+tells motor torque, the motor's energy stands in for T / (what the gears lose), and T is itself
+measured by it. Instantaneous power is the energy of one step of 1 s, so there is one equation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.estimation.car_state import MILD_CELSIUS, SIZE, State
+from evpinn_ros.signals.interval import Steps
+from evpinn_ros.signals.road import Conditions
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.linear_power import CREEPING, FADE_END, FADE_SPEED, MOST_FORCE
+from evpinn_ros.vehicle.physics import GRAVITY
+
+LEAST_STEP = 0.5  # m, over less no force is told
+
+
+class Constants(NamedTuple):
+    """What is not learned of a car: m^2, 1, and the rolling resistance that C_RR is a share of."""
+
+    frontal_area: float
+    rotating_mass_factor: float
+    c_rr: float
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Constants:
+        """Those of a vehicle file."""
+        return cls(
+            vehicle.frontal_area, vehicle.rotating_mass_factor, vehicle.priors["c_rr"].value
+        )
+
+
+class Warmth(NamedTuple):
+    """How cold tyres and cabin still are, 1 at the start of a drive to 0."""
+
+    tyres: float
+    cabin: float
+
+
+class Spent(NamedTuple):
+    """Battery energy of an interval for each of K hypotheses.
+
+    Attributes:
+        energy: J, shape (K,).
+        gradient: by the states, shape (K, SIZE).
+        throughput: sum of the size of what drives and brakes, J, shape (K,).
+        wheel_drive: energy of the wheels where they drive, J, shape (K,).
+        wheel_brake: likewise where they brake, positive J.
+        force_drive: integral of (force over mass)^2 where they drive, m^2/s^3, shape (K,).
+        force_brake: likewise where they brake.
+        recovered: share of the braking energy that recuperation can take, shape (K,).
+    """
+
+    energy: np.ndarray
+    gradient: np.ndarray
+    throughput: np.ndarray
+    wheel_drive: np.ndarray
+    wheel_brake: np.ndarray
+    force_drive: np.ndarray
+    force_brake: np.ndarray
+    recovered: np.ndarray
+
+
+class _Wheels(NamedTuple):
+    """Energy at the wheels by step, shape (K, n), its parts, and what one unit costs."""
+
+    total: np.ndarray
+    drag: np.ndarray
+    weight: np.ndarray  # m g
+    driving: np.ndarray
+    fade: np.ndarray  # shape (n,)
+    square: np.ndarray  # (force / mass)^2 dt
+
+
+def spent(
+    mean: np.ndarray, steps: Steps, conditions: Conditions, warmth: Warmth, car: Constants
+) -> Spent:
+    """Battery energy of the steps of an interval.
+
+    Args:
+        mean: states, shape (K, SIZE).
+        steps: n of them.
+        conditions: of the interval.
+        warmth: of tyres and cabin.
+        car: constants.
+    """
+    wheels = _wheels(mean, steps, conditions, warmth, car)
+    eta, mu = (np.exp(mean[:, i])[:, None] for i in (State.ETA, State.MU))
+    rate = np.where(wheels.driving, 1.0 / eta, mu * wheels.fade)
+    traction = rate * wheels.total
+    gradient = np.zeros((len(mean), SIZE))
+    gradient[:, State.ETA] = -_where(traction, wheels.driving)
+    gradient[:, State.MU] = _where(traction, ~wheels.driving)
+    gradient[:, State.MASS] = (rate * (wheels.total - wheels.drag)).sum(1)
+    gradient[:, State.C_D] = (rate * wheels.drag).sum(1)
+    if not np.isnan(steps.motor_drive).any():
+        traction = _by_motor(mean, steps, gradient)
+        gradient[:, : State.C_RR] = 0.0
+        gradient[:, State.C_D] = 0.0
+        gradient[:, State.ETA] = gradient[:, State.TORQUE]
+        rate = np.zeros_like(rate)
+    _rolling_gradient(gradient, mean, rate * wheels.weight, steps, conditions, warmth, car)
+    rest = _standing(mean, steps, conditions, warmth, gradient)
+    moving = float(steps.duration @ (steps.distance > CREEPING * steps.duration))
+    gradient[:, State.NO_LOAD] = moving
+    gradient[:, State.COPPER] = wheels.square.sum(1)
+    loss = mean[:, State.NO_LOAD] * moving + mean[:, State.COPPER] * wheels.square.sum(1)
+    brake = -_where(wheels.total, ~wheels.driving)
+    faded = -_where(wheels.total * wheels.fade, ~wheels.driving)
+    return Spent(
+        energy=traction.sum(1) + loss + rest,
+        gradient=gradient,
+        throughput=np.abs(traction).sum(1),
+        wheel_drive=_where(wheels.total, wheels.driving),
+        wheel_brake=brake,
+        force_drive=_where(wheels.square, wheels.driving),
+        force_brake=_where(wheels.square, ~wheels.driving),
+        recovered=faded / np.maximum(brake, 1.0),
+    )
+
+
+def motor_energy(
+    mean: np.ndarray, steps: Steps, conditions: Conditions, warmth: Warmth, car: Constants
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Energy of the motor where it drives, and where it brakes, J, each with its gradient."""
+    wheels = _wheels(mean, steps, conditions, warmth, car)
+    share = np.exp(mean[:, State.TORQUE])[:, None]
+    back = np.exp(mean[:, State.MU] - mean[:, State.GENERATOR])[:, None]
+    found = []
+    for rate, own in (
+        (share * wheels.driving, (State.TORQUE,)),
+        (-back * wheels.fade * ~wheels.driving, (State.MU,)),
+    ):
+        energy = (rate * wheels.total).sum(1)
+        gradient = np.zeros((len(mean), SIZE))
+        for state in own:
+            gradient[:, state] = energy
+        if State.MU in own:
+            gradient[:, State.GENERATOR] = -energy
+        gradient[:, State.MASS] = (rate * (wheels.total - wheels.drag)).sum(1)
+        gradient[:, State.C_D] = (rate * wheels.drag).sum(1)
+        _rolling_gradient(gradient, mean, rate * wheels.weight, steps, conditions, warmth, car)
+        found.append((energy, gradient))
+    return found[0], found[1]
+
+
+def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
+    """A sample as one step of 1 s, so that energy is power."""
+    v = abs(sample.speed)
+    flow = v + sample.head_wind
+    motor = sample.motor_power
+    columns = (
+        1.0,
+        v,
+        flow * abs(flow) * v,
+        sample.speed * sample.acceleration,
+        sample.speed * math.sin(sample.grade),
+        np.maximum(motor, 0.0),
+        np.maximum(-motor, 0.0),
+    )
+    conditions = Conditions(
+        sample.air_density,
+        sample.head_wind,
+        sample.celsius,
+        sample.known_auxiliary,
+        sample.known_auxiliary > 0.0,
+    )
+    return Steps(*(np.array([column]) for column in columns)), conditions
+
+
+def _wheels(
+    mean: np.ndarray, steps: Steps, conditions: Conditions, warmth: Warmth, car: Constants
+) -> _Wheels:
+    mass, c_d = (np.exp(mean[:, i])[:, None] for i in (State.MASS, State.C_D))
+    weight = mass * GRAVITY
+    rolling = car.c_rr * _rolling(mean, conditions, warmth)[:, None]
+    length = max(float(steps.distance.sum()), 1e-6)
+    climb = steps.climb + mean[:, State.CLIMB][:, None] * (steps.distance / length)
+    drag = 0.5 * conditions.air_density * car.frontal_area * c_d * steps.air
+    total = (
+        mass * car.rotating_mass_factor * steps.kinetic
+        + weight * (climb + (rolling + mean[:, State.FORCE][:, None]) * steps.distance)
+        + drag
+    )
+    speed = steps.distance / steps.duration
+    force = np.clip(total / mass / np.maximum(steps.distance, LEAST_STEP), -MOST_FORCE, MOST_FORCE)
+    return _Wheels(
+        total=total,
+        drag=drag,
+        weight=weight,
+        driving=total > 0.0,
+        fade=np.clip((speed - FADE_END) / (FADE_SPEED - FADE_END), 0.0, 1.0),
+        square=force**2 * steps.duration * (speed > CREEPING),
+    )
+
+
+def _rolling(mean: np.ndarray, conditions: Conditions, warmth: Warmth) -> np.ndarray:
+    """Rolling resistance of this drive over the prior's, shape (K,)."""
+    cold = _cold(conditions) / 10.0
+    own = mean[:, State.C_RR] * (1.0 + mean[:, State.ROLL_COLD] * cold)
+    return np.asarray(own + mean[:, State.ROLL_DRIVE] + mean[:, State.ROLL_START] * warmth.tyres)
+
+
+def _rolling_gradient(
+    gradient: np.ndarray,
+    mean: np.ndarray,
+    rate: np.ndarray,
+    steps: Steps,
+    conditions: Conditions,
+    warmth: Warmth,
+    car: Constants,
+) -> None:
+    """Fill in what the states add that act along the road; `rate` is J per m of it, (K, n)."""
+    along = (rate * steps.distance).sum(1)
+    cold = _cold(conditions) / 10.0
+    gradient[:, State.C_RR] = along * car.c_rr * (1.0 + mean[:, State.ROLL_COLD] * cold)
+    gradient[:, State.ROLL_COLD] = along * car.c_rr * mean[:, State.C_RR] * cold
+    gradient[:, State.ROLL_DRIVE] = along * car.c_rr
+    gradient[:, State.ROLL_START] = along * car.c_rr * warmth.tyres
+    gradient[:, State.FORCE] = along
+    gradient[:, State.CLIMB] = along / max(float(steps.distance.sum()), 1e-6)
+
+
+def _by_motor(mean: np.ndarray, steps: Steps, gradient: np.ndarray) -> np.ndarray:
+    """Traction energy of the battery by that of the motor, J, shape (K, 2); its gradient."""
+    drive = np.exp(-mean[:, State.ETA] - mean[:, State.TORQUE]) * steps.motor_drive.sum()
+    brake = -np.exp(mean[:, State.GENERATOR]) * steps.motor_brake.sum()
+    gradient[:, State.TORQUE] = -drive
+    gradient[:, State.GENERATOR] = brake
+    return np.stack((drive, brake), axis=1)
+
+
+def _standing(
+    mean: np.ndarray,
+    steps: Steps,
+    conditions: Conditions,
+    warmth: Warmth,
+    gradient: np.ndarray,
+) -> np.ndarray:
+    """Energy of the standing load, J, shape (K,); its gradient is filled in.
+
+    A car that reports its heating and cooling has these in the report.
+    """
+    duration = float(steps.duration.sum())
+    cold = 0.0 if conditions.load_known else _cold(conditions)
+    hot = 0.0 if conditions.load_known else _hot(conditions)
+    for state, factor in (
+        (State.P_AUX, 1.0),
+        (State.AUX_DRIVE, 1.0),
+        (State.AUX, 1.0),
+        (State.COLD, cold),
+        (State.HOT, hot),
+        (State.COLD_START, cold * warmth.cabin),
+        (State.HOT_START, hot * warmth.cabin),
+        (State.REPORTED, conditions.load),
+    ):
+        gradient[:, state] = factor * duration
+    states = [State.P_AUX, State.AUX_DRIVE, State.AUX, State.REPORTED]
+    states += [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
+    own = np.einsum("ki,ki->k", gradient[:, states], mean[:, states])
+    return np.asarray(own + conditions.load * duration)
+
+
+def _cold(conditions: Conditions) -> float:
+    return 0.0 if conditions.celsius is None else max(0.0, MILD_CELSIUS - conditions.celsius)
+
+
+def _hot(conditions: Conditions) -> float:
+    return 0.0 if conditions.celsius is None else max(0.0, conditions.celsius - MILD_CELSIUS)
+
+
+def _where(values: np.ndarray, condition: np.ndarray) -> np.ndarray:
+    """Sum along the steps where a condition holds."""
+    return np.asarray((values * condition).sum(1))

@@ -1,0 +1,335 @@
+"""The layouts of apps, as their exports or their readers show them; clocks, units, refusals."""
+
+from datetime import datetime, timedelta, timezone
+import math
+from pathlib import Path
+import zipfile
+
+import openpyxl
+import polars as pl
+import pytest
+
+from evpinn_ros.can.logs import LogFile
+from evpinn_ros.drives import open_drive
+from evpinn_ros.errors import InputError
+from evpinn_ros.replay.contents import contents
+from evpinn_ros.replay.sources import is_drive_table
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading, TemperatureReading
+from evpinn_ros.text_lines import LONGEST_LINE
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+START = datetime(2024, 3, 5, 7, 8, 9, tzinfo=timezone.utc)
+SECONDS = 300
+
+
+def moments():
+    """Time, its date, speed, voltage, current, positive while it discharges, charge, height."""
+    for t in range(SECONDS):
+        speed = 8 - 8 * math.cos(t / 8)
+        current = 15 + 5 * speed * math.sin(t / 8)
+        yield t, START + timedelta(seconds=t), speed, 380 - 0.1 * current, current, 80.0, 100.0
+
+
+def table(header, row):
+    return "\n".join([header, *(row(*moment) for moment in moments())]) + "\n"
+
+
+def carscanner_long():
+    lines = ['"SECONDS";"PID";"VALUE";"UNITS";"LATITUDE";"LONGTITUDE";']
+    for t, _, speed, voltage, current, charge, height in moments():
+        values = [
+            ("Vehicle speed", speed * 3.6, "km/h"),
+            ("Speed (GPS)", 200, "km/h"),
+            ("[BMS] HV battery voltage", voltage, "V"),
+            ("[BMS] HV battery current", current, "A"),
+            ("Engine RPM", 0, "rpm"),
+            ("State of charge", charge, "%"),
+            ("Altitude (GPS)", height, "m"),
+        ]
+        lines += [
+            f'"{86_350 + t + 0.1 * k:.6f}";"{name}";"{value:.4f}";"{unit}";"45.1";"15.2";'
+            for k, (name, value, unit) in enumerate(values)
+        ]
+    return "\n".join(lines) + "\n"
+
+
+APPS = {
+    "2024-03-05 23-59-09.csv": (carscanner_long, "name"),
+    "torque.csv": (
+        lambda: table(
+            "GPS Time, Device Time, Longitude, Latitude,GPS Speed (Meters/second), Altitude,"
+            "Speed (OBD)(km/h),[LEAF] HV Battery Voltage(V),[LEAF] HV Battery Current(A),"
+            "Voltage (OBD Adapter)(V),Trip Time(Since journey start)(s),State of charge(%)",
+            lambda t, at, v, u, i, s, h: (
+                f"{at:%a %b %d %H:%M:%S} GMT+00:00 2024,{at:%d-%b-%Y %H:%M:%S}.000,1,2,-,{h},"
+                f"{v * 3.6:.4f},{u:.4f},{-i:.4f},12.5,{t},{s}"
+            ),
+        ),
+        "log",
+    ),
+    "obdfusion.csv": (
+        lambda: (
+            "# StartTime = 03/05/2024 07:08:09.0000 AM\n"
+            + table(
+                "Time (sec), Vehicle speed (MPH), Battery voltage (V), Battery current (A)",
+                lambda t, at, v, u, i, s, h: f"{t:.4f},{v / 0.44704:.5f},{u:.4f},{i:.4f}",
+            )
+        ),
+        "log",
+    ),
+    "ovms.csv": (
+        lambda: table(
+            "time,v.p.speed,v.b.voltage,v.b.current,v.b.soc,v.e.temp,v.b.12v.voltage,v.b.temp",
+            lambda t, at, v, u, i, s, h: (
+                f"{at:%Y-%m-%d %H:%M:%S},{v * 3.6:.4f},{u:.4f},{i:.4f},{s},5,12.8,20"
+            ),
+        ),
+        "log",
+    ),
+    "abrp.csv": (
+        lambda: table(
+            "utc,soc,power,speed,lat,lon,is_charging,ext_temp,elevation,voltage,current",
+            lambda t, at, v, u, i, s, h: (
+                f"{at.timestamp():.0f},{s},{u * i / 1000},{v * 3.6:.4f},1,2,0,5,{h},"
+                f"{u:.4f},{i:.4f}"
+            ),
+        ),
+        "log",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", APPS)
+def test_an_app_is_read_without_a_flag(tmp_path, name):
+    made, dated = APPS[name]
+    (tmp_path / name).write_text(made(), encoding="utf-8-sig")
+    drive = open_drive(tmp_path / name).drive
+    readings = list(drive.readings())
+    assert drive.dated == dated and not drive.dropped and not drive.first_bad
+    speeds = [r for r in readings if isinstance(r, SpeedReading)]
+    currents = [r for r in readings if isinstance(r, BatteryReading) and not math.isnan(r.current)]
+    voltages = [r.voltage for r in readings if isinstance(r, BatteryReading)]
+    assert len(speeds) == len(currents) == SECONDS
+    assert min(v for v in voltages if not math.isnan(v)) > 360
+    for (t, at, speed, *_), found in zip(moments(), speeds, strict=True):
+        begin = 86_350 - 7 * 3600 - 8 * 60 - 9 if name.startswith("2024") else 0
+        assert found.stamp_ns / 1e9 == pytest.approx(at.timestamp() + begin, abs=1e-3), t
+        assert found.speed == pytest.approx(speed, abs=1e-3)
+    for (*_, current, _, _), found in zip(moments(), currents, strict=True):
+        assert found.current == pytest.approx(-current, abs=1e-3)
+
+
+def test_teslamate_has_power_alone_in_kilowatts(tmp_path):
+    header = "id,date,elevation,speed,power,odometer,est_battery_range_km,battery_level,"
+    header += "battery_heater_no_power,inside_temp,outside_temp,is_climate_on"
+    text = table(
+        header,
+        lambda t, at, v, u, i, s, h: (
+            f"{t},{at:%Y-%m-%d %H:%M:%S.%f},{h:.0f},{v * 3.6:.0f},{u * i / 1000:.0f},"
+            f"{1000 + t / 99:.3f},300,{s:.0f},f,21.5,5.0,t"
+        ),
+    )
+    (tmp_path / "positions.csv").write_text(text)
+    source = open_drive(tmp_path / "positions.csv", 360.0)
+    units = {rule.quantity: rule.unit for rule in source.drive.rules}
+    assert (units["speed"], units["power"], units["ambient"]) == ("km/h", "kw", "c")
+    powers = [r.power for r in source.readings() if isinstance(r, BatteryReading)]
+    assert max(powers) == pytest.approx(25_000, rel=0.1)
+    assert "300 battery readings hold power alone" in source.notes[0]
+
+
+def typed():
+    rows = list(moments())
+    return {
+        "Date": [at.replace(tzinfo=None) for _, at, *_ in rows],
+        "Speed [km/h]": [speed * 3.6 for _, _, speed, *_ in rows],
+        "Pack Voltage": [row[3] for row in rows],
+        "Pack Current": [row[4] for row in rows],
+    }
+
+
+def test_parquet_and_spreadsheets(tmp_path):
+    columns = typed()
+    pl.DataFrame({**columns, "nested": [[1]] * SECONDS}).write_parquet(tmp_path / "d.parquet")
+    book = openpyxl.Workbook()
+    book.active.append(["notes of mine"])
+    sheet = book.create_sheet("data")
+    sheet.append(["Leaf, March"])
+    sheet.append(["Date", "Time", *list(columns)[1:]])
+    for at, *values in zip(*columns.values(), strict=True):
+        sheet.append([at.date(), at.time(), *values])
+    book.save(tmp_path / "d.xlsx")
+    for name in ("d.parquet", "d.xlsx"):
+        speeds = [r for r in open_drive(tmp_path / name).readings() if isinstance(r, SpeedReading)]
+        assert len(speeds) == SECONDS
+        assert speeds[0].stamp_ns == START.timestamp() * 1e9
+        assert speeds[20].speed == pytest.approx(8 - 8 * math.cos(2.5))
+
+
+def test_measured_signals_of_an_mf4(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    np = pytest.importorskip("numpy")
+    rows = np.array([[t, v * 3.6, u, i] for t, _, v, u, i, *_ in moments()])
+    mdf = asammdf.MDF()
+    mdf.start_time = START
+    names = [("VehicleSpeed", "km/h"), ("HV_Battery_Voltage", "V"), ("HV_Battery_Current", "A")]
+    for k, (name, unit) in enumerate(names, 1):
+        mdf.append([asammdf.Signal(rows[:, k], rows[:, 0] + 0.1 * k, name=name, unit=unit)])
+    mdf.save(tmp_path / "d.mf4")
+    readings = list(open_drive(tmp_path / "d.mf4").readings())
+    assert len(readings) == 3 * SECONDS
+    assert readings[0].stamp_ns == pytest.approx((START.timestamp() + 0.1) * 1e9, abs=1e6)
+
+
+def test_savvycan(tmp_path):
+    path = tmp_path / "bus.csv"
+    path.write_text(
+        "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
+        "39747828,000005EB,false,Rx,0,8,E8,45,85,4B,4A,28,36,69,\n"
+        "39757828,18DAF110,true,Tx,0,2,01,FF,\n"
+    )
+    assert not is_drive_table(path)
+    first, second = LogFile(path).frames()
+    assert (first.can_id, first.extended, first.data.hex()) == (0x5EB, False, "e845854b4a283669")
+    assert second.stamp_ns - first.stamp_ns == 10_000_000
+    assert (second.can_id, second.extended, second.data) == (0x18DAF110, True, b"\x01\xff")
+
+
+def small(folder, header, *rows):
+    (folder / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
+    return open_drive(folder / "drive.csv")
+
+
+def times(source):
+    readings = [r for r in source.readings() if isinstance(r, SpeedReading)]
+    return [(r.stamp_ns - readings[0].stamp_ns) / 1e9 for r in readings]
+
+
+def test_dates_that_can_be_read_in_two_ways_are_told(tmp_path):
+    rows = [f"05/03/2024 07:08:{s:02d},{s}" for s in range(30)]
+    drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in rows)).drive
+    assert drive.clock.why == "day, month, year; could be month, day, year as well"
+    later = [row.replace("05/03", "03/25") for row in rows]
+    drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in later)).drive
+    assert drive.clock.why == "month, day, year"
+    over = ["31/12/2023 23:59:59,1,1", "01/01/2024 00:00:00,1,1", "01/01/2024 00:00:01,1,1"]
+    assert times(small(tmp_path, "date,speed_mps,power_w", *over)) == [0, 1, 2]
+
+
+def test_times_of_day_go_on_over_midnight_and_noon(tmp_path):
+    day = ["23:59:58,1,1", "23:59:59,1,1", "00:00:01,1,1", "00:00:02,1,1"]
+    source = small(tmp_path, "time,speed_mps,power_w", *day)
+    assert times(source) == [0, 1, 3, 4] and source.drive.dated == ""
+    noon = ["12:59:58,1,1", "12:59:59,1,1", "1:00:01,1,1", "1:00:02,1,1"]
+    assert times(small(tmp_path, "time,speed_mps,power_w", *noon)) == [0, 1, 3, 4]
+    found = contents(tmp_path / "drive.csv")
+    assert found.dated == "" and found.columns[0].unit == "time of day"
+
+
+def test_fahrenheit_is_not_taken_for_celsius(tmp_path):
+    header, row = "t_s,speed_mps,power (W),ambient", "{},1,1000,{}"
+    for values, celsius in (((41, 45), 5.0), ((3, 8), 3.0), ((20, 38), 20.0)):
+        rows = [row.format(i, values[0] if i < 6 else values[1]) for i in range(11)]
+        source = small(tmp_path, header, *rows)
+        found = [r.celsius for r in source.readings() if isinstance(r, TemperatureReading)]
+        assert found[0] == pytest.approx(celsius)
+        why = next(rule.why for rule in source.drive.rules if rule.quantity == "ambient")
+        assert "in the median" in why
+
+
+def test_a_thousands_sign_is_no_decimal_one(tmp_path):
+    rows = [
+        f'{i},{i}.5,"{value}"' for i, value in enumerate(("950", "12,345", "27,521", "-1,004"))
+    ]
+    source = small(tmp_path, "t_s,speed_mps,battery power (W)", *rows)
+    powers = [r.power for r in source.readings() if isinstance(r, BatteryReading)]
+    assert powers == pytest.approx([950, 12_345, 27_521, -1004])
+
+
+REFUSED = [
+    (
+        "time,speed [furlong],power [W]\n1,2,3\n",
+        r"the unit \[furlong\] of speed is not known; say --column 'speed=speed \[furlong\]:UNIT'",
+    ),
+    ("time,speed,power\nx,1,1\n", "column 'time': 'x' is no time that is known"),
+    ("time,speed,power\n", "no row below the header"),
+    ("time,speed,power\n1,a,b\n2,c,d\n", r"drive.csv:2: column 'speed': 'a' is no number; --col"),
+    ("time,speed,voltage\n1,2,3\n", "a column of voltage alone, and none of power"),
+]
+
+
+@pytest.mark.parametrize(("text", "reason"), REFUSED)
+def test_what_cannot_be_read_is_refused_with_the_way_out(tmp_path, text, reason):
+    (tmp_path / "drive.csv").write_text(text)
+    with pytest.raises(InputError, match=reason):
+        list(open_drive(tmp_path / "drive.csv").readings())
+
+
+def test_a_bad_cell_is_quoted_once(tmp_path):
+    source = small(tmp_path, "t_s,speed_mps,power_w", "0,1,1", "1,fast,1", "2,slow,1")
+    list(source.readings())
+    assert source.notes[1:] == (
+        f"{tmp_path / 'drive.csv'}:3: column 'speed_mps': 'fast' is no number; "
+        "--column speed=NAME takes another column",
+    )
+
+
+def test_rows_longer_than_the_header_are_whole_where_many_are(tmp_path):
+    rows = [f"{i},1,1{',7' * (3 if i > 20 else 0)}" for i in range(60)]
+    rows.insert(40, "39.5,1")
+    rows.insert(50, "48.5,1,1,7,49,1,1,7,7,7")
+    source = small(tmp_path, "t_s,speed_mps,power_w", *rows)
+    assert len(times(source)) == 60 and source.dropped == {"wrong_number_of_cells": 2}
+
+
+SHEET = (
+    '<?xml version="1.0"?><worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/'
+    'main"><sheetData>{}</sheetData></worksheet>'
+)
+
+
+def test_tables_of_nothing_are_refused_at_once(tmp_path):
+    import gzip
+
+    bombs = {
+        "columns.csv.gz": b",".join([b"a"] * 600_000),
+        "row.csv.gz": b'time,speed,power\n"' + b"x" * (LONGEST_LINE + 9),
+        "quote.csv.gz": b"time,speed,power\n" + b'"a\n' * 200_000,
+        "lines.csv.gz": b'time,speed,power\n"' + b"x,1,2\n" * 3_000_000,
+        "blank.csv.gz": b"time,speed,power\n" + b"\n" * 200_000,
+    }
+    for name, data in bombs.items():
+        (tmp_path / name).write_bytes(gzip.compress(data, 1))
+        with pytest.raises(InputError, match=name):
+            open_drive(tmp_path / name)
+    book = openpyxl.Workbook()
+    book.save(tmp_path / "good.xlsx")
+    cells = "".join(f'<row r="{i}"><c r="A{i}"/></row>' for i in range(1, 100_000))
+    with (
+        zipfile.ZipFile(tmp_path / "good.xlsx") as good,
+        zipfile.ZipFile(tmp_path / "bad.xlsx", "w", zipfile.ZIP_DEFLATED) as bad,
+    ):
+        for part in good.namelist():
+            sheet = part.startswith("xl/worksheets/")
+            bad.writestr(part, SHEET.format(cells) if sheet else good.read(part))
+    with pytest.raises(InputError, match="bytes of empty cells"):
+        open_drive(tmp_path / "bad.xlsx")
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
+def test_real_logs_are_read_with_no_flag():
+    logs = [*DATA.glob("peugeot_e208_car_scanner/*"), *DATA.glob("nissan_leaf_2013_leafspy/*")]
+    assert len(logs) == 56
+    for log in logs:
+        drive = open_drive(log).drive
+        readings = list(drive.readings())
+        assert not drive.first_bad and "wrong_number_of_cells" not in drive.dropped
+        assert "time_not_increasing" not in drive.dropped and drive.dated
+        units = {rule.quantity: rule.unit for rule in drive.rules}
+        assert units["speed"] == "km/h" and not units["current"].startswith("-")
+        found = {type(reading).__name__ for reading in readings}
+        assert {"BatteryReading", "TemperatureReading"} <= found
+        volts = [r.voltage for r in readings if isinstance(r, BatteryReading)]
+        assert 340 < min(v for v in volts if not math.isnan(v)) < 440
+        temperatures = [r.celsius for r in readings if isinstance(r, TemperatureReading)]
+        assert -10 < min(temperatures) <= max(temperatures) < 50

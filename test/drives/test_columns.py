@@ -1,0 +1,182 @@
+"""Strangers' CSV files: the same drive under other names, units, signs and separators."""
+
+from contextlib import suppress
+import csv
+import gzip
+import math
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.drives import open_drive
+from evpinn_ros.drives.column import columns_by_name
+from evpinn_ros.drives.table_drive import TableDrive
+from evpinn_ros.drives.times import DRIVE_START_NS
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+NOMINAL = 350.0
+
+
+def speed_at(time: float) -> float:
+    """A drive in town, m/s: up to 15 m/s with 1.5 m/s^2."""
+    return 7.5 - 7.5 * math.cos(time / 5.0)
+
+
+def rows(count: int = 1200):
+    for i in range(count):
+        time = 0.1 * i
+        acceleration = 1.5 * math.sin(time / 5.0)
+        yield time, speed_at(time), 360.0, 20.0 + 60.0 * acceleration
+
+
+def drive_of(folder: Path, header: str, lines, encoding: str = "utf-8", **options) -> TableDrive:
+    text = "\n".join([header, *lines]) + "\n"
+    (folder / "drive.csv").write_bytes(text.encode(encoding))
+    return open_drive(folder / "drive.csv", NOMINAL, **options).drive
+
+
+def check(drive: TableDrive, start_ns: int = DRIVE_START_NS) -> None:
+    """The readings are those of `rows`, in our units and with our signs."""
+    readings = list(drive.readings())
+    speeds = [r for r in readings if isinstance(r, SpeedReading)]
+    batteries = [r for r in readings if isinstance(r, BatteryReading)]
+    assert len(speeds) == len(batteries) == 1200 and not drive.dropped
+    for (time, speed, voltage, current), s, b in zip(rows(), speeds, batteries, strict=True):
+        assert s.stamp_ns - start_ns == pytest.approx(time * 1e9, abs=1e6)
+        assert s.speed == pytest.approx(speed, abs=1e-3)
+        assert b.power == pytest.approx(voltage * current, abs=2.0)
+
+
+def test_semicolons_brackets_decimal_commas_and_a_degree_sign(tmp_path):
+    drive = drive_of(
+        tmp_path,
+        "Time [s];Velocity [km/h];Battery Voltage [V];Battery Current [A];"
+        "Ambient Temperature [°C];max. Battery Temperature [°C]",
+        (
+            f"{t:.1f};{3.6 * v:.4f};{u:.1f};{-i:.4f};21,5;30,0".replace(".", ",")
+            for t, v, u, i in rows()
+        ),
+        encoding="cp1252",
+    )
+    readings = {type(reading).__name__ for reading in drive.readings()}
+    assert "TemperatureReading" in readings
+    assert drive.ignored == ("max. Battery Temperature [°C]",)
+    units = {rule.quantity: (rule.unit, rule.why) for rule in drive.rules}
+    assert units["speed"] == ("km/h", "by its name")
+    assert units["current"][0] == "-a" and "as accelerating shows" in units["current"][1]
+    check(drive)
+
+
+def test_no_units_at_all_and_milliseconds(tmp_path):
+    lines = (f"{1000 * t:.0f},{3.6 * v:.4f},{u},{i:.4f},7" for t, v, u, i in rows())
+    drive = drive_of(tmp_path, "timestamp,VehicleSpeed,packVoltage,pack_current,rpm", lines)
+    check(drive)
+    why = {rule.quantity: (rule.unit, rule.why) for rule in drive.rules}
+    assert why["time"] == ("ms", "by the step between rows")
+    assert why["speed"] == ("km/h", "by the power that accelerating takes")
+    assert drive.ignored == ("rpm",)
+
+
+def test_dates_and_power_in_kilowatts(tmp_path):
+    lines = (
+        f"2024-05-01T08:{int(t // 60):02d}:{t % 60:06.3f}Z,{v:.4f},{u * i / 1000:.6f}"
+        for t, v, u, i in rows()
+    )
+    drive = drive_of(tmp_path, "Date Time,speed_mps,Battery Power (kW)", lines)
+    check(drive, 1_714_550_400_000_000_000)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_times_since_1970_by_their_size(tmp_path, factor, unit):
+    start = 1_700_000_000
+    lines = (f"{(start + t) * factor:.0f},{v:.4f},{u},{i:.4f}" for t, v, u, i in rows())
+    drive = drive_of(tmp_path, "time,speed (m/s),hv_voltage,hv_current", lines)
+    check(drive, start * 1_000_000_000)
+    assert drive.rules[0].unit == unit
+
+
+def test_told_columns_win(tmp_path):
+    lines = (f"{t:.1f},{v:.4f},99,{-u * i / 1000:.6f}" for t, v, u, i in rows())
+    header = "when,v,speed,p"
+    chosen = ["time=when", "speed=v:m/s", "power=p:-kW"]
+    check(drive_of(tmp_path, header, lines, columns=chosen))
+
+
+def test_battery_before_motor_and_the_12_volt_net():
+    header = ["t", "speed", "Motor Power [W]", "12V voltage", "Battery Voltage", "motor current"]
+    header += ["battery current", "max battery current"]
+    found = {column.quantity: column.name for column in columns_by_name(header, [])}
+    assert found == {
+        "time": "t",
+        "speed": "speed",
+        "voltage": "Battery Voltage",
+        "current": "battery current",
+    }
+
+
+def test_our_names_are_taken_as_they_are():
+    header = ["t_s", "speed_mps", "power_w", "note", "soc"]
+    columns = columns_by_name(header, [])
+    assert [(column.name, column.factor, column.why) for column in columns] == [
+        ("t_s", 1.0, ""),
+        ("speed_mps", 1.0, ""),
+        ("power_w", 1.0, ""),
+    ]
+
+
+WRONG = [
+    ("speed", "say QUANTITY=NAME"),
+    ("weight=a", "say QUANTITY=NAME"),
+    ("speed=nowhere", "no such column; there are t, v, u"),
+    ("speed=v:furlong", "the unit is one of m/s"),
+]
+
+
+@pytest.mark.parametrize(("text", "reason"), WRONG)
+def test_a_wrong_choice_is_refused(text, reason):
+    with pytest.raises(InputError, match=reason):
+        columns_by_name(["t", "v", "u"], [text])
+
+
+@given(st.lists(st.text(max_size=12), max_size=8))
+def test_any_header_is_taken_or_left(header):
+    with suppress(InputError):  # a bracket that is no unit
+        for column in columns_by_name(header, []):
+            assert header[column.place] == column.name and math.isfinite(column.factor)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
+@pytest.mark.parametrize("name", ["TripA01", "TripB11"])
+def test_a_real_drive_under_other_names(tmp_path, name):
+    ours = open_drive(DATA / "bmw_i3" / f"{name}.csv.gz", NOMINAL).drive
+    with gzip.open(DATA / "bmw_i3" / f"{name}.csv.gz", "rt") as file:
+        header, *table = csv.reader(file)
+    at = {n: i for i, n in enumerate(header)}
+    lines = (
+        ";".join(
+            (
+                row[at["t_s"]],
+                str(3.6 * float(row[at["speed_mps"]])),
+                row[at["voltage_v"]],
+                str(-float(row[at["current_a"]])),
+            )
+        )
+        for row in table
+    )
+    drive = drive_of(tmp_path, "Time;Velocity;Battery Voltage;Battery Current", lines)
+    units = {rule.quantity: rule.unit for rule in drive.rules}
+    assert units == {"time": "s", "speed": "km/h", "voltage": "v", "current": "-a"}
+    kinds = SpeedReading, BatteryReading
+    theirs = [r for r in drive.readings() if isinstance(r, kinds)]
+    expected = [r for r in ours.readings() if isinstance(r, kinds)]
+    assert len(theirs) == len(expected)
+    for one, other in zip(theirs, expected, strict=True):
+        assert one.stamp_ns == other.stamp_ns
+        if isinstance(one, SpeedReading):
+            assert one.speed == pytest.approx(other.speed)
+        else:
+            assert one.power == pytest.approx(other.power)

@@ -1,0 +1,203 @@
+import gzip
+import math
+from pathlib import Path
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.drives import open_drive
+from evpinn_ros.drives.table_drive import TableDrive
+from evpinn_ros.drives.times import DRIVE_START_NS
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import (
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    MotorReading,
+    SpeedReading,
+    TemperatureReading,
+)
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+NOMINAL = 350.0
+START = DRIVE_START_NS
+
+
+def drive_of(folder: Path, text: str) -> TableDrive:
+    (folder / "drive.csv").write_text(text)
+    return open_drive(folder / "drive.csv", NOMINAL).drive
+
+
+def test_all_columns(tmp_path):
+    drive = drive_of(
+        tmp_path,
+        "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w,soc_pct,"
+        "motor_torque_nm,motor_speed_rad_s,x\n"
+        "0.5,10,400,50,1,570,-3,1500,250,80,-20,270,7\n",
+    )
+    stamp = START + 500_000_000
+    expected = [
+        SpeedReading(stamp, 10.0),
+        BatteryReading(stamp, 400.0, -50.0, 0.8),
+        AltitudeReading(stamp, 570.0),
+        TemperatureReading(stamp, -3.0),
+        AuxiliaryReading(stamp, 1500.0, 250.0),
+        MotorReading(stamp, -20.0, 270.0),
+    ]
+    assert list(map(repr, drive.readings())) == list(map(repr, expected))  # NaN is not equal NaN
+    assert drive.ignored == ("x",) and not drive.dropped
+
+
+def test_a_torque_needs_no_motor_speed_and_a_speed_alone_is_no_reading(tmp_path):
+    header = "t_s,speed_mps,power_w,motor_torque_nm,motor_speed_rad_s\n"
+    drive = drive_of(tmp_path, header + "0,1,400,50,\n1,1,400,,300\n")
+    (motor,) = (r for r in drive.readings() if isinstance(r, MotorReading))
+    assert repr(motor) == repr(MotorReading(START, 50.0))
+
+
+def batteries(drive: TableDrive) -> list[tuple[float, float]]:
+    return [(r.voltage, r.current) for r in drive.readings() if isinstance(r, BatteryReading)]
+
+
+def test_discharge_is_positive_in_the_file_and_negative_in_the_reading(tmp_path):
+    drive = drive_of(tmp_path, "t_s,speed_mps,voltage_v,current_a\n0,1,400,50\n1,1,400,-20\n")
+    readings = [r for r in drive.readings() if isinstance(r, BatteryReading)]
+    assert [r.power for r in readings] == [20_000.0, -8_000.0]
+
+
+def test_a_state_of_charge_that_is_none_is_left_out(tmp_path):
+    lines = [f"{i},1,400,50,{percent}" for i, percent in enumerate((100, 0, "", 101, -1, "nan"))]
+    drive = drive_of(tmp_path, "\n".join(["t_s,speed_mps,voltage_v,current_a,soc_pct", *lines]))
+    found = [r.state_of_charge for r in drive.readings() if isinstance(r, BatteryReading)]
+    assert found[:2] == [1.0, 0.0] and len(found) == 6 and all(map(math.isnan, found[2:]))
+    assert drive.dropped == {"soc_pct_out_of_range": 2, "soc_pct_not_a_number": 1}
+
+
+def test_power_alone_takes_the_nominal_voltage(tmp_path):
+    drive = drive_of(tmp_path, "t_s,speed_mps,power_w\n0,1,7000\n1,1,\n2,1,-3500\n")
+    assert batteries(drive) == [(350.0, -20.0), (350.0, 10.0)]
+    assert not drive.dropped
+
+
+def test_each_row_takes_what_it_has(tmp_path):
+    drive = drive_of(
+        tmp_path,
+        "t_s,speed_mps,voltage_v,current_a,power_w\n"
+        "0,1,400,50,\n"  # both
+        "1,1,,,7000\n"  # power alone
+        "2,1,400,,8000\n"  # the measured voltage is better than the nominal one
+        "3,1,400,,\n4,1,,50,\n"  # no pair
+        "5,1,0,0,\n"  # a sensor that is off
+        "6,1,,,\n",
+    )
+    found = [(400.0, -50.0), (350.0, -20.0), (400.0, -20.0), (400.0, math.nan), (math.nan, -50.0)]
+    assert list(map(repr, batteries(drive))) == list(map(repr, found))
+    assert drive.dropped == {"voltage_not_positive": 1} and (drive.rows, drive.used) == (7, 7)
+
+
+def test_what_is_dropped_is_counted(tmp_path):
+    drive = drive_of(
+        tmp_path,
+        "t_s,speed_mps,power_w,note\n"
+        "0,1,1,x\n"
+        "1,fast,1,x\n2,nan,inf,x\n"
+        "2,1,1,x\n1.5,1,1,x\n"
+        ",1,1,x\nsoon,1,1,x\n"
+        "3,1\n\n"
+        "4,1,1,x\n",
+    )
+    speeds = [r.stamp_ns - START for r in drive.readings() if isinstance(r, SpeedReading)]
+    expected = {
+        "speed_mps_not_a_number": 2,
+        "power_w_not_a_number": 1,
+        "t_s_not_a_number": 1,
+        "no_time": 2,
+        "wrong_number_of_cells": 1,
+    }
+    assert speeds == [0, 1_500_000_000, 2_000_000_000, 4_000_000_000] and drive.dropped == expected
+    list(drive.readings())
+    assert drive.dropped == expected  # a second reading counts anew
+
+
+def test_time_since_the_epoch_is_kept(tmp_path):
+    drive = drive_of(tmp_path, "t_s,speed_mps,power_w\n1700000000.25,1,1\n")
+    assert next(drive.readings()).stamp_ns == 1_700_000_000_250_000_000
+
+
+def test_gz_and_byte_order_mark(tmp_path):
+    text = "\ufefft_s, speed_mps ,power_w\n0,1,2\n"
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(text.encode()))
+    drive = open_drive(tmp_path / "a.csv.gz", NOMINAL).drive
+    assert drive.columns == ("t_s", "speed_mps", "power_w") and len(list(drive.readings())) == 2
+
+
+WRONG = [
+    ("a.csv", None, "No such file"),
+    ("a.csv", b"", "the file is empty"),
+    ("a.csv", b"row,speed_mps,power_w\n1,2,3\n", "no column of time; there are row, speed_mps"),
+    ("a.csv", b"a;b;c\n1;2;3\n", "time and speed; .* say --column time=NAME --column speed=NAME"),
+    ("a.csv", b"t_s,speed_mps,voltage_v\n1,2,3\n", "a column of voltage alone, and none of power"),
+    ("a.csv", b"t_s,speed_mps,power_w,power_w\n1,2,3,3\n", "a column is there twice"),
+    ("a.csv", b"\xff\xfe\x00t_s", "no column of time and speed"),
+    ("a.csv.gz", b"t_s,speed_mps,power_w\n", "Not a gzipped file"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "reason"), WRONG)
+def test_a_wrong_file_is_refused_in_one_line(tmp_path, name, content, reason):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=reason) as caught:
+        open_drive(tmp_path / name, NOMINAL)
+    assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_file_that_ends_early_says_where(tmp_path):
+    rows = "".join(f"{i},{i % 7},{i * 37 % 101}\n" for i in range(20_000))
+    whole = gzip.compress(b"t_s,speed_mps,power_w\n" + rows.encode())
+    (tmp_path / "a.csv.gz").write_bytes(whole[: len(whole) // 2])
+    drive = open_drive(tmp_path / "a.csv.gz", NOMINAL).drive
+    with pytest.raises(InputError, match=r"a.csv.gz:\d+: Compressed file ended"):
+        list(drive.readings())
+
+
+CELLS = st.one_of(
+    st.just(""),
+    st.floats(allow_nan=True, width=32).map(str),
+    st.text(alphabet="0123456789.e-+ ,\"'x", max_size=6),
+)
+
+
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(rows=st.lists(st.lists(CELLS, min_size=5, max_size=5), max_size=8))
+def test_any_cells_give_finite_readings_in_order(tmp_path, rows):
+    lines = ["t_s,speed_mps,voltage_v,current_a,power_w", *(",".join(row) for row in rows)]
+    drive = drive_of(tmp_path, "\n".join(lines) + "\n")
+    readings = list(drive.readings())
+    stamps = [reading.stamp_ns for reading in readings]
+    assert stamps == sorted(stamps)
+    for reading in readings:
+        if isinstance(reading, SpeedReading):
+            assert math.isfinite(reading.speed)
+        if isinstance(reading, BatteryReading):
+            assert not reading.voltage <= 0
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
+def test_real_drives():
+    trip = open_drive(DATA / "bmw_i3" / "TripB11.csv.gz", NOMINAL).drive
+    counts = {}
+    for reading in trip.readings():
+        counts[type(reading)] = counts.get(type(reading), 0) + 1
+    assert len({*counts.values()}) == 1 and len(counts) == 6 and not trip.dropped
+    charged = open_drive(DATA / "bmw_i3" / "TripA01.csv.gz", NOMINAL).drive.readings()
+    first = next(r for r in charged if isinstance(r, BatteryReading))
+    assert first.state_of_charge == pytest.approx(0.869)
+    assert "heating_can_w" in trip.ignored and len(trip.columns) + len(trip.ignored) == 15
+
+    tesla = open_drive(DATA / "tesla_model3" / "drive_first_757s.csv", NOMINAL).drive
+    first = next(reading for reading in tesla.readings() if isinstance(reading, BatteryReading))
+    assert first.voltage == NOMINAL and first.power == pytest.approx(10142.436)
