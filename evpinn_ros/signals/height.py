@@ -40,6 +40,10 @@ class HeightProfile:
         """Whether heights are measured where the car is."""
         return bool(self._odometer) and odometer - self._odometer[-1] < KNOWN_WITHIN
 
+    def reaches(self, odometer: float) -> bool:
+        """Whether heights are measured up to a place, so that its average changes no more."""
+        return bool(self._odometer) and self._odometer[-1] >= odometer
+
     def mean_around(self, odometer: float) -> float | None:
         """Height averaged `REACH` to either side, m, as far as known; None where it is not."""
         if not self._odometer or not (

@@ -185,9 +185,8 @@ class IntervalBuilder:
             return True
         battery = heard_ns is None or heard_ns - self._settled_ns >= end.stamp_ns
         silent = heard_ns is not None and newest_ns - heard_ns > self._battery.gap_ns
-        height = (
-            not self._height.known_at(self._odometer) or self._odometer - end.odometer >= REACH
-        )
+        known = self._height.known_at(self._odometer)
+        height = not known or self._height.reaches(end.odometer + REACH)
         return (battery or silent) and height
 
     def _interval(self, edges: list[_Edge]) -> Interval:
