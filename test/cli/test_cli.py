@@ -160,7 +160,7 @@ def test_bad_inputs_fail_in_one_line(folder):
 
 def test_battery_alone_is_an_error(folder):
     (folder / "battery.csv").write_text("t_s,speed_mps,power_w\n0,,700\n0.1,,800\n")
-    assert_fails_in_one_line(evpinn("replay", "battery.csv", cwd=folder), "vehicle/speed")
+    assert_fails_in_one_line(evpinn("replay", "battery.csv", cwd=folder), "no speed")
 
 
 def test_truncated_bag_is_replayed_as_far_as_it_goes(folder):
