@@ -127,8 +127,8 @@ def _replaced(variant: Variant) -> Iterator[None]:
     finally:
         for name, value in before.items():
             setattr(car_filter, name, value)
-        for table, old in zip(tables, kept, strict=True):
-            table.update(old)
+        for index, table in enumerate(tables):
+            table.update(kept[index])
 
 
 def _score(name: str, key: str, vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> Row:
