@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,7 @@ class Variant:
     """Constants of `car_filter`, and entries of the tables of `car_state`, to be replaced."""
 
     name: str
-    constants: Mapping[str, Any] = MappingProxyType({})
+    constants: Mapping[str, Any] = field(default_factory=dict)
     priors: Sequence[State] = ()
     drives: Sequence[State] = ()
     drifts: bool = True
@@ -113,22 +112,22 @@ def ablate(key: str, vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> 
 @contextmanager
 def _replaced(variant: Variant) -> Iterator[None]:
     before = {name: getattr(car_filter, name) for name in variant.constants}
-    tables: tuple[dict[State, Any], ...]
-    tables = (car_state.PRIORS, car_state.DRIVE_STD, car_state.DRIFTS)
-    kept = [dict(table) for table in tables]
+    priors, drives = dict(car_state.PRIORS), dict(car_state.DRIVE_STD)
+    drifts = dict(car_state.DRIFTS)
     for name, value in variant.constants.items():
         setattr(car_filter, name, value)
     car_state.PRIORS.update(dict.fromkeys(variant.priors, (0.0, NOTHING)))
     car_state.DRIVE_STD.update(dict.fromkeys(variant.drives, NOTHING))
     if not variant.drifts:
-        car_state.DRIFTS.update(dict.fromkeys(car_state.DRIFTS, 0.0))
+        car_state.DRIFTS.update(dict.fromkeys(drifts, 0.0))
     try:
         yield
     finally:
         for name, value in before.items():
             setattr(car_filter, name, value)
-        for index, table in enumerate(tables):
-            table.update(kept[index])
+        car_state.PRIORS.update(priors)
+        car_state.DRIVE_STD.update(drives)
+        car_state.DRIFTS.update(drifts)
 
 
 def _score(name: str, key: str, vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> Row:
