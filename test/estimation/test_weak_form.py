@@ -47,9 +47,7 @@ def drawn_steps(seed: int, motor: bool) -> Steps:
     duration = rng.uniform(1.0, 2.0, count)
     told = rng.uniform(0.0, 4e4, (2, count)) if motor else np.full((2, count), math.nan)
     kinetic, climb = speed * rng.normal(0.0, 1.0, count), speed * rng.normal(0.0, 0.02, count)
-    return Steps(
-        duration, duration * speed, duration * speed**3, kinetic, duration * climb, *told
-    )
+    return Steps(duration, duration * speed, duration * speed**3, kinetic, duration * climb, *told)
 
 
 def drawn_state(seed: int) -> np.ndarray:

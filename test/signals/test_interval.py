@@ -1,6 +1,7 @@
 """Intervals of driving, from readings: what telescopes, what is waited for and what is not."""
 
 from dataclasses import replace
+from itertools import pairwise
 import math
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_a_drive_telescopes(new_stream, play, journey, at):
     """Distances, kinetic energy and climb of all intervals are those of the whole way."""
     found = of(play(new_stream(), journey(200.0)))[1:]
     assert len(found) > 28
-    assert all(a.end_ns == b.start_ns for a, b in zip(found, found[1:], strict=False))
+    assert all(a.end_ns == b.start_ns for a, b in pairwise(found))
     assert all(one.duration == pytest.approx(DURATION) for one in found)
     begin, end = ((one - at(0)) / NANOSECONDS for one in (found[0].start_ns, found[-1].end_ns))
     fine = np.linspace(begin, end, 100_001)

@@ -5,7 +5,13 @@ from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.errors import InputError
-from evpinn_ros.vehicle.files import CONSTANTS, OPTIONAL_CONSTANTS, Vehicle, load_vehicle, vehicle_names
+from evpinn_ros.vehicle.files import (
+    CONSTANTS,
+    OPTIONAL_CONSTANTS,
+    Vehicle,
+    load_vehicle,
+    vehicle_names,
+)
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
 
 NAMES = [
