@@ -180,11 +180,13 @@ class IntervalBuilder:
             self._edges = [edge]
 
     def _ready(self, end: _Edge) -> bool:
-        newest_ns, heard_ns = self._speed.newest_ns, self._battery.newest_ns
-        if newest_ns - end.stamp_ns > WAIT_NS:
+        """Whether all is known, by what may come no more: whatever the order of arrival."""
+        settled_ns = self._speed.newest_ns - self._settled_ns
+        if settled_ns - end.stamp_ns > WAIT_NS:
             return True
-        battery = heard_ns is None or heard_ns - self._settled_ns >= end.stamp_ns
-        silent = heard_ns is not None and newest_ns - heard_ns > self._battery.gap_ns
+        after_ns = self._battery.next_ns(end.stamp_ns)
+        battery = after_ns is not None and after_ns <= settled_ns
+        silent = settled_ns - end.stamp_ns > self._battery.gap_ns
         known = self._height.known_at(self._odometer)
         height = not known or self._height.reaches(end.odometer + REACH)
         return (battery or silent) and height
