@@ -101,7 +101,7 @@ def test_seeds_matter(new_estimator, play, drive):
 def test_no_prediction_knows_the_battery_of_its_moment_or_later(
     new_estimator, play, powers, drive, mode, slower, early_ns
 ):
-    """All batteries from a moment on read otherwise: up to then not one bit differs.
+    """The current trebles from a moment on: up to then not one bit differs.
 
     Also with a battery at 2 Hz, and when it comes long before the speed of its moment.
     """
@@ -111,7 +111,9 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
     speeds = [r for r in readings if isinstance(r, SpeedReading)]
     batteries = [r for r in readings if isinstance(r, BatteryReading)][::slower]
     batteries = [b for b in batteries if not math.isnan(b.voltage)]
-    changed = [replace(b, current=b.current - 40.0) if b.stamp_ns >= cut else b for b in batteries]
+    changed = [
+        replace(b, current=3 * b.current - 1.0) if b.stamp_ns >= cut else b for b in batteries
+    ]
 
     def outputs(told) -> list[str]:
         arrivals = [(r.stamp_ns - early_ns, 0, r) for r in told]

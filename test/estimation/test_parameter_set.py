@@ -70,16 +70,14 @@ def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own,
     assert found.parameters["eta"].state is state
     combined = found.identifiable_states["mass_over_eta"]
     assert combined is (
-        VALID
-        if share < VALID_BELOW
-        else ESTIMATING
-        if share < ESTIMATING_BELOW
-        else UNESTIMATED
+        VALID if share < VALID_BELOW else ESTIMATING if share < ESTIMATING_BELOW else UNESTIMATED
     )
     assert found.reliable == (share < VALID_BELOW)
 
 
-@pytest.mark.parametrize("c_rr", [0.5 * TYRES.lower, 0.95 * TYRES.lower, 1.05 * TYRES.upper, 0.036])
+@pytest.mark.parametrize(
+    "c_rr", [0.5 * TYRES.lower, 0.95 * TYRES.lower, 1.05 * TYRES.upper, 0.036]
+)
 def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
     judge = StateHysteresis()
     good = judge.judge(parameter_set(0, told(prior, 0.01, c_rr=0.01)), CALM, suspected=False)
@@ -146,7 +144,7 @@ def test_valid_stays_until_much_is_forgotten(judge):
     assert judge(VALID_BELOW * STAYS_BELOW + 0.01) is ESTIMATING
     # What it takes to come back is more than what it took to stay.
     assert judge(VALID_BELOW * STAYS_BELOW - 0.01) is ESTIMATING
-    assert judge(0.93) is ESTIMATING and judge(1.0) is UNESTIMATED
+    assert judge(0.93) is ESTIMATING and judge(1.01) is UNESTIMATED
 
 
 def test_an_impossible_value_is_invalid_until_it_is_well_possible_again(judge):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.bench.truth import CarChain, compare, true_so_far
+from evpinn_ros.bench.truth import PROFILE, VEHICLES, CarChain, compare, true_so_far
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.pinn import LearnedCar
@@ -17,6 +17,7 @@ from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReadin
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
+from evpinn_ros.vehicle.files import load_vehicle
 
 COPPER = 2000.0  # W / (m/s^2)^2, a strong one
 
@@ -50,15 +51,18 @@ def test_efficiencies_of_a_car_with_copper_loss_are_by_energy(vehicle, intervals
 
 
 def test_an_efficiency_map_is_published_by_energy():
-    """Four minutes in town of four cars that have a map of losses."""
-    found = list(compare(DriveKind.URBAN, ["tesla_model_3_lr"], range(4), marks=(240,)))
+    """Ten minutes of mixed roads with three cars that have a map of losses.
+
+    Over twelve cars m / eta is 1.0 % high in the mean; the median error is 1.6 %.
+    """
+    found = list(compare(DriveKind.MIXED, VEHICLES, range(6), marks=(600,)))
     errors = {
-        name: [one.error_percent for one in found if one.name == name]
+        name: np.abs([one.error_percent for one in found if one.name == name])
         for name in ("mass_over_eta", "regeneration")
     }
-    assert np.median(np.abs(errors["mass_over_eta"])) < 2.0
-    assert np.max(np.abs(errors["mass_over_eta"])) < 4.0
-    assert np.max(np.abs(errors["regeneration"])) < 7.0
+    assert np.median(errors["mass_over_eta"]) < 2.0 and errors["mass_over_eta"].max() < 4.0
+    assert np.median(errors["regeneration"]) < 3.0
+    assert np.mean([one.covered for one in found]) >= 0.85
 
 
 def test_true_so_far_of_a_whole_drive_is_its_truth(drive):
@@ -113,18 +117,20 @@ def test_faults_of_sensors_move_little(vehicle, drive, kind):
     assert abs(moved - log) < 2 * std
 
 
-def test_motor_torque_tells_the_mass_in_kilograms(vehicle):
-    """Its prior share falls below 20 %, and the truth is within its interval."""
-    geared = replace(vehicle, motor_ratio=9.0 / 0.335)
-    shares = {}
+@pytest.mark.parametrize(("name", "most"), [("nissan_leaf", 0.2), ("generic", 0.05)])
+def test_motor_torque_tells_the_mass_in_kilograms(name, most):
+    """Of its prior share little is left, and the truth is within its interval."""
+    model, shares = load_vehicle(name), {}
     for torque in (False, True):
-        drive = simulate(DriveKind.MIXED, geared, 600.0, 4, motor_torque=torque)
-        chain = CarChain(geared)
+        drive = simulate(
+            DriveKind.MIXED, model, 600.0, 4, motor_torque=torque, can_profile=PROFILE
+        )
+        chain = CarChain(model)
         for reading in drive.readings:
             chain.add_reading(reading)
         mass = chain.parameters().parameters["mass"]
         shares[torque] = mass.prior_share
-    assert shares[True] < 0.2 < 0.5 < shares[False]
+    assert shares[True] < most < 2 * most < shares[False] and mass.state.value == "valid"
     assert abs(mass.value - drive.truth.parameters.mass) < 2.0 * mass.std
 
 
