@@ -13,7 +13,6 @@ divided along the straight line, so that all four know the same samples and noth
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -155,7 +154,7 @@ def divided(drive: PowerSeries) -> PowerSeries:
 
 
 def _integral(drive: PowerSeries) -> EnergyIntegral:
-    integral = EnergyIntegral(math.inf)
+    integral = EnergyIntegral(float(np.ptp(drive.time)) + 1.0)
     for time, power in zip(drive.time.tolist(), drive.power.tolist(), strict=True):
         integral.push(round(time * NANOSECONDS), power)
     return integral

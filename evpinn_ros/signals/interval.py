@@ -178,7 +178,10 @@ class IntervalBuilder:
         newest_ns, heard_ns = self._speed.newest_ns, self._battery.newest_ns
         if newest_ns - end.stamp_ns > WAIT_NS:
             return True
-        battery = heard_ns is None or heard_ns - self._settled_ns >= end.stamp_ns
+        known_ns = self._battery.next_ns(end.stamp_ns)
+        # By the clock of speed, so that the order in which readings come decides nothing.
+        settled = known_ns is not None and newest_ns - known_ns >= self._settled_ns
+        battery = heard_ns is None or settled
         silent = heard_ns is not None and newest_ns - heard_ns > self._battery.gap_ns
         height = (
             not self._height.known_at(self._odometer) or self._odometer - end.odometer >= REACH

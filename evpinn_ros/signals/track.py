@@ -90,6 +90,15 @@ class SignalTrack:
             return False
         return bool((np.diff(self.stamps[first : last + 1]) <= self.cadence.gap_ns).all())
 
+    def step(self, start_ns: int, end_ns: int) -> float:
+        """Usual step, s, of the readings around and within a span that they cover.
+
+        Unlike `cadence`, it does not depend on the order in which they came.
+        """
+        first = bisect_right(self.stamps, start_ns) - 1
+        last = bisect_left(self.stamps, end_ns)
+        return float(np.median(np.diff(self.stamps[first : last + 1]))) / NANOSECONDS
+
     def within(self, start_ns: int, end_ns: int) -> list[int]:
         """Stamps strictly between two moments."""
         first, last = bisect_right(self.stamps, start_ns), bisect_left(self.stamps, end_ns)
