@@ -13,6 +13,7 @@ divided along the straight line, so that all four know the same samples and noth
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
 from typing import NamedTuple
 
 import numpy as np
