@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"}
 METRIC_KEYS = {
     "input": {"path", "duration_s", "samples", "dropped"},
-    "power": {"lag_s", "rmse_w", "mae_w", "r2", "coverage_90"},
+    "power": {"lag_s", "rmse_w", "mae_w", "r2", "coverage_90", "floor_w"},
     "power_now": {"rmse_w", "mae_w", "r2", "coverage_90"},
     "energy": {"measured_j", "predicted_j", "rknn_j", "error_percent", "rknn_error_percent"},
     "updates": {"count", "accepted", "rejected", "p50_ms", "p99_ms"},

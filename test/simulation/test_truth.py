@@ -23,7 +23,7 @@ CAR = load_vehicle("tesla_model_3_lr")
 
 
 def test_the_five_parameter_form_spends_the_energy_of_the_drive(drive):
-    """Fed with true wheel power: eta, mu and p_aux account for every joule but those of turning."""
+    """Fed with true wheel power: eta, mu, p_aux and the loss of turning are every joule."""
     parameters, trace = drive.truth.parameters, drive.trace
     wheel = trace.wheel_power
     form = np.where(wheel > 0, wheel / parameters.eta, parameters.mu * wheel) + parameters.p_aux
