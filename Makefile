@@ -21,13 +21,18 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test test-matrix test-wheels lint bags golden docs clean
+.PHONY: demo quick test test-matrix test-wheels lint bags golden docs clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
 
 test: lint
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=ci
+
+# What finds most mistakes within a minute: no DDS, no browser, no colcon.
+quick: $(INSTALLED)
+	@$(BIN)/ruff check
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=ci --quick
 
 # Both distributions that rclpy comes as wheels of: Kilted as `make test` has it, and Jazzy.
 # PyTorch for Python 3.12 is a download of gigabytes.

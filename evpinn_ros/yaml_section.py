@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
+import re
 from typing import Any
 
 import yaml
@@ -11,7 +12,18 @@ import yaml
 from evpinn_ros.errors import InputError
 
 MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
+LONGEST_NUMBER = 400  # characters: more than any float has before its point
 MAX_DEPTH = 20  # of lists and mappings in each other; our files need 4, bags' metadata 7
+
+_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+_NUMBERS = {
+    _INT: re.compile(r"[-+]?(?:0b[01_]+|0x[0-9a-fA-F_]+|0[0-7_]*|[1-9][0-9_]*)$"),
+    _FLOAT: re.compile(
+        r"[-+]?(?:[0-9][0-9_]*\.[0-9_]*(?:[eE][-+][0-9]+)?|\.[0-9][0-9_]*(?:[eE][-+][0-9]+)?"
+        r"|\.(?:inf|Inf|INF))$|\.(?:nan|NaN|NAN)$"
+    ),
+}
+"""Numbers as PyYAML has them, without those of base 60."""
 
 
 def compose(path: Path, title: str) -> Section:
@@ -36,6 +48,19 @@ def load_plain(path: Path, title: str, most_bytes: int) -> Any:
         raise InputError(f"{path}: {error}") from error
 
 
+def plain_text(text: str) -> Any:
+    """What YAML inside another file holds, as plain Python values; None of an empty text.
+
+    Raises:
+        ValueError: it is not YAML of plain values.
+    """
+    try:
+        node = yaml.compose(text, Loader=_PlainLoader)
+    except (yaml.YAMLError, OverflowError) as error:
+        raise ValueError(str(error)) from error
+    return None if node is None else plain(node)
+
+
 def plain(node: yaml.Node) -> Any:
     """The plain Python value of a node.
 
@@ -43,7 +68,7 @@ def plain(node: yaml.Node) -> Any:
         ValueError: it is none, such as `!!python/name:os.system` or a date that never was.
     """
     try:
-        return yaml.SafeLoader("").construct_object(node, deep=True)
+        return _PlainLoader("").construct_object(node, deep=True)
     except Exception as error:
         # PyYAML takes `!!int ""`, `!!timestamp x` and the like at their word, and stumbles in as
         # many ways.
@@ -52,9 +77,26 @@ def plain(node: yaml.Node) -> Any:
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Refuses what makes much of little: aliases, and nesting without end."""
+    """Refuses what makes much of little: aliases, nesting without end, numbers of base 60.
+
+    `1:30` is text here, as in YAML 1.2; YAML 1.1 makes a number of it, in a time that grows with
+    the square of its length.
+    """
 
     depth = 0
+    yaml_implicit_resolvers = {  # noqa: RUF012
+        first: [(tag, _NUMBERS.get(tag, form)) for tag, form in rules]
+        for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        """The number of a node, also where `!!int` says that it is one."""
+        text = str(node.value)
+        if ":" in text or len(text) > LONGEST_NUMBER:
+            raise ValueError("not a number in base 10, 16, 8 or 2")
+        read = self.construct_yaml_int if node.tag == _INT else self.construct_yaml_float
+        number: int | float = read(node)
+        return number
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
@@ -66,6 +108,10 @@ class _PlainLoader(yaml.SafeLoader):
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
+
+
+_PlainLoader.add_constructor(_INT, _PlainLoader.construct_number)
+_PlainLoader.add_constructor(_FLOAT, _PlainLoader.construct_number)
 
 
 def _refusal(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:

@@ -15,7 +15,7 @@ PACKAGE = ROOT / "evpinn_ros"
 # From the ground up. A part may import what lies below it, and nothing beside or above it.
 LAYERS = [
     {"", "errors"},
-    {"share", "yaml_section", "one_thread", "text_lines", "npz", "durable"},
+    {"share", "yaml_section", "one_thread", "text_lines", "npz", "durable", "plain_table"},
     {"vehicle"},
     {"signals"},
     {"can", "energy", "estimation"},
@@ -156,3 +156,25 @@ def test_files_are_read_safely(name: str) -> None:
         assert options.get("allow_pickle", "False") == "False", ast.unparse(call)
         if function == "torch.load":
             assert options.get("weights_only") == "True", ast.unparse(call)
+
+
+SAFE_TO_PRINT = ("printable(", "json.dumps(", "_json(")
+PRINTERS = {"print", "typer.echo", "sys.stdout.write", "sys.stderr.write"}
+CONSOLES = {"rich.console.Console": "nodes.live_view", "rich.table.Table": None}
+"""What shows text, and would obey the escapes and the markup in it."""
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_what_a_person_sees_goes_through_one_function(name: str) -> None:
+    """Topics, files and cars have names from anywhere: `printable` is before every terminal."""
+    if name in ("cli.console", "plain_table"):
+        return  # they are the way
+    for imported in imports(name):
+        assert CONSOLES.get(imported, name) == name, f"{name} imports {imported}"
+    for called, node in calls(MODULES[name]):
+        if called in PRINTERS:
+            texts = [ast.unparse(argument) for argument in node.args]
+            assert all(text.startswith(SAFE_TO_PRINT) for text in texts), f"{name}: {texts}"
+        assert not called.endswith((".from_markup", "results.print", "notes.print")), name
+        if called == "TextColumn":
+            assert any(keyword.arg == "markup" for keyword in node.keywords), name

@@ -27,6 +27,7 @@ EXAMPLES = {path.name for path in (ROOT / "examples").glob("*.py")}
 
 # What is imported: its name at the package index and its rosdep key, where it has one.
 NAMES = {
+    "asammdf": ("asammdf", None),
     "atheris": ("atheris", None),
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
@@ -39,6 +40,8 @@ NAMES = {
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", None),
     "numpy": ("numpy", "python3-numpy"),
+    "openpyxl": ("openpyxl", None),
+    "polars": ("polars", None),
     "pyarrow": ("pyarrow", None),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),

@@ -9,14 +9,10 @@ from typing import Protocol
 
 import zstandard
 
-from evpinn_ros.bags.mcap_file import RawMessage
-from evpinn_ros.bags.mcap_index import Channel
+from evpinn_ros.bags.limits import RATIO, most_unpacked
+from evpinn_ros.bags.mcap_file import Channel, RawMessage
 from evpinn_ros.errors import InputError
 
-# Drives of real cars shrink to a fifth, a bag in which nothing ever changes to a hundredth. What
-# claims to be more was made to fill a disk or a memory.
-MOST_RATIO = 200
-ALWAYS_ALLOWED = 1 << 20  # bytes, however short the file or message
 _PIECE = 1 << 20
 
 
@@ -89,13 +85,13 @@ class UnpackedFile:
         return text.replace(str(self._path), str(self._packed))
 
     def _unpack(self) -> None:
-        left = _allowance(self._packed.stat().st_size)
+        left = most_unpacked(self._packed.stat().st_size)
         with self._packed.open("rb") as source, self._path.open("wb") as target:
             reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
             while piece := reader.read(_PIECE):
                 left -= len(piece)
                 if left < 0:
-                    raise InputError(f"{self._path}: unpacks to over {MOST_RATIO} times its size")
+                    raise InputError(f"{self._path}: unpacks to over {RATIO} times its size")
                 target.write(piece)
 
 
@@ -115,12 +111,14 @@ class CompressedMessages:
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
         """The messages of the wanted channel ids in log time order, unpacked."""
+        left = most_unpacked(self._path.stat().st_size)
         for log_time_ns, channel, packed in self._file.messages(wanted):
             try:
-                data = unpack_zstd(packed, _allowance(len(packed)))
+                data = unpack_zstd(packed, min(left, most_unpacked(len(packed))))
             except ValueError:
                 self._lost += 1
                 continue
+            left -= len(data)
             yield log_time_ns, channel, data
 
 
@@ -138,7 +136,3 @@ def unpack_zstd(packed: bytes, most_bytes: int) -> bytes:
     if len(data) > most_bytes:
         raise ValueError(f"unpacks to more than {most_bytes} bytes")
     return data
-
-
-def _allowance(packed_bytes: int) -> int:
-    return ALWAYS_ALLOWED + MOST_RATIO * packed_bytes

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 import struct
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 import zlib
 
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -22,8 +22,9 @@ from mcap.opcode import Opcode
 import numpy as np
 import zstandard
 
-MEBIBYTE = 1 << 20
-LONGEST_CHUNK = 256 * MEBIBYTE  # packed, unpacked, of a message and of an attachment
+from evpinn_ros.bags.limits import MEBIBYTE
+from evpinn_ros.errors import InputError
+
 MOST_DEFINITIONS = 64 * MEBIBYTE  # all schemas and channels of a file together
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -72,6 +73,36 @@ class ChunkHead(NamedTuple):
     packed: int
 
 
+class FileBytes(Protocol):
+    """A file read at any place: `mcap_scan.FileBytes`."""
+
+    size: int
+
+    def read(self, begin: int, length: int) -> bytes:
+        """The bytes from here on, fewer at the end of the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A stretch of a file that holds message records: a chunk, or records outside of any.
+
+    Attributes:
+        start_ns: log time of its first message.
+        begin: first byte of its (packed) records.
+        end: behind their last byte; the file may end before it.
+        head: of the chunk, None for records outside of chunks.
+        count: of its messages.
+        channels: ids of the messages to be read; None for all, which is what the chunk says.
+    """
+
+    start_ns: int
+    begin: int
+    end: int
+    head: ChunkHead | None
+    count: int
+    channels: frozenset[int] | None = None
+
+
 class Definitions:
     """Schemas and channels, by id; the first one of an id holds."""
 
@@ -85,11 +116,14 @@ class Definitions:
         """Note the record of a schema or channel; False when it is none, or there are too many."""
         record = parsed(opcode, body)
         known = self.schemas if opcode == Opcode.SCHEMA else self.channels
-        if record is None or self._size + len(body) > MOST_DEFINITIONS:
+        if record is None:
             return False
-        if record.id not in known:
-            known[record.id] = record
-            self._size += len(body)
+        if record.id in known:
+            return True
+        if self._size + len(body) > MOST_DEFINITIONS:
+            return False
+        known[record.id] = record
+        self._size += len(body)
         return True
 
     def complete(self, others: Definitions) -> set[str]:
@@ -230,6 +264,17 @@ def indexed_records(data: bytes, index: MessageIndex, definitions: Definitions) 
     if not all(map(definitions.knows, index)):
         return None
     return Records(index, last=int(offsets[-1]), end=len(data))
+
+
+def block_content(file: FileBytes, block: Block) -> bytes | None:
+    """The records of a block, of one that the file cuts as far as they go; None when damaged."""
+    try:
+        data = file.read(block.begin, block.end - block.begin)
+    except InputError:  # a bad sector
+        return None
+    if block.head is None:
+        return data
+    return beginning(block.head, data) if block.end > file.size else unpacked(block.head, data)
 
 
 def unpacked(head: ChunkHead, packed: bytes) -> bytes | None:

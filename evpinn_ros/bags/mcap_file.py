@@ -1,37 +1,64 @@
 """One MCAP file, whole or broken, in log time order.
 
-The libraries refuse a file that was cut, and stop at the first damaged chunk. Here damaged chunks
-are left out, a chunk that is cut gives its whole messages, and `problem` says what was lost.
+The index of a sound file says where its chunks lie; any other file is gone through as
+`evpinn recover` does it (`salvage`), so that both find the same messages. Damaged chunks are left
+out, a chunk that is cut gives its whole messages, and `problem` says what was lost.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from collections import Counter
 from collections.abc import Container, Iterator, Mapping
+from dataclasses import dataclass
+import heapq
 import math
-import mmap
-from operator import itemgetter
 from pathlib import Path
 from typing import TypeAlias
 
-from mcap.opcode import Opcode
+from mcap.records import Schema
 
-from evpinn_ros.bags.mcap_index import Channel, index_of
-from evpinn_ros.bags.mcap_records import MAGIC, MESSAGE, Block, DamagedError, records, unpacked
+from evpinn_ros.bags.limits import MOST_HELD
+from evpinn_ros.bags.mcap_content import (
+    HEAD,
+    MAGIC,
+    MESSAGE_SIZE,
+    Block,
+    Definitions,
+    block_content,
+    records_in,
+)
+from evpinn_ros.bags.mcap_scan import FileBytes
+from evpinn_ros.bags.mcap_summary import SoundFile, sound_file
+from evpinn_ros.bags.salvage import Loss, Piece, Salvage
 from evpinn_ros.errors import InputError
 
-# Messages held back because a chunk that comes later may have earlier ones. Chunks of a recorder
-# overlap by seconds; when more is to be held, order is given up rather than the memory.
-MOST_HELD = 512 << 20  # bytes
 OVERLAP = "chunks overlap too far: not all is in order of time"
 OVERHEAD = 250  # bytes of a message in Python beside its data
+NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
+"""By the specification, schema 0 is that of a channel without one."""
 
 RawMessage: TypeAlias = tuple[int, int, bytes]  # log time, ns; channel id; data
 _Placed: TypeAlias = tuple[int, tuple[int, int], int, bytes]  # the same with its place in the file
 
 
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A topic of a file, how its messages are encoded, and the definition of their type."""
+
+    topic: str
+    type_name: str
+    encoding: str
+    schema_encoding: str = ""
+    schema: bytes = b""
+
+
 class McapFile:
-    """An open MCAP file."""
+    """An open MCAP file.
+
+    Attributes:
+        channels: by channel id.
+        counts: messages by channel id.
+    """
 
     def __init__(self, path: Path) -> None:
         """Find the channels and the messages.
@@ -40,81 +67,121 @@ class McapFile:
             InputError: not there, empty, or not MCAP.
         """
         self.path = path
-        self._data = _mapped(path)
-        self._index = index_of(self._data)
-
-    @property
-    def channels(self) -> Mapping[int, Channel]:
-        """Channels by id."""
-        return self._index.channels
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Messages by channel id."""
-        return self._index.counts
+        self._file = FileBytes(path)
+        try:
+            if self._file.size == 0:
+                raise InputError(f"{path}: the file is empty")
+            if self._file.read(0, len(MAGIC)) != MAGIC:
+                raise InputError(f"{path}: not an MCAP file")
+            found = sound_file(self._file) or _salvaged(self._file)
+        except InputError:
+            self._file.close()
+            raise
+        self.counts: Mapping[int, int] = found.counts
+        self._blocks, self._notes = found.blocks, found.notes
+        self._lost_chunks, self._definitions = found.lost_chunks, found.definitions
+        self._damaged: set[Block] = set()
+        self.channels: Mapping[int, Channel] = _channels(found.definitions)
 
     @property
     def problem(self) -> str | None:
         """What is wrong and lost, in one line. Complete once every message was read."""
-        index = self._index
-        parts = list(index.notes)
-        if index.damaged:
-            lost = sum(index.blocks[block] for block in index.damaged)
+        parts = list(self._notes)
+        if lost_chunks := self._lost_chunks + len(self._damaged):
+            lost = sum(block.count for block in self._damaged)
+            chunks = self._lost_chunks + sum(block.head is not None for block in self._blocks)
             parts.append(
-                f"{len(index.damaged)} of {len(index.blocks)} chunks are damaged"
+                f"{lost_chunks} of {chunks} chunks are damaged"
                 + (f", {lost} messages lost" if lost else "")
             )
         if not parts:
             return None
-        readable = sum(n for block, n in index.blocks.items() if block not in index.damaged)
+        readable = sum(block.count for block in self._blocks if block not in self._damaged)
         return f"{self.path}: {'; '.join(parts)}; {readable} messages are readable"
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
         """The messages of the wanted channel ids in log time order; equal times in file order."""
-        blocks = sorted(self._index.blocks, key=lambda block: block.start_ns)
+        blocks = sorted(self._blocks, key=lambda block: block.start_ns)
         following = [*(block.start_ns for block in blocks[1:]), math.inf]
         waiting: list[_Placed] = []
+        held = 0
         for block, horizon in zip(blocks, following, strict=False):
-            waiting += self._messages_of(block, wanted)
-            waiting.sort()
-            ready = bisect_left(waiting, horizon, key=itemgetter(0))
-            if sum(OVERHEAD + len(data) for *_, data in waiting) > MOST_HELD:
-                ready = len(waiting)
-                if OVERLAP not in self._index.notes:
-                    self._index.notes.append(OVERLAP)
-            for log_time_ns, _, channel, data in waiting[:ready]:
+            for placed in self._messages_of(block, wanted):
+                heapq.heappush(waiting, placed)
+                held += OVERHEAD + len(placed[-1])
+            if held > MOST_HELD:
+                horizon = math.inf
+                if OVERLAP not in self._notes:
+                    self._notes.append(OVERLAP)
+            while waiting and waiting[0][0] < horizon:
+                log_time_ns, _, channel, data = heapq.heappop(waiting)
+                held -= OVERHEAD + len(data)
                 yield log_time_ns, channel, data
-            del waiting[:ready]
 
     def close(self) -> None:
         """Close the file."""
-        self._data.close()
+        self._file.close()
 
     def _messages_of(self, block: Block, wanted: Container[int]) -> Iterator[_Placed]:
-        if block in self._index.damaged:
+        if block in self._damaged:
             return
-        try:
-            content = unpacked(self._data, block)
-        except DamagedError:
-            self._index.damaged.add(block)
+        content = block_content(self._file, block)
+        if content is None:
+            self._damaged.add(block)
             return
-        for opcode, begin, end in records(content):
-            if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
-                channel, _, log_time_ns, _ = MESSAGE.unpack_from(content, begin)
-                if channel in wanted:
-                    place = (block.begin, begin)
-                    yield log_time_ns, place, channel, content[begin + MESSAGE.size : end]
+        found = records_in(content, self._definitions)
+        if block.channels is None and (found.end < len(content) or found.count != block.count):
+            self._damaged.add(block)  # not what the index of the file says
+            return
+        for id_, entries in found.index.items():
+            if id_ not in wanted or not (block.channels is None or id_ in block.channels):
+                continue
+            for log_time_ns, position in entries.tolist():
+                (_, length) = HEAD.unpack_from(content, position)
+                end = position + HEAD.size + length
+                data = content[position + HEAD.size + MESSAGE_SIZE : end]
+                yield log_time_ns, (block.begin, position), id_, data
 
 
-def _mapped(path: Path) -> mmap.mmap:
+def _salvaged(file: FileBytes) -> SoundFile:
+    """What going through the file finds of it."""
+    salvage, counts = Salvage(file), Counter[int]()
+    blocks: list[Block] = []
+    losses: list[Loss] = []
+    notes: list[str] = []
     try:
-        with path.open("rb") as file:
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: the file is empty") from error
-    if data[: len(MAGIC)] != MAGIC:
-        data.close()
-        raise InputError(f"{path}: not an MCAP file")
-    return data
+        for each in salvage:
+            if isinstance(each, Piece) and each.found.count:
+                blocks.append(each.block)
+                counts.update({id_: len(entries) for id_, entries in each.found.index.items()})
+            elif isinstance(each, Loss) and each.messages != 0:
+                losses.append(each)
+    except InputError as error:  # a bad sector: what is before it can be read
+        notes.append(str(error))
+    if losses:
+        first = losses[0]
+        notes.append(f"cut or damaged at byte {first.begin} of {file.size}: {first.reason}")
+    elif not salvage.ended:
+        notes.append("the end of the file is missing")
+    if salvage.unknown:
+        notes.append(f"the topics of {salvage.unknown} messages are lost")
+    elif losses and salvage.stated is not None:
+        notes.append(f"{max(salvage.stated - counts.total(), 0)} messages lost")
+    lost_chunks = sum(loss.chunk for loss in losses)
+    return SoundFile(salvage.definitions, counts, blocks, notes, lost_chunks)
+
+
+def _channels(known: Definitions) -> dict[int, Channel]:
+    """Channels by id; one whose schema is lost is lost too."""
+    schemas = {0: NO_SCHEMA, **known.schemas}
+    return {
+        id_: Channel(
+            record.topic,
+            schemas[record.schema_id].name,
+            record.message_encoding,
+            schemas[record.schema_id].encoding,
+            schemas[record.schema_id].data,
+        )
+        for id_, record in known.channels.items()
+        if record.schema_id in schemas
+    }

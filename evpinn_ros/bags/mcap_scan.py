@@ -15,15 +15,14 @@ import struct
 from mcap.opcode import Opcode
 import numpy as np
 
+from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE
 from evpinn_ros.bags.mcap_content import (
     CHUNK,
     FOOTER,
     HEAD,
     INDEX_HEAD,
     LENGTH,
-    LONGEST_CHUNK,
     MAGIC,
-    MEBIBYTE,
     MESSAGE_HEAD,
     MESSAGE_SIZE,
     OPCODES,
@@ -68,6 +67,13 @@ class FileBytes:
         if not 0 <= offset <= len(self._window) - length:
             self._window, self._begin, offset = self._load(begin, length), begin, 0
         return self._window[offset : offset + length]
+
+    def peek(self, begin: int, length: int) -> bytes:
+        """The same without what lies behind them."""
+        try:
+            return os.pread(self._descriptor, length, begin)
+        except OSError as error:
+            raise InputError(f"{self.path}: {error.strerror} at byte {begin}") from error
 
     def _load(self, begin: int, wanted: int) -> bytes:
         """What is wanted, and as much behind it as a window holds and can be read."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.topics import SPEED, topic_of
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -120,9 +121,8 @@ def as_yaml(content: Any) -> str:
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:
     """Replace metadata.yaml at one stroke: a kill leaves the old or the new one."""
-    draft = folder / f"{METADATA}.tmp"
-    draft.write_text(as_yaml({INFORMATION: information}), encoding="utf-8")
-    draft.replace(folder / METADATA)
+    with replaced(folder / METADATA) as draft:
+        draft.write_text(as_yaml({INFORMATION: information}), encoding="utf-8")
 
 
 class _Dumper(yaml.SafeDumper):

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.bags.compressed import BagFile, CompressedMessages, UnpackedFile
-from evpinn_ros.bags.mcap_file import McapFile
-from evpinn_ros.bags.mcap_index import Channel
+from evpinn_ros.bags.limits import LONGEST_MESSAGE
+from evpinn_ros.bags.mcap_file import Channel, McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
 from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
@@ -20,7 +20,6 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.yaml_section import load_plain
 
 PACKED = ".zstd"
-LARGEST_MESSAGE = 16 << 20  # bytes; ours have at most 8 MB, a plan of 50 000 points
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +116,7 @@ class BagReader:
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
-            if len(data) > LARGEST_MESSAGE:
+            if len(data) > LONGEST_MESSAGE:
                 self.dropped["too_large"] += 1
                 continue
             yield RawRecord(channel.topic, channel.type_name, log_time_ns, data)

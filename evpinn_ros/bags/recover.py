@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from mcap.records import Attachment, Channel, Metadata
-import yaml
 
 from evpinn_ros.bags.mcap_copy import McapCopy
 from evpinn_ros.bags.mcap_part import LIBRARY
@@ -25,6 +24,7 @@ from evpinn_ros.bags.metadata import (
 )
 from evpinn_ros.bags.salvage import Loss, Piece, Salvage
 from evpinn_ros.errors import InputError
+from evpinn_ros.yaml_section import plain_text
 
 MOST_LOSSES = 1000  # kept one by one; beyond, only their sum
 LONGEST_QOS = 10_000  # characters of YAML that are read
@@ -244,8 +244,8 @@ def _save(
 ) -> None:
     if not piece.found.count:
         return
-    if piece.chunk is not None:
-        copy.copy(*piece.chunk, piece.found, salvage.definitions)
+    if piece.packed is not None and piece.block.head is not None:
+        copy.copy(piece.block.head, piece.packed, piece.found, salvage.definitions)
         one.chunks += 1
     else:
         copy.pack(piece.content, piece.found, salvage.definitions)
@@ -284,11 +284,11 @@ def _count_topic(
 def _qos(channel: Channel) -> list[dict[str, Any]]:
     """What the publisher offered, as the file says: rosbags reads a topic only if both agree."""
     text = channel.metadata.get("offered_qos_profiles", "")
-    if len(text) > LONGEST_QOS or {"&", "*"} & {*text}:
+    if len(text) > LONGEST_QOS:
         return []
     try:
-        found = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError):
+        found = plain_text(text)
+    except ValueError:
         return []
     whole = isinstance(found, list) and all(isinstance(each, dict) for each in found)
     return found if whole else []

@@ -14,14 +14,18 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
-from evpinn_ros.bags.mcap_content import (
-    FOOTER,
-    HEAD,
-    INDEX_ENTRY,
+from evpinn_ros.bags.limits import (
     LONGEST_CHUNK,
-    MAGIC,
     MEBIBYTE,
+    RATIO,
+    most_messages,
+    most_unpacked,
+)
+from evpinn_ros.bags.mcap_content import (
+    INDEX_ENTRY,
+    MAGIC,
     PARSE_ERRORS,
+    Block,
     ChunkHead,
     Definitions,
     Records,
@@ -33,6 +37,7 @@ from evpinn_ros.bags.mcap_content import (
     unpacked,
 )
 from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
+from evpinn_ros.bags.mcap_summary import summary_of
 from evpinn_ros.errors import InputError
 
 STRETCH = MEBIBYTE  # messages outside of chunks that are handled together
@@ -48,14 +53,16 @@ class Piece:
         end: behind their last byte in the file.
         content: their records.
         found: where each message lies in the content.
-        chunk: what they were packed as, to be copied as it is; None when a part of it is missing.
+        block: where to find them again.
+        packed: the chunk as it was packed, to be copied as it is; None when a part is missing.
         proven: a checksum says that they are what was written.
     """
 
     end: int
     content: bytes
     found: Records
-    chunk: tuple[ChunkHead, bytes] | None = None
+    block: Block
+    packed: bytes | None = None
     proven: bool = False
 
 
@@ -108,6 +115,8 @@ class Salvage:
         self._doubts = Definitions()
         self._indexed_to = 0  # where the message indexes of the last sound chunk end
         self._patience = PATIENCE[0] + PATIENCE[1] * file.size
+        self._bytes_left = most_unpacked(file.size)
+        self._messages_left = most_messages(file.size)
         with suppress(InputError):  # a bad sector there: what is before it can be read
             self._read_summary()
 
@@ -145,34 +154,11 @@ class Salvage:
 
     def _read_summary(self) -> None:
         """Take definitions and counts from behind the messages, where the end tells where."""
-        size = self._file.size
-        at = size - len(MAGIC) - FOOTER.size - HEAD.size
-        tail = self._file.read(max(at, 0), size)
-        if at < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC:
-            return
-        if HEAD.unpack_from(tail) != (Opcode.FOOTER, FOOTER.size):
-            return
-        start, _, checksum = FOOTER.unpack_from(tail, HEAD.size)
-        self.ended = True
-        if not len(MAGIC) <= start < at or not self._is_sound(
-            start, at + HEAD.size + 16, checksum
-        ):
-            self.ended = start == 0
-            return
-        while start < at and self._scan.believed(start):
-            opcode, end = self._scan.head(start) or (0, at)
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.definitions.take(opcode, self._scan.body(start, end))
-            elif opcode == Opcode.STATISTICS:
-                self.stated = parsed(opcode, self._scan.body(start, end)).message_count
-            start = end
-
-    def _is_sound(self, begin: int, end: int, checksum: int) -> bool:
-        """Whether the checksum of the summary holds, if it has one."""
-        found = 0
-        for at in range(begin, end if checksum else begin, MEBIBYTE):
-            found = zlib.crc32(self._file.read(at, min(MEBIBYTE, end - at)), found)
-        return found == checksum
+        summary = summary_of(self._file)
+        self.ended = summary.ended
+        self.definitions.complete(summary.definitions)
+        if summary.statistics is not None:
+            self.stated = summary.statistics.message_count
 
     def _gap(self, begin: int) -> tuple[list[Found], int]:
         """What lies from a damaged record to the next whole one."""
@@ -190,6 +176,10 @@ class Salvage:
         if max(head.size, head.packed) > LONGEST_CHUNK:
             reason = f"above the limit of {LONGEST_CHUNK // MEBIBYTE} MiB"
             return [Loss(position, min(end, self._file.size), reason, chunk=True)], end
+        if head.size > self._bytes_left:
+            reason = f"the file unpacks to over {RATIO} times its size"
+            return [Loss(position, min(end, self._file.size), reason, chunk=True)], end
+        self._bytes_left -= head.size
         packed = self._file.read(head.first, head.packed)
         if end > self._file.size:
             return self._cut_chunk(position, head, packed)
@@ -198,19 +188,28 @@ class Salvage:
             return self._damaged_chunk(position, end, head, packed)
         index, behind = self._scan.message_indexes(end)
         found = indexed_records(content, index, self.definitions) or self._records(content)
+        if found.count > self._messages_left:
+            return [Loss(position, behind, "the file has too many messages", chunk=True)], behind
+        self._messages_left -= found.count
         if index or (self._scan.head(end) or (0, 0))[0] == Opcode.MESSAGE_INDEX:
             self._indexed_to = end + found.index_size
         if found.end == len(content):
             end = behind
-            chunk = None if found.unknown else (head, packed)
-            return [Piece(end, content, found, chunk, head.checksum != 0)], end
-        return [Piece(end, content, found), Loss(position, end, "damaged inside", True)], end
+            copied = None if found.unknown else packed
+            block = _block(head.first, head.first + head.packed, found, head)
+            return [Piece(end, content, found, block, copied, head.checksum != 0)], end
+        block = _block(head.first, end, found, head)
+        return [
+            Piece(end, content, found, block),
+            Loss(position, end, "damaged inside", True),
+        ], end
 
     def _cut_chunk(self, position: int, head: ChunkHead, packed: bytes) -> tuple[list[Found], int]:
         """The messages of the last chunk of a file that was cut, as far as they go."""
         content, end = beginning(head, packed), self._file.size
         found = self._records(content)
-        return [Piece(end, content, found), Loss(position, end, "cut", True)], end
+        block = _block(head.first, head.first + head.packed, found, head)
+        return [Piece(end, content, found, block), Loss(position, end, "cut", True)], end
 
     def _damaged_chunk(
         self, position: int, end: int, head: ChunkHead, packed: bytes
@@ -239,7 +238,9 @@ class Salvage:
             found = self._records(data)
         if not found.end:
             return self._gap(position)
-        return [Piece(position + found.end, data, found)], position + found.end
+        self._messages_left -= found.count
+        end = position + found.end
+        return [Piece(end, data, found, _block(position, end, found))], end
 
     def _records(self, content: bytes) -> Records:
         """The messages of some bytes; for lack of better, definitions may be doubtful."""
@@ -261,3 +262,7 @@ class Salvage:
                     return [Attachment.read(ReadDataStream(BytesIO(body)))], end
             return [Loss(position, end, "attachment damaged")], end
         return [], end
+
+
+def _block(begin: int, end: int, found: Records, head: ChunkHead | None = None) -> Block:
+    return Block(found.span_ns[0], begin, end, head, found.count, frozenset(found.index))

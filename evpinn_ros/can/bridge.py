@@ -114,7 +114,7 @@ class CanBridge:
         else:
             readings = self._decoder.push(frame)
             if self.poller is not None:
-                self.poller.note(readings)
+                self.poller.note(frame, readings)
             if self._guard is not None:
                 readings = self._guard.pass_on(frame, readings)
                 if self.poller is not None:

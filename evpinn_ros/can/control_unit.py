@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 import logging
 import math
@@ -27,6 +27,9 @@ LONGEST_WAIT_S = 10.0
 
 REFUSALS = 3
 """Refusals in a row after which a request is not made again."""
+
+ANSWERS = ("answered", "short_answer", "pending", "busy", "refused")
+"""What a control unit counts when it spoke, and not noise on its id."""
 
 LOGGER = "evpinn_ros.isotp"
 LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
@@ -128,18 +131,24 @@ class ControlUnit:
         payload = self._link.recv()
         return self._read(bytes(payload), now_s) if payload else None
 
-    def step(self, now_s: float, may_ask: bool) -> float:
+    @property
+    def answers(self) -> int:
+        """Times that the control unit said something a control unit says, be it a refusal."""
+        return sum(self.counters[kind] for kind in ANSWERS)
+
+    def step(self, now_s: float, may_ask: Collection[str]) -> float:
         """Give up waiting, ask what is due; gives the time of the next step.
 
         Args:
             now_s: of a clock that never goes back.
-            may_ask: whether to ask at all.
+            may_ask: names of the requests that may be made now.
         """
         if self._asked is not None and now_s >= self._deadline_s:
             self.counters["silent"] += 1
             self._finish()
-        if self._asked is None and may_ask and self._due_s and self._send is not None:
-            name = min(self._due_s, key=lambda name: self._due_s[name])
+        askable = [name for name in self._due_s if name in may_ask]
+        if self._asked is None and askable and self._send is not None:
+            name = min(askable, key=lambda name: self._due_s[name])
             if now_s < self._due_s[name]:
                 return self._due_s[name]
             self._ask(self._requests[name], now_s)

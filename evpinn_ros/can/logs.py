@@ -22,6 +22,7 @@ from can.io import mf4
 from evpinn_ros.can.blf import BlfReader
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.can.gvret import HEADER, GvretReader
+from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError
 from evpinn_ros.text_lines import bounded_lines
 
@@ -243,7 +244,7 @@ def write_log(path: str | Path, frames: Iterable[CanFrame], channel: str = "can0
     """
     count = 0
     try:
-        with Path(path).open("w", encoding="ascii") as file:
+        with replaced(Path(path)) as draft, draft.open("w", encoding="ascii") as file:
             for frame in frames:
                 file.write(_candump_line(frame, channel))
                 count += 1

@@ -16,11 +16,17 @@ import time
 from evpinn_ros.can.answers import AnswerDecoder
 from evpinn_ros.can.control_unit import ControlUnit, Send
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.can.profile import ONLY_ASKED, CanProfile
 from evpinn_ros.can.read_only import ReadOnlyGate
 from evpinn_ros.can.request import Address, RequestRule
-from evpinn_ros.can.restraint import Restraint
+from evpinn_ros.can.restraint import Leave, Restraint
 from evpinn_ros.signals.readings import Reading
+
+LISTEN_FIRST_S = 1.0
+"""How long the bus is heard before the first question: whoever else sends on its id is found."""
+
+ECHO_S = 1.0
+"""How late an adapter may show us a frame of our own."""
 
 LONGEST_SLEEP_S = 0.2
 """How long `run` may take to notice `stop`, and the end of a rest."""
@@ -68,10 +74,17 @@ class Poller:
         self._profile, self._clock = profile, clock
         self._decoder = AnswerDecoder(profile)
         self._restraint = Restraint()
+        self._names = frozenset(request.name for request in profile.requests)
+        auxiliary = profile.asked.get(ONLY_ASKED, ())
+        self._auxiliary = frozenset(field.request.name for field in auxiliary)
+        self._begun_s: float | None = None
+        self._shared_id: int | None = None
         units: dict[Address, list[RequestRule]] = {}
         for request in profile.requests:
             units.setdefault(request.address, []).append(request)
-        self._gate = None if send is None else ReadOnlyGate(units, send)
+        self._asked_ids = {(unit.tx_id, unit.extended) for unit in units if send is not None}
+        self._sent_s: dict[tuple[int, bool, bytes], float] = {}
+        self._gate = None if send is None else ReadOnlyGate(profile.requests, send, clock)
         transmit = None if send is None else self._transmit
         self._units = {
             address.answers_from: ControlUnit(address, requests, transmit)
@@ -88,24 +101,26 @@ class Poller:
         """The readings that this frame completes; never raises."""
         with self._changed:
             now_s = self._clock()
-            self._heard(now_s)
-            self._restraint.answered()
+            self._heard(frame, now_s)
             unit = self._units[frame.can_id, frame.extended]
+            answers = unit.answers
             answer = unit.push(frame, now_s)
+            if unit.answers > answers:
+                self._restraint.answered()
             readings = () if answer is None else self._decoder.push(answer)
             self._observe(readings, now_s)
             if answer is not None and not math.isnan(self._decoder.auxiliary_voltage):
                 self._restraint.auxiliary(self._decoder.auxiliary_voltage, now_s)
             # The next question goes out at once, so that voltage and current are of one moment.
-            unit.step(now_s, self._may_ask)
+            unit.step(now_s, self._may_ask(now_s))
             self._changed.notify()
             return readings
 
-    def note(self, readings: Iterable[Reading]) -> None:
+    def note(self, frame: CanFrame, readings: Iterable[Reading]) -> None:
         """Something else came over the bus, with what it said."""
         with self._changed:
             now_s = self._clock()
-            self._heard(now_s)
+            self._heard(frame, now_s)
             self._observe(readings, now_s)
 
     def run(self) -> None:
@@ -113,7 +128,8 @@ class Poller:
         with self._changed:
             while not self._stopped.is_set():
                 now_s = self._clock()
-                next_s = min(unit.step(now_s, self._may_ask) for unit in self._units.values())
+                may_ask = self._may_ask(now_s)
+                next_s = min(unit.step(now_s, may_ask) for unit in self._units.values())
                 self._changed.wait(min(max(next_s - now_s, 0.0), LONGEST_SLEEP_S))
 
     def stop(self) -> None:
@@ -137,13 +153,19 @@ class Poller:
             )
         elif self.contradicted:
             text = "stopped: the traffic contradicts the profile"
+        elif self._shared_id is not None:
+            text = (
+                f"stopped: the car or another tester sends on 0x{self._shared_id:X}, which only "
+                "one may; goes on with a new start"
+            )
         elif reason is not None:
-            text = f"stopped: {reason}; goes on when the bus wakes, or with a new start"
+            text = f"stopped: {reason}; goes on when the car wakes, or with a new start"
         elif retired:
             text = ", ".join(f"{name} refused: {why}" for name, why in retired.items())
         else:
             text = "asking"
-        ok = self._gate is not None and self._may_ask and not retired
+        stopped = self.contradicted or self._shared_id is not None or reason is not None
+        ok = self._gate is not None and not stopped and not retired
         return PollStatus(ok, text, dict(counters))
 
     @property
@@ -151,13 +173,22 @@ class Poller:
         """Values not used, by reason (see `AnswerDecoder`)."""
         return self._decoder.dropped
 
-    @property
-    def _may_ask(self) -> bool:
-        return not self.contradicted and self._restraint.reason is None
+    def _may_ask(self, now_s: float) -> frozenset[str]:
+        """Names of the requests that may be made now."""
+        if self.contradicted or self._shared_id is not None:
+            return frozenset()
+        if self._begun_s is None:
+            self._begun_s = now_s
+        if now_s - self._begun_s < LISTEN_FIRST_S:
+            return frozenset()
+        if self._restraint.leave is Leave.AUXILIARY:
+            return self._auxiliary
+        return self._names if self._restraint.leave is Leave.ALL else frozenset()
 
     def _transmit(self, frame: CanFrame) -> bool:
         assert self._gate is not None
         now_s = self._clock()
+        self._sent_s[frame.can_id, frame.extended, frame.data] = now_s
         try:
             sent = self._gate(frame)
         except Exception:
@@ -166,11 +197,20 @@ class Poller:
         self._restraint.asked(now_s, sent)
         return sent
 
-    def _heard(self, now_s: float) -> None:
-        if self._restraint.heard(now_s):
+    def _heard(self, frame: CanFrame, now_s: float) -> None:
+        if self._is_foreign(frame, now_s):
+            self._shared_id = frame.can_id
+        if self._restraint.heard(frame.can_id, frame.extended, now_s):
             for unit in self._units.values():
                 unit.revive()
             self._changed.notify()
+
+    def _is_foreign(self, frame: CanFrame, now_s: float) -> bool:
+        """Whether somebody else sends where we do; some adapters echo what we sent ourselves."""
+        if (frame.can_id, frame.extended) not in self._asked_ids:
+            return False
+        sent_s = self._sent_s.get((frame.can_id, frame.extended, frame.data), -math.inf)
+        return now_s - sent_s > ECHO_S
 
     def _observe(self, readings: Iterable[Reading], now_s: float) -> None:
         for reading in readings:

@@ -156,6 +156,7 @@ def _parse(path: Path) -> CanProfile:
     if "state_of_charge" in messages and "battery" in asked:
         raise root.error_at("state_of_charge", "must be asked for, as the battery is")
     _refuse_shared_bits(root, messages)
+    _refuse_broadcast_ids(root, messages, asked)
     return CanProfile(
         key=path.stem,
         name=root.text("name"),
@@ -191,6 +192,19 @@ def _asked(root: Section) -> dict[str, tuple[AnswerField, ...]]:
     for name in requests.keys() - {field.request.name for field in fields}:
         raise root.section("requests").error_at(name, f"no quantity needs request '{name}'")
     return asked
+
+
+def _refuse_broadcast_ids(
+    root: Section,
+    messages: Mapping[str, MessageRule],
+    asked: Mapping[str, tuple[AnswerField, ...]],
+) -> None:
+    """Raise when a request would go to an id on which the car itself sends."""
+    broadcast = {rule.key for rule in messages.values()}
+    for request in (field.request for fields in asked.values() for field in fields):
+        if (request.address.tx_id, request.address.extended) in broadcast:
+            reason = f"the car itself broadcasts 0x{request.address.tx_id:X}"
+            raise root.section("requests").error_at(request.name, reason)
 
 
 class _Field(NamedTuple):

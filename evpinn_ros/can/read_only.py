@@ -1,50 +1,91 @@
-"""The one way out to the car: nothing passes but requests to read and their flow control."""
+"""The one way out to the car: the questions of the profile, to the last bit, and nothing else."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
+import time
 
+from evpinn_ros.can.diagnostic_ids import FUNCTIONAL, refusal
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.request import READ_SERVICES, Address
+from evpinn_ros.can.request import QUESTIONS_PER_S, READ_SERVICES, RequestRule
 
-SINGLE_FRAME, FLOW_CONTROL = 0x0, 0x3
-"""Kinds of ISO-TP frames (ISO 15765-2), the high half of the first byte."""
+FRAME_BYTES = 8
+PADDING = b"\0"
+"""What fills a frame behind its bytes: every control unit takes frames of eight."""
+
+FLOW_CONTROL = bytes((0x30, 0x00, 0x00))
+"""Send all the rest, without pauses (ISO 15765-2)."""
+
+FRAMES_PER_S = 2 * QUESTIONS_PER_S
+"""Frames that may leave in any second: a question and its flow control. 50 frames are 1.2 % of a
+bus of 500 kbit/s."""
+
+_Frame = tuple[int, bool, bytes]
 
 
 class ReadOnlyGate:
-    """Hands a frame on when it can do no more than read, whatever made it."""
+    """Hands a frame on when it is a question of the profile, whatever made it.
 
-    def __init__(self, addresses: Iterable[Address], send: Callable[[CanFrame], bool]) -> None:
-        """Open the gate to some control units; `send` puts a frame on the bus."""
-        self._prefixes = {
-            (address.tx_id, address.extended, address.prefix) for address in addresses
-        }
-        self._send = send
+    A question may be followed by one flow control to the same control unit, which a long answer
+    needs; so whoever sends us first frames cannot make us answer each of them.
+    """
+
+    def __init__(
+        self,
+        requests: Iterable[RequestRule],
+        send: Callable[[CanFrame], bool],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Open the gate to some questions.
+
+        Args:
+            requests: those that may pass.
+            send: puts a frame on the bus.
+            clock: s, never goes back.
+
+        Raises:
+            PermissionError: a request does more than read, or goes to no diagnostic id.
+        """
+        self._send, self._clock = send, clock
+        self._flow_controls: dict[_Frame, _Frame] = {}
+        for request in requests:
+            question, flow_control = _frames(request)
+            self._flow_controls[question] = flow_control
+        self._awaited: set[_Frame] = set()
+        self._sent_s: deque[float] = deque(maxlen=FRAMES_PER_S)
 
     def __call__(self, frame: CanFrame) -> bool:
         """Send the frame; gives what `send` does.
 
         Raises:
-            PermissionError: the frame is neither a request to read nor flow control, or goes to
-                a control unit that the profile does not ask.
+            PermissionError: the frame is none of the questions nor the flow control that one of
+                them awaits, or is one too many in this second.
         """
-        if not any(
-            (frame.can_id, frame.extended) == (can_id, extended)
-            and frame.data.startswith(prefix)
-            and _reads(frame.data[len(prefix) :])
-            for can_id, extended, prefix in self._prefixes
-        ):
+        key = frame.can_id, frame.extended, bytes(frame.data)
+        if key not in self._flow_controls and key not in self._awaited:
             raise PermissionError(f"{frame.can_id:X}: {frame.data.hex(' ')} is no request to read")
+        now_s = self._clock()
+        if len(self._sent_s) == FRAMES_PER_S and now_s - self._sent_s[0] < 1.0:
+            raise PermissionError(f"{frame.can_id:X}: more than {FRAMES_PER_S} frames in a second")
+        self._sent_s.append(now_s)
+        self._awaited.discard(key)
+        if key in self._flow_controls and frame.can_id not in FUNCTIONAL:
+            self._awaited.add(self._flow_controls[key])
         return self._send(frame)
 
 
-def _reads(data: bytes) -> bool:
-    """Whether ISO-TP bytes are one whole request of a service that reads, or flow control."""
-    if len(data) < 2:
-        return False
-    kind, length = data[0] >> 4, data[0] & 0xF
-    if kind == FLOW_CONTROL:
-        return True
-    if kind != SINGLE_FRAME or data[1] not in READ_SERVICES:
-        return False
-    return length == 1 + READ_SERVICES[data[1]] and length < len(data)
+def _frames(request: RequestRule) -> tuple[_Frame, _Frame]:
+    """The whole frame that asks, and that of its flow control."""
+    address, payload = request.address, request.payload
+    reason = refusal(address.tx_id, address.rx_id, address.target, address.source)
+    if reason is None and len(payload) != 1 + READ_SERVICES.get(payload[0], -1):
+        reason = f"{payload.hex(' ')} is no request to read"
+    if reason is not None:
+        raise PermissionError(f"request '{request.name}': {reason}")
+    parts = bytes((len(payload),)) + payload, FLOW_CONTROL
+    question, flow_control = (
+        (address.tx_id, address.extended, (address.prefix + part).ljust(FRAME_BYTES, PADDING))
+        for part in parts
+    )
+    return question, flow_control

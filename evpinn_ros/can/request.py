@@ -11,6 +11,7 @@ from itertools import combinations, pairwise
 import re
 from typing import Literal
 
+from evpinn_ros.can.diagnostic_ids import LAST_11_BIT_ID, refusal
 from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
 from evpinn_ros.yaml_section import Section
 
@@ -18,11 +19,12 @@ READ_SERVICES: Mapping[int, int] = {0x01: 1, 0x21: 1, 0x22: 2}
 """Services that read and change nothing, with the bytes of the identifier that follows: current
 data (OBD-II), ReadDataByLocalIdentifier (KWP2000), ReadDataByIdentifier (UDS)."""
 
-LAST_11_BIT_ID = 0x7FF
 LAST_29_BIT_ID = 0x1FFF_FFFF
 LONGEST_ANSWER = 4095  # bytes that ISO-TP can carry
 SHORTEST_PERIOD = 0.05  # s; control units renew such values every 0.1 s or so
 LONGEST_PERIOD = 60.0
+QUESTIONS_PER_S = 25
+"""Questions that all requests of a profile together may make in a second."""
 REQUEST_KEYS = ("tx", "rx", "target", "source", "read", "min_length", "period")
 VALUE_KEYS = ("request", "first_byte", "type", "offset", *RULE_KEYS)
 _TYPE = re.compile(r"(?P<sign>[su])(?P<bits>8|16|24|32)(?P<little>_le)?")
@@ -116,8 +118,9 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
     """Read the section `requests` of a profile.
 
     Raises:
-        InputError: a key is missing or wrong, a service is none that reads, or two requests
-            cannot be told apart by their answers.
+        InputError: a key is missing or wrong, a service is none that reads, an id is none of
+            diagnostics, two requests cannot be told apart by their answers, or all of them ask
+            too often.
     """
     rules = {name: _request_rule(section.section(name), name) for name in section.names()}
     for one, other in combinations(rules.values(), 2):
@@ -127,6 +130,9 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
                 raise section.error_at(other.name, reason)
             if one.payload == other.payload:
                 raise section.error_at(other.name, f"asks the same as '{one.name}'")
+    pace = sum(1 / rule.period_s for rule in rules.values())
+    if pace > QUESTIONS_PER_S:
+        raise section.error(f"{pace:.3g} questions a second are more than {QUESTIONS_PER_S}")
     return rules
 
 
@@ -192,9 +198,11 @@ def _address(section: Section) -> Address:
         raise section.error_at("rx", "'rx' is the id of the requests")
     if section.has("target") != section.has("source"):
         raise section.error("extended addressing needs both 'target' and 'source'")
-    if not section.has("target"):
-        return Address(tx_id, rx_id, extended, None, None)
-    target, source = (section.whole(key, 0, 0xFF) for key in ("target", "source"))
+    target, source = (
+        section.whole(key, 0, 0xFF) if section.has(key) else None for key in ("target", "source")
+    )
+    if reason := refusal(tx_id, rx_id, target, source):
+        raise section.error_at("tx", reason)
     return Address(tx_id, rx_id, extended, target, source)
 
 

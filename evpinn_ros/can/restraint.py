@@ -1,21 +1,38 @@
-"""When to stop asking: a car that is asked stays awake, and its 12 V battery pays for it.
+"""When to stop asking, and when to ask again: whoever is asked stays awake, and draws 12 V power.
 
-A stop lasts until the bus, after a silence, speaks again: the car woke by itself. Where nothing
-is broadcast, as behind the gateway at many diagnostic plugs, it lasts until the node is started
-anew. There is no probing in between, for a probe can wake a car.
+A stop ends when the car is seen awake: it moves, or its bus, after a silence, carries the traffic
+of many ids again. Each time that this was followed by no answer, the next time is believed later,
+up to an hour later. Where nothing is broadcast, as behind the gateway at many diagnostic plugs, a
+stop lasts until the node is started anew. There is no probing in between, for a probe can wake a
+car.
 """
 
 from __future__ import annotations
 
+from enum import Enum, auto
+import math
+
+from evpinn_ros.can.diagnostic_ids import is_request_id
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 
 UNANSWERED_S = 30.0
 """Silence of every control unit after which the car is taken to be asleep."""
 
-QUIET_S = 10.0
-"""Silence of the whole bus after which the next frame means that the car woke."""
+WOKEN_UNANSWERED_S = 5.0
+"""The same after a stop: control units of a car that woke answer within a second."""
 
-LOW_VOLTAGE = 12.0  # V: about 40 % charge of a lead battery at rest
+QUIET_S = 10.0
+"""Silence of the whole bus after which its traffic can show that the car woke."""
+
+AWAKE_FRAMES, AWAKE_IDS, AWAKE_WITHIN_S = 20, 3, 2.0
+"""Traffic of a car that is awake: a stray frame or one restless control unit makes less. OVMS
+(vehicle_renaultzoe_ph2) takes 15 frames a second of a few ids for an awake Zoe."""
+
+FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 3600.0
+"""Time from one awakening that came to nothing to the next that is believed, doubled each time."""
+
+LOW_VOLTAGE, RECOVERED_VOLTAGE = 12.0, 12.5
+"""V of a lead battery at rest, charged to 40 % and 80 %; 13 and more while the car charges it."""
 LOW_FOR_S = 10.0
 DRIVING_FOR_S = 5.0
 """The 12 V battery may be low while driving: the car charges it."""
@@ -25,42 +42,67 @@ IDLE_CURRENT = 0.3  # A: a car that is ready to drive, or charges, draws more
 IDLE_FOR_S = 600.0
 
 
+class Leave(Enum):
+    """What may be asked: everything, the 12 V battery alone, nothing."""
+
+    ALL = auto()
+    AUXILIARY = auto()
+    NOTHING = auto()
+
+
 class Restraint:
     """Watches what comes back; all times in s of a clock that never goes back.
 
     Attributes:
         reason: why not to ask, None while asking is fine.
+        leave: what may be asked.
     """
 
     def __init__(self) -> None:
         self.reason: str | None = None
+        self.leave = Leave.ALL
+        self._low = False
+        self._patience_s = UNANSWERED_S
         self._unanswered_since_s: float | None = None
         self._low_since_s: float | None = None
         self._idle_since_s: float | None = None
-        self._moved_s: float | None = None
-        self._heard_s: float | None = None
+        self._moved_s = -math.inf
+        self._traffic = _Traffic()
+        self._wait_s = 0.0
+        self._not_before_s = -math.inf
 
     def asked(self, now_s: float, sent: bool) -> None:
         """A request went out, or could not because there is no bus now."""
-        if not sent:
+        if self._low:
+            self.leave = Leave.NOTHING
+        elif not sent:
             self._unanswered_since_s = None
         elif self._unanswered_since_s is None:
             self._unanswered_since_s = now_s
-        elif now_s - self._unanswered_since_s >= UNANSWERED_S:
-            self._stop(f"no answer for {UNANSWERED_S:.0f} s: the car sleeps, or is another one")
+        elif now_s - self._unanswered_since_s >= self._patience_s:
+            self._stop(
+                f"no answer for {self._patience_s:.0f} s: the car sleeps, or is another one"
+            )
 
     def answered(self) -> None:
         """A control unit said anything, be it a refusal."""
         self._unanswered_since_s = None
+        if not self._low:
+            self._patience_s, self._wait_s = UNANSWERED_S, 0.0
 
-    def heard(self, now_s: float) -> bool:
-        """A frame of whatever id came; True when it ends a stop."""
-        silent = self._heard_s is None or now_s - self._heard_s >= QUIET_S
-        self._heard_s = now_s
-        if self.reason is None or not silent:
+    def heard(self, can_id: int, extended: bool, now_s: float) -> bool:
+        """A frame of whatever id came; True when asking is worth a try again."""
+        self._traffic.heard(can_id, extended, now_s)
+        moves = now_s - self._moved_s < DRIVING_FOR_S
+        awake = self._traffic.awake or moves
+        if self.leave is not Leave.NOTHING or not awake or now_s < self._not_before_s:
             return False
-        self.reason = None
-        self._unanswered_since_s = self._low_since_s = self._idle_since_s = None
+        self._wait_s = min(max(2 * self._wait_s, FIRST_WAIT_S), LONGEST_WAIT_S)
+        self._not_before_s = now_s + self._wait_s
+        if self._low:
+            self.leave = Leave.AUXILIARY
+        else:
+            self._resume(WOKEN_UNANSWERED_S)
         return True
 
     def observe(self, reading: Reading, now_s: float) -> None:
@@ -72,12 +114,18 @@ class Restraint:
 
     def auxiliary(self, voltage: float, now_s: float) -> None:
         """The voltage of the 12 V battery."""
-        driving = self._moved_s is not None and now_s - self._moved_s < DRIVING_FOR_S
+        if self._low:
+            if voltage >= RECOVERED_VOLTAGE:
+                self._low = False
+                self._resume(UNANSWERED_S)
+            return
+        driving = now_s - self._moved_s < DRIVING_FOR_S
         if voltage >= LOW_VOLTAGE or driving:
             self._low_since_s = None
         elif self._low_since_s is None:
             self._low_since_s = now_s
         elif now_s - self._low_since_s >= LOW_FOR_S:
+            self._low, self.reason = True, None
             self._stop(f"the 12 V battery is low: {voltage:.1f} V")
 
     def _observe_current(self, current: float, now_s: float) -> None:
@@ -89,4 +137,42 @@ class Restraint:
             self._stop(f"no current for {IDLE_FOR_S / 60:.0f} min: asking would keep it awake")
 
     def _stop(self, reason: str) -> None:
-        self.reason = self.reason or reason
+        self.reason, self.leave = self.reason or reason, Leave.NOTHING
+        self._traffic.awake = self._low  # no answer to whatever went on: that is no awakening
+
+    def _resume(self, patience_s: float) -> None:
+        self.reason, self.leave, self._patience_s = None, Leave.ALL, patience_s
+        self._unanswered_since_s = self._low_since_s = self._idle_since_s = None
+
+
+class _Traffic:
+    """Tells the traffic of a car that woke from a stray frame.
+
+    Attributes:
+        awake: the bus was silent, and since then carried frames of several ids close together.
+    """
+
+    def __init__(self) -> None:
+        self.awake = False
+        self._heard_s = -math.inf
+        self._waking = False
+        self._first_s = -math.inf
+        self._frames = 0
+        self._ids: set[int] = set()
+
+    def heard(self, can_id: int, extended: bool, now_s: float) -> None:
+        """A frame came. Those of testers say nothing of the car."""
+        if is_request_id(can_id, extended):
+            return
+        if now_s - self._heard_s >= QUIET_S:
+            self.awake, self._waking = False, True
+        self._heard_s = now_s
+        if not self._waking:
+            return
+        if now_s - self._first_s > AWAKE_WITHIN_S:
+            self._first_s, self._frames = now_s, 0
+            self._ids.clear()
+        self._frames += 1
+        self._ids.add(can_id)
+        if self._frames >= AWAKE_FRAMES and len(self._ids) >= AWAKE_IDS:
+            self.awake, self._waking = True, False

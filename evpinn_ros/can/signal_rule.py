@@ -58,6 +58,10 @@ class SignalRule:
         """The raw bits nearest to a value in SI."""
         return round((value / self.si - self.offset) / self.scale)
 
+    def clipped(self, value: float) -> float:
+        """The nearest value that the car can show, SI."""
+        return min(max(value, self.lower), self.upper)
+
     def refusal(self, raw: int) -> str | None:
         """Why the raw bits may not be used: `not_available`, `out_of_range`, or None."""
         if raw in self.not_available:

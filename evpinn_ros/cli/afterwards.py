@@ -6,15 +6,23 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 import shutil
+import signal
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
+import time
 
 import typer
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.cli.console import note
 from evpinn_ros.errors import InputError
+
+POLL_S = 0.2
+CUT_SHORT_S = 20.0
+"""How long a report may take that was told to end; a service manager kills after 90 s."""
+
+TERMINATED = 143  # 128 + SIGTERM, as shells have it
 
 
 @contextmanager
@@ -51,14 +59,38 @@ def reported(
         if other or not bag.exists() or _is_empty(bag):
             return  # nothing was recorded, and the nodes have said why
         note(f"evpinn: writing {report}; Ctrl-C cuts it short")
-        # A process of its own: this one's threads, signals and memory are those of the nodes.
         command = [sys.executable, "-m", "evpinn_ros", "replay", str(bag), *options]
-        done = subprocess.run([*command, "--report", str(report)], stdout=subprocess.DEVNULL)
-        if done.returncode:
+        if code := _run([*command, "--report", str(report)]):
             if record is None:
                 kept = bag.rename(report.parent / Path(folder).name.lstrip("."))
-                note(f"evpinn: no report; the drive is kept: {kept}")
-            raise typer.Exit(done.returncode)
+                note(f"evpinn: the report is not whole; the drive is kept: {kept}")
+            raise typer.Exit(code)
+
+
+def _run(command: list[str]) -> int:
+    """Run a command until it ends; SIGTERM cuts it short as Ctrl-C does. Gives its exit code.
+
+    A process of its own: this one's threads, signals and memory are those of the nodes. Ctrl-C
+    reaches both, SIGTERM this one alone, and whoever sent it will not wait for long.
+    """
+    asked_s: list[float] = []
+    signals_before = signal.signal(signal.SIGTERM, lambda *_: asked_s.append(time.monotonic()))
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        told = False
+        while True:
+            try:
+                code = process.wait(POLL_S)
+            except subprocess.TimeoutExpired:
+                if asked_s and time.monotonic() - asked_s[0] > CUT_SHORT_S:
+                    process.kill()
+                elif asked_s and not told:
+                    told = True
+                    process.send_signal(signal.SIGINT)
+            else:
+                return code if code >= 0 else TERMINATED
+    finally:
+        signal.signal(signal.SIGTERM, signals_before or signal.SIG_DFL)
 
 
 def _is_empty(bag: Path) -> bool:

@@ -20,7 +20,7 @@ from evpinn_ros.bench.can_decoding import (
     measure_throughput,
 )
 from evpinn_ros.bench.can_traffic import Idle, measure_idle
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import figures_table, titled_table
 
@@ -57,7 +57,7 @@ def _measure(found: dict[str, Any], minutes: float, data: Path | None) -> None:
         note(f"other programs take {found['load_average']:.1f} cores: expect worse figures")
     throughput = measure_throughput()
     found["offline"] = asdict(throughput)
-    results.print(figures_table("Decoding a log, one core", _offline_rows(throughput)))
+    show(figures_table("Decoding a log, one core", _offline_rows(throughput)))
     if find_spec("rclpy") is None:
         note("rclpy is not installed: the bridge itself is left out")
     else:
@@ -76,9 +76,7 @@ def _measure_live(seconds: float) -> dict[str, Any]:
     with progress_bar("full bus", total=seconds) as progress:
         load: Load = measure_load(seconds, progress)
     rows = _live_rows(asdict(load), idle)
-    results.print(
-        figures_table(f"A full bus for {seconds / 60:g} min: 4000 frames a second", rows)
-    )
+    show(figures_table(f"A full bus for {seconds / 60:g} min: 4000 frames a second", rows))
     return asdict(load) | {"idle": idle._asdict()}
 
 
@@ -117,7 +115,7 @@ def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
             _number(each.wheel_speed_within_2_percent, ".1%"),
             "equal" if live else "differs",
         )
-    results.print(table)
+    show(table)
 
 
 def _all_of(count: int, total: int) -> str:

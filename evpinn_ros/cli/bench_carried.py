@@ -7,15 +7,15 @@ from pathlib import Path
 import time
 from typing import Annotated
 
-from rich.table import Table
 import typer
 
 from evpinn_ros.bench.carried import CarriedBenchmark, Foretold, energy_errors
 from evpinn_ros.bench.logs import find_logs
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
+from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -68,18 +68,16 @@ def carried(
 
 
 def _report(found: dict[str, Foretold], json_file: Path | None) -> None:
-    results.print(_table(found))
+    show(_table(found))
     errors = energy_errors(found.values())
     if errors is not None:
-        results.print(
-            f"Energy error after the first: median {errors[0]:.1f} %, mean {errors[1]:.1f} %"
-        )
+        say(f"Energy error after the first: median {errors[0]:.1f} %, mean {errors[1]:.1f} %")
     if json_file is not None:
         write_json(json_file, {name: asdict(one) for name, one in found.items()})
 
 
-def _table(found: dict[str, Foretold]) -> Table:
-    table = Table("drive", "measured Wh", "foretold Wh", "error %", "RMSE W", "in 90 % band")
+def _table(found: dict[str, Foretold]) -> PlainTable:
+    table = PlainTable("drive", "measured Wh", "foretold Wh", "error %", "RMSE W", "in 90 % band")
     for name, one in found.items():
         numbers = (
             (one.measured_j and one.measured_j / 3600.0, ".0f"),

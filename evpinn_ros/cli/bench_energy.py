@@ -25,7 +25,7 @@ from evpinn_ros.bench.energy_library import (
 from evpinn_ros.bench.fastsim_peer import fastsim_version
 from evpinn_ros.bench.logs import Log, find_logs
 from evpinn_ros.cli.bench_integration import EPOCHS, battery, counting, integrators, show_battery
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.errors import InputError
@@ -135,7 +135,7 @@ def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
     totals = forecast_totals(list(found.values()))
     if totals is not None:
         median, mean, covered, counted = totals
-        results.print(
+        say(
             f"After the first: median error {median:.1f} % (goal 5 %), mean {mean:.1f} %, "
             f"{covered} of {counted} in the 90 % band"
         )
@@ -155,7 +155,7 @@ def _show_forecasts(car: str, found: Mapping[str, Foretold]) -> None:
         )
         error, inside = f"{one.error_percent:+.1f} %", "yes" if one.covered else "no"
         table.add_row(Path(name).name, measured, forecast, sigma, error, inside, simple)
-    results.print(table)
+    show(table)
 
 
 def _show_throughput(found: Throughput) -> None:
@@ -165,7 +165,7 @@ def _show_throughput(found: Throughput) -> None:
         ("learned model, torch", f"{found.torch_ms:.0f} ms", ""),
         ("  with the gradient", f"{found.torch_gradient_ms:.0f} ms", ""),
     ]
-    results.print(figures_table(f"{BATCH} profiles of {POINTS} points, one core", rows))
+    show(figures_table(f"{BATCH} profiles of {POINTS} points, one core", rows))
 
 
 def _cycles(folder: Path) -> Any:
@@ -182,7 +182,7 @@ def _cycles(folder: Path) -> Any:
         table.add_column(column, justify="right")
     for row in rows:
         table.add_row(*_cycle_cells(row))
-    results.print(table)
+    show(table)
     return {"fastsim": installed, "rows": [row._asdict() for row in rows]}
 
 
@@ -207,7 +207,7 @@ def _plans(plans: int) -> dict[str, Any]:
         ("largest", f"{load.largest_ms:.1f} ms", ""),
         ("the node's processor", f"{load.node_ms:.1f} ms", ""),
     ]
-    results.print(
+    show(
         figures_table(
             f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows
         )

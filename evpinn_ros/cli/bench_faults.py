@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.cli.console import note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
@@ -58,7 +58,7 @@ def faults(
     finally:  # Ctrl-C leaves the faults so far
         _show(found)
         failed = sum(result.problem is not None for result in found)
-        results.print(f"{len(found)} faults, {failed} failed")
+        say(f"{len(found)} faults, {failed} failed")
         if json_file is not None:
             write_json(json_file, {"load_average": load, "faults": [_row(each) for each in found]})
     if failed:
@@ -83,7 +83,7 @@ def _show(found: list[Result]) -> None:
             "-" if finding.said is None else finding.said,
             each.problem or "ok",
         )
-    results.print(table)
+    show(table)
 
 
 def _seconds(seconds: float) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bench.fleet import Recovered, Scaling, many_drives, recovered, scaling
-from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.cli.console import progress_bar, say, show, write_json
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
@@ -58,7 +58,7 @@ def fleet(
             found["population"] = [asdict(one) for one in known]
             if known:
                 _show_population(known)
-        results.print(f"Load of the machine at the start: {load:.1f}")
+        say(f"Load of the machine at the start: {load:.1f}")
         if json_file is not None:
             write_json(json_file, found)
 
@@ -95,8 +95,8 @@ def _show_scaling(runs: list[Scaling]) -> None:
             " -> ".join(f"{1e3 * each:.0f}" for each in run.quarters_s),
             " -> ".join(f"{each:.0f}" for each in run.rss_mb),
         )
-    results.print(table)
-    results.print("a -> b: in the first quarter of the cars, and in the last")
+    show(table)
+    say("a -> b: in the first quarter of the cars, and in the last")
 
 
 def _show_population(known: list[Recovered]) -> None:
@@ -115,5 +115,5 @@ def _show_population(known: list[Recovered]) -> None:
             f"{told.spread:.3g} +- {told.spread_std:.2g}",
             f"{(told.spread - one.spread) / told.spread_std:+.1f}",
         )
-    results.print(table)
-    results.print("Logarithms, p_aux in W; sigma: by how many of its own what was found is off")
+    show(table)
+    say("Logarithms, p_aux in W; sigma: by how many of its own what was found is off")

@@ -8,15 +8,15 @@ from math import ceil
 from pathlib import Path
 from typing import Annotated
 
-from rich.table import Table
 import typer
 
 from evpinn_ros.bench.fuzz import FuzzResult
 from evpinn_ros.bench.fuzz import fuzz as fuzz_target
 from evpinn_ros.bench.fuzz_targets import TARGETS
-from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.cli.console import note, show, write_json
 from evpinn_ros.cli.options import MetricsOption
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_table import PlainTable
 
 
 def fuzz(
@@ -47,7 +47,7 @@ def fuzz(
             last = found[-1]
             note(f"{last.target}: {last.inputs} inputs, {last.said or 'no crash'}")
     finally:  # Ctrl-C leaves the targets so far
-        results.print(_table(found))
+        show(_table(found))
         if metrics is not None:
             rows = [asdict(each) | {"crash": str(each.crash or "")} for each in found]
             write_json(metrics, rows)
@@ -55,8 +55,8 @@ def fuzz(
         raise typer.Exit(1)
 
 
-def _table(found: list[FuzzResult]) -> Table:
-    table = Table("target", "inputs", "inputs/s", "slowest, ms", "memory, MB", "crash")
+def _table(found: list[FuzzResult]) -> PlainTable:
+    table = PlainTable("target", "inputs", "inputs/s", "slowest, ms", "memory, MB", "crash")
     for each in found:
         table.add_row(
             each.target,

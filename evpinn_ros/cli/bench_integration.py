@@ -20,7 +20,7 @@ from evpinn_ros.bench.integrators import (
     simulated_power,
 )
 from evpinn_ros.bench.logs import Log
-from evpinn_ros.cli.console import note, results
+from evpinn_ros.cli.console import note, say, show
 from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.errors import InputError
 
@@ -39,7 +39,7 @@ def integrators(cars: Sequence[Sequence[Log]], epochs: int) -> dict[str, Any]:
     rows += _compared(SIMULATED, simulated_power(), epochs)
     if agreements:
         worst = max(agreements, key=lambda each: abs(each.percent))
-        results.print(
+        say(
             f"RKNN, shipped, against the trapezoid on every sample, {len(agreements)} whole logs: "
             f"{worst.percent:+.4f} % at worst, {worst.log} (goal 0.1 %)"
         )
@@ -71,7 +71,7 @@ def _compared(car: str, drives: Sequence[PowerSeries], epochs: int) -> list[Inte
         table.add_column(sampling, justify="right")
     for method, errors in cells.items():
         table.add_row(method, *errors)
-    results.print(table)
+    show(table)
     return rows
 
 
@@ -89,7 +89,7 @@ def show_battery(title: str, rows: Mapping[str, BatteryRow]) -> None:
         table.add_column(column, justify="left" if column == "drive" else "right")
     for name, row in rows.items():
         table.add_row(Path(name).name, f"{100 * row.used:.1f} %", *_battery_cells(row))
-    results.print(table)
+    show(table)
 
 
 def _battery_cells(row: BatteryRow) -> Iterator[str]:
@@ -105,5 +105,5 @@ def counting(cars: Sequence[Sequence[Log]]) -> list[dict[str, Any]]:
     shown = [
         (f"{row.name} ({row.cases})", f"{row.figure:.3g} {row.unit}", row.goal) for row in rows
     ]
-    results.print(figures_table("Energy counted on board (cases)", shown))
+    show(figures_table("Energy counted on board (cases)", shown))
     return [row._asdict() for row in rows]

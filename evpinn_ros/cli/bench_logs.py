@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bench.app_logs import LogRead, measure_large, read_log, write_large
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
@@ -58,9 +58,9 @@ def _show(found: list[LogRead], refused: int) -> None:
     for log in found:
         counts = map(str, (log.rows, log.used, log.empty, log.readings))
         table.add_row(log.name, *counts, _off(log.way, log.odometer), _off(log.energy, log.charge))
-    results.print(table)
+    show(table)
     lost = sum(log.rows - log.used - log.empty for log in found)
-    results.print(
+    say(
         f"{len(found)} logs read, {refused} refused; {sum(log.rows for log in found)} rows, "
         f"{lost} of them torn or without a time"
     )
@@ -73,7 +73,7 @@ def _show(found: list[LogRead], refused: int) -> None:
         if known:
             one, other = (sum(column) for column in zip(*known, strict=True))
             each = sorted(pair[0] / pair[1] - 1 for pair in known if pair[1])
-            results.print(
+            say(
                 f"{name}: {len(known)} logs, {one / other - 1:+.1%} together, "
                 f"{each[len(each) // 2]:+.1%} in the median"
             )
@@ -87,7 +87,7 @@ def _measure(megabytes: int, rows: list[dict[str, float]]) -> None:
             seconds, processor, memory = measure_large(path)
             row = {"megabytes": size, "seconds": seconds, "processor_s": processor}
             rows.append({**row, "peak_mb": memory})
-            results.print(
+            say(
                 f"{size:.0f} MB of CSV: {60 * size / seconds:.0f} MB a minute, "
                 f"{60 * size / processor:.0f} a minute of the processor, "
                 f"{memory:.0f} MB of memory at most"

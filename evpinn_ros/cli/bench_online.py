@@ -8,17 +8,16 @@ import time
 from typing import Annotated, Any
 
 from rich.box import MARKDOWN, SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
 import typer
 
 from evpinn_ros.bench.logs import Log, find_logs
 from evpinn_ros.bench.online import METHODS, OnlineBenchmark, Run
 from evpinn_ros.bench.scores import Score, log_scores, total_scores
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.errors import InputError
 from evpinn_ros.one_thread import one_thread
+from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.run import PROGRESS_STEP, WARM_UP, has_battery
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
@@ -156,19 +155,14 @@ def _entry(log: Log, run: Run, scores: Mapping[str, Score]) -> dict[str, Any]:
 
 def _show(title: str, scores: Mapping[str, Score], markdown: bool) -> None:
     """The scores of one log, or of all, a row for each method."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        box=MARKDOWN if markdown else SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    table = PlainTable(title=title, box=MARKDOWN if markdown else SIMPLE_HEAD)
     table.add_column("method", no_wrap=True)
     for header in HEADERS:
         table.add_column(header.replace("\n", " ") if markdown else header, justify="right")
     for name, score in scores.items():
         table.add_row(name, *_row(score))
     # Markdown is for a file: no line of it is folded, however narrow the terminal.
-    (Console(width=MARKDOWN_WIDTH, stderr=results.stderr) if markdown else results).print(table)
+    show(table, at_least=MARKDOWN_WIDTH if markdown else 0)
 
 
 def _row(score: Score) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bench.recovery import STORAGES, campaign, measure_speed
-from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.cli.console import progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import titled_table
 
@@ -34,7 +34,7 @@ def recover(
         for storage in STORAGES if megabytes else ():
             wall, processor = measure_speed(storage, int(megabytes * MEGABYTE))
             found["speed"].append({"storage": storage, "wall": wall, "processor": processor})
-            results.print(
+            say(
                 f"{storage}: {wall / MEGABYTE:.0f} MB/s, "
                 f"{processor / MEGABYTE:.0f} MB for each second of the processor"
             )
@@ -55,4 +55,4 @@ def _break(cases: int, seed: int, rows: list[dict[str, Any]]) -> None:
                 figures = (tally.cases, tally.messages, tally.missing, tally.altered, unread)
                 table.add_row(storage, fault, *map(str, figures))
     finally:
-        results.print(table)
+        show(table)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.estimation.estimator import EstimatorSettings
@@ -49,7 +49,7 @@ def report(
     write_drives(out, [reported], shlex.join(["evpinn", *sys.argv[1:]]))
     seconds = time.perf_counter() - begin
     size = out.stat().st_size
-    results.print(figures_table(f"Report of {drive.name}", _rows(replayed.metrics, seconds, size)))
+    show(figures_table(f"Report of {drive.name}", _rows(replayed.metrics, seconds, size)))
     if json_file is not None:
         made = {"report_s": seconds, "report_bytes": size}
         write_json(json_file, {**replayed.metrics["input"], **replayed.metrics["replay"], **made})

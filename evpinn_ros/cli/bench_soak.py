@@ -12,7 +12,7 @@ import typer
 
 from evpinn_ros.bench.soak import HOUR, Hour, memory_growth, time_drift
 from evpinn_ros.bench.soak import soak as drive_for
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.one_thread import one_thread
@@ -56,7 +56,7 @@ def _soak(hours: int, seconds: float, found: dict[str, Any]) -> None:
         else:
             found["nodes"], lines = _watch_nodes(seconds)
             summary += lines
-    results.print(figures_table("For years", summary))
+    show(figures_table("For years", summary))
 
 
 def _watch_nodes(seconds: float) -> tuple[dict[str, Any], list[tuple[str, str, str]]]:
@@ -83,7 +83,7 @@ def _show(rows: Sequence[Hour]) -> None:
             f"{row.us_per_reading:.0f} us",
             f"{row.energy / 3.6e6:.2f} kWh",
         )
-    results.print(table)
+    show(table)
 
 
 def _summary(rows: Sequence[Hour]) -> Iterator[tuple[str, str, str]]:

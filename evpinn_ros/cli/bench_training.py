@@ -10,7 +10,7 @@ import typer
 
 from evpinn_ros.bench.deepxde_peer import deepxde_version
 from evpinn_ros.bench.training import Timed, bench_training
-from evpinn_ros.cli.console import note, results, write_json
+from evpinn_ros.cli.console import note, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.reproduce import training_progress
 from evpinn_ros.cli.tables import titled_table
@@ -65,4 +65,4 @@ def _show(timed: list[Timed]) -> None:
             f"{one.best:.6f}",
             "1" if one is published else ratio if one.reached else "not reached",
         )
-    results.print(table)
+    show(table)

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import Annotated, Any
 
 import numpy as np
-from rich.table import Table
 import typer
 
 from evpinn_ros.bench.floor import ASKED, floors
@@ -21,9 +20,10 @@ from evpinn_ros.bench.truth import (
     load_steps,
     summaries,
 )
-from evpinn_ros.cli.console import progress_bar, results, write_json
+from evpinn_ros.cli.console import progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
+from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
 
@@ -89,12 +89,12 @@ def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: in
         if found:
             _show(figures, summaries(found))
             figures["unobservable"] = _unobservable(found)
-            results.print(figures["unobservable"])
+            say(figures["unobservable"])
 
 
 def _show(figures: dict[str, Any], rows: list[Summary]) -> None:
     figures["summaries"] = [asdict(row) for row in rows]
-    results.print(_table(rows))
+    show(_table(rows))
 
 
 def _unobservable(found: Sequence[Comparison]) -> str:
@@ -109,14 +109,14 @@ def _show_floor(figures: dict[str, Any], rows: Sequence[Mapping[str, float]]) ->
     least = {name: float(np.median([row[name] for row in rows])) for name in ASKED}
     figures["floor_median_percent"] = least
     told = ", ".join(f"{name} {percent:.2f} %" for name, percent in least.items())
-    results.print(f"Floor of the median after 120 s: {told}")
+    say(f"Floor of the median after 120 s: {told}")
 
 
 def _show_loads(figures: dict[str, Any], steps: Sequence[Step]) -> None:
     in_time = sum(step.detected_after <= IN_TIME for step in steps)
     near = sum(abs(step.error) <= NEAR for step in steps)
     figures["load"] = {"steps": len(steps), "in_time": in_time, "near": near}
-    results.print(
+    say(
         f"Load: {in_time} of {len(steps)} found within {IN_TIME:.0f} s of motion, "
         f"{near} within {NEAR:.0f} kg"
     )
@@ -126,12 +126,12 @@ def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
     quiet = list(false_alarms(kind, VEHICLES, range(FIRST_SEED, FIRST_SEED + hours)))
     alarms, withdrawn = sum(one[1] for one in quiet), sum(one[2] for one in quiet)
     figures["false_alarms"] = {"hours": hours, "alarms": alarms, "withdrawn": withdrawn}
-    results.print(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
+    say(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
 
 
-def _table(rows: list[Summary]) -> Table:
+def _table(rows: list[Summary]) -> PlainTable:
     """Errors and coverage of each quantity at each time."""
-    table = Table("quantity", "s", "drives", "bias %", "median %", "90 % within %", "sigma %")
+    table = PlainTable("quantity", "s", "drives", "bias %", "median %", "90 % within %", "sigma %")
     table.add_column("95 % covers %")
     table.add_column("prior share")
     for row in rows:

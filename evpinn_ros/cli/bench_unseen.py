@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from rich.console import Console
 import typer
 
 from evpinn_ros.bench.unseen.drives import cars_in
@@ -21,7 +20,7 @@ from evpinn_ros.bench.unseen.run import (
 from evpinn_ros.bench.unseen.sumo_cars import sumo_is_there
 from evpinn_ros.bench.unseen.table import age_table, energy_table, truth_table
 from evpinn_ros.bench.unseen.truth import KINDS
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.errors import InputError
 
@@ -102,12 +101,10 @@ def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
     if (recorded := recorded_core(car, entry["drives"])) is not None:
         entry["methods"][RECORDED] = methods[RECORDED] = recorded
     title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
-    results.print(f"\n{title}", markup=False)
-    wide = results
-    if results.width < TABLE_WIDTH:
-        wide = Console(width=TABLE_WIDTH, highlight=False, stderr=results.stderr)
+    say()
+    say(title)
     if "carried" in methods[names[0]]:
-        wide.print(energy_table(methods))
-        wide.print(age_table(methods))
+        show(energy_table(methods), at_least=TABLE_WIDTH)
+        show(age_table(methods), at_least=TABLE_WIDTH)
     if "truth" in methods[names[0]]:
-        wide.print(truth_table(methods))
+        show(truth_table(methods), at_least=TABLE_WIDTH)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-import json
 from pathlib import Path
 import threading
 import time
@@ -15,8 +14,8 @@ from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.inspection import BusReport, Inspection
 from evpinn_ros.can.profile import bundled_profiles, load_profile
-from evpinn_ros.cli.can_tables import as_json, show
-from evpinn_ros.cli.console import note
+from evpinn_ros.cli.can_tables import as_json, show_report
+from evpinn_ros.cli.console import note, show_json
 from evpinn_ros.cli.options import complete_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.parameter_table import bus_options
@@ -139,6 +138,6 @@ def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
 def _print(name: str, report: BusReport, bitrate: int, as_json_text: bool) -> None:
     if as_json_text:
         document: dict[str, Any] = {"source": name, "bitrate": bitrate, **as_json(report)}
-        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+        show_json(document)
     else:
-        show(name, report, bitrate)
+        show_report(name, report, bitrate)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rich.table import Table
-
 from evpinn_ros.can.fit import MessageFit
 from evpinn_ros.can.inspection import BusReport, IdStatus, ProfileReport
-from evpinn_ros.cli.console import results
+from evpinn_ros.cli.console import say, show
 from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.plain_table import PlainTable
 
 PEOPLE: dict[str, tuple[str, float, int]] = {
     "speed": ("km/h", 3.6, 1),
@@ -23,15 +22,15 @@ PEOPLE: dict[str, tuple[str, float, int]] = {
 """Unit for people, how many of it are one in SI, and decimals."""
 
 
-def show(name: str, report: BusReport, bitrate: int) -> None:
+def show_report(name: str, report: BusReport, bitrate: int) -> None:
     """Print the tables."""
     best = report.best
-    results.print(_id_table(report.ids, best))
-    results.print(_profile_table(report.profiles))
+    show(_id_table(report.ids, best))
+    show(_profile_table(report.profiles))
     if best is not None:
-        results.print(_value_table(best))
+        show(_value_table(best))
     for line in (*_summary(name, report, bitrate), *_verdict(best)):
-        results.print(line, markup=False, soft_wrap=True)
+        say(line)
 
 
 def as_json(report: BusReport) -> dict[str, Any]:
@@ -58,7 +57,7 @@ def verdict(profile: ProfileReport) -> str:
     return "fits" if profile.fit.holds else "does not fit"
 
 
-def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> Table:
+def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> PlainTable:
     table = titled_table("Ids")
     table.add_column("id")
     for title in ("frames", "Hz", "period ms", "jitter ms", "age s", "bytes"):
@@ -81,7 +80,7 @@ def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> Table:
     return table
 
 
-def _profile_table(profiles: tuple[ProfileReport, ...]) -> Table:
+def _profile_table(profiles: tuple[ProfileReport, ...]) -> PlainTable:
     table = titled_table("Profiles, best first")
     table.add_column("profile")
     table.add_column("score", justify="right")
@@ -94,7 +93,7 @@ def _profile_table(profiles: tuple[ProfileReport, ...]) -> Table:
     return table
 
 
-def _value_table(best: ProfileReport) -> Table:
+def _value_table(best: ProfileReport) -> PlainTable:
     table = titled_table(f"Values as {best.fit.profile} reads them")
     table.add_column("signal")
     for title in ("readings", "newest", "lowest", "highest"):

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.cli.console import results
+from evpinn_ros.cli.console import say
 from evpinn_ros.nodes.parameter_file import check_parameter_file
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.yaml_section import compose
@@ -37,4 +37,4 @@ def check_params(
     else:
         kind = "parameter file"
         check_parameter_file(file)
-    results.print(f"{file}: a valid {kind}", markup=False, soft_wrap=True)
+    say(f"{file}: a valid {kind}")

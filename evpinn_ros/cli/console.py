@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,9 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError, printable
+from evpinn_ros.plain_table import PlainTable
 
 Report = Callable[[float], None]  # takes what is done, seconds of the drive if not told otherwise
 
@@ -30,12 +33,31 @@ STDOUT = "-"  # as the path of a file
 DRIVE = "s of the drive"
 
 results = Console(highlight=False)
+TITLE = TextColumn("{task.description}", markup=False)
+"""Of a bar: often the name of a file."""
+
 notes = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def note(text: str) -> None:
     """One line to the person, on stderr."""
     notes.print(printable(text), markup=False)
+
+
+def say(text: str = "", style: str = "") -> None:
+    """One line of the results."""
+    results.print(Text(printable(text), style), soft_wrap=True)
+
+
+def show(table: PlainTable, at_least: int = 0) -> None:
+    """A table of the results, as wide as the terminal, or more if told so."""
+    narrow = results.width < at_least
+    (Console(width=at_least, stderr=results.stderr) if narrow else results).print(table)
+
+
+def show_json(found: Any) -> None:
+    """Results for scripts, on stdout; null where a number is not finite."""
+    print(_json(found, indent=2), flush=True)
 
 
 def tables_beside(json_file: Path | None) -> None:
@@ -49,15 +71,31 @@ def write_json(path: Path, found: Any) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    text = json.dumps(found, indent=1, allow_nan=False)
+    text = _json(found, indent=1)
     if str(path) == STDOUT:
         print(text, flush=True)
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text + "\n", encoding="utf-8")
+        with replaced(path) as draft:
+            draft.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
+
+
+def _json(found: Any, indent: int) -> str:
+    return json.dumps(_finite(found), indent=indent, allow_nan=False)
+
+
+def _finite(found: Any) -> Any:
+    """The same with None for numbers that JSON does not know."""
+    if isinstance(found, float):
+        return found if math.isfinite(found) else None
+    if isinstance(found, Mapping):
+        return {key: _finite(value) for key, value in found.items()}
+    if isinstance(found, list | tuple):
+        return [_finite(value) for value in found]
+    return found
 
 
 class RateColumn(ProgressColumn):
@@ -87,15 +125,15 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
         unit: of what is done.
     """
     columns = (
-        TextColumn("{task.description}"),
+        TITLE,
         BarColumn(),
         TaskProgressColumn(),
-        TextColumn(f"{{task.completed:.0f}} {unit}"),
+        TextColumn(f"{{task.completed:.0f}} {unit}", markup=False),
         RateColumn(unit),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
-        task = bar.add_task(title, total=total)
+        task = bar.add_task(printable(title), total=total)
         yield lambda done: bar.update(task, completed=done)
 
 
@@ -103,14 +141,14 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
 def bytes_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
     """The same for a file: takes bytes done, shows the rate and the time left."""
     columns = (
-        TextColumn("{task.description}"),
+        TITLE,
         BarColumn(),
         DownloadColumn(),
         TransferSpeedColumn(),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
-        task = bar.add_task(title, total=total)
+        task = bar.add_task(printable(title), total=total)
         yield lambda done: bar.update(task, completed=done)
 
 

@@ -13,7 +13,7 @@ from evpinn_ros.bags.convert import reported, write_readings
 from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, progress_bar, results, writing
+from evpinn_ros.cli.console import note, progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, complete_vehicle
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
@@ -80,7 +80,7 @@ def convert(
             note(f"{source_path}: {count} readings dropped: {reason}")
         if source.problem:
             raise InputError(f"{source.problem}; what could be read is in {out}")
-        results.print(f"{out}", markup=False, soft_wrap=True)
+        say(f"{out}")
 
 
 def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str]:
@@ -101,4 +101,4 @@ def _change_storage(source: Path, out: Path, storage: Storage) -> None:
     with Interruption() as interruption:
         with writing(out), progress_bar(source.name, told_seconds(source)) as progress:
             change_storage(source, out, storage, progress, lambda: interruption.asked)
-        results.print(f"{out}", markup=False, soft_wrap=True)
+        say(f"{out}")

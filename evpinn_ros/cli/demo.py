@@ -14,7 +14,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.cli.console import note, progress_bar, results, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import live_table, score_table
 from evpinn_ros.errors import InputError
@@ -75,11 +75,12 @@ def demo(
         drive_figure(drive, "A simulated drive in town, through the nodes", truth), picture
     )
     found = drive_scores(drive, WARM_UP)
-    results.print(score_table(drive, found))
+    show(score_table(drive, found))
     for line in energy_lines(found):
-        results.print(line, markup=False, soft_wrap=True)
-    results.print(live_table(drive, truth))
-    results.print(f"Picture  {picture}\nBag      {bag}", markup=False, soft_wrap=True)
+        say(line)
+    show(live_table(drive, truth))
+    say(f"Picture  {picture}")
+    say(f"Bag      {bag}")
     if json_file is not None:
         write_json(json_file, found)
 

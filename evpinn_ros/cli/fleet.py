@@ -8,10 +8,10 @@ import signal
 import sys
 from typing import Annotated, Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 import typer
 
-from evpinn_ros.cli.console import note, notes, results, write_json
+from evpinn_ros.cli.console import TITLE, note, notes, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
@@ -101,7 +101,7 @@ def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     """Learn all; False when a person stopped it."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
-    columns = (TextColumn("cars"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TITLE, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
             work = bar.add_task("cars", total=len(cars))
@@ -154,9 +154,5 @@ def _show(summary: Summary, out: Path) -> None:
             table.add_column(column, justify="right", no_wrap=True)
         for name, _, *cells in population_cells(population):
             table.add_row(name, *cells)
-        results.print(table)
-    results.print(
-        f"{out}: {counts['cars']} cars, {counts['learned']} of {counts['drives']} drives learned",
-        markup=False,
-        soft_wrap=True,
-    )
+        show(table)
+    say(f"{out}: {counts['cars']} cars, {counts['learned']} of {counts['drives']} drives learned")

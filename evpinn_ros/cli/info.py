@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import datetime, timezone
-import json
 import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.cli.console import note, progress_bar, results
+from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
 from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
@@ -48,7 +47,7 @@ def info(
         if not as_json_text:
             _show(found[-1])
     if as_json_text:
-        typer.echo(json.dumps([_as_json(each) for each in found], indent=2, allow_nan=False))
+        show_json([_as_json(each) for each in found])
     if problems:
         raise typer.Exit(1)
 
@@ -60,9 +59,9 @@ def _show(found: Contents) -> None:
             table.add_column(name, justify="left" if name in ("topic", "type") else "right")
         for topic in found.topics:
             table.add_row(topic.name, topic.type_name, *_flow(topic.flow))
-        results.print(table)
+        show(table)
     for line in _lines(found):
-        results.print(line, markup=False, soft_wrap=True)
+        say(line)
 
 
 def _lines(found: Contents) -> Iterator[str]:

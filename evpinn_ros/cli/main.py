@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from io import TextIOWrapper
 import os
 import sys
 
 import typer
 
 from evpinn_ros import __version__
+from evpinn_ros.cli.console import note, say
 from evpinn_ros.cli.interruption import INTERRUPTED
 from evpinn_ros.cli.lazy import LazyCommands
 from evpinn_ros.errors import InputError
@@ -32,7 +35,7 @@ app = typer.Typer(cls=Commands, no_args_is_help=True, pretty_exceptions_enable=F
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(__version__)
+        say(__version__)
         raise typer.Exit
 
 
@@ -50,17 +53,33 @@ def evpinn(
 
 def main() -> None:
     """Run the command; wrong input is one line on stderr and exit code 1."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # not every terminal knows every letter
     try:
-        app()
+        try:
+            app()
+        finally:
+            if sys.stdout is not None:  # whoever started us may have closed it
+                sys.stdout.flush()  # a full disk shows now, and not after the last line of code
     except InputError as error:
-        print(f"evpinn: {error}", file=sys.stderr)
+        note(f"evpinn: {error}")
         sys.exit(FAILED)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
-        # Whoever read our output has gone, as `head` does; there is nobody left to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()  # whoever read it has gone, as `head` does; there is nobody left to tell
         sys.exit(FAILED)
+    except OSError as error:
+        _drop_output()
+        note(f"evpinn: {error.filename or 'the output'}: {error.strerror or error}")
+        sys.exit(FAILED)
+
+
+def _drop_output() -> None:
+    """Forget what stdout still holds, which Python would try to write at the end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

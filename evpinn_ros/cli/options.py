@@ -45,3 +45,11 @@ MetricsOption = Annotated[
     Path | None,
     typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_tables_beside_json),
 ]
+OriginOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="ORIGIN",
+        help="A web page besides app.foxglove.dev that may connect, as http://localhost:8080; "
+        "may be repeated.",
+    ),
+]

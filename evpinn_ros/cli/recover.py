@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import datetime, timezone
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +13,7 @@ import typer
 from evpinn_ros.bags.recover import RecoveredFile, broken_files
 from evpinn_ros.bags.recover import recover as recover_bag
 from evpinn_ros.bags.salvage import Loss
-from evpinn_ros.cli.console import bytes_bar, note, results, writing
+from evpinn_ros.cli.console import bytes_bar, note, say, show_json, writing
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_LINES = 20  # of losses on the terminal; --json has them all
@@ -38,12 +37,12 @@ def recover(
         found = recover_bag(broken, out, progress)
     if as_json_text:
         document = {"bag": str(out), "files": [_as_json(one) for one in found]}
-        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+        show_json(document)
     else:
         for one in found:
             for line in _lines(one):
-                results.print(line, markup=False, soft_wrap=True)
-        results.print(str(out), markup=False, soft_wrap=True)
+                say(line)
+        say(str(out))
     if unread := [one.problem for one in found if one.problem is not None]:
         for problem in unread:
             note(f"evpinn: {problem}")

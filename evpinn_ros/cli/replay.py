@@ -16,7 +16,7 @@ import typer
 
 from evpinn_ros.bags.metadata import told_seconds
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, progress_bar, results, write_json, writing
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
@@ -211,19 +211,17 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
     explain_notes(source)
     if not has_battery(result.drive):
         note(f"evpinn: {source.path}: no battery voltage and current; nothing could be learned")
-    results.print(
+    say(
         f"{found['input']['path']}: {result.drive.duration:.0f} s, {found['vehicle']}, "
-        f"{found['mode']}, {found['replay']['realtime_factor'] or 0:.0f} x real time",
-        markup=False,
-        soft_wrap=True,
+        f"{found['mode']}, {found['replay']['realtime_factor'] or 0:.0f} x real time"
     )
     dropped = ", ".join(f"{n} {reason}" for reason, n in found["input"]["dropped"].items())
     if dropped:
-        results.print(f"Dropped readings: {dropped}", markup=False)
-    results.print(score_table(result.drive, found, warm_up))
+        say(f"Dropped readings: {dropped}")
+    show(score_table(result.drive, found, warm_up))
     for line in energy_lines(found):
-        results.print(line, markup=False, soft_wrap=True)
-    results.print(parameter_table(found, read_truth(source.path)))
+        say(line)
+    show(parameter_table(found, read_truth(source.path)))
 
 
 def _write(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
-import json
 from pathlib import Path
 import shlex
 import sys
@@ -13,11 +12,10 @@ import time
 from typing import Annotated
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table as RichTable
 import torch
 import typer
 
-from evpinn_ros.cli.console import RateColumn, note, notes, results
+from evpinn_ros.cli.console import TITLE, RateColumn, note, notes, say, show, write_json
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
@@ -99,7 +97,7 @@ def reproduce(
     with training_progress() as on_progress:
         outcome = Experiment(read.drive, car, settings, folder).run(on_progress)
     note(f"trained and scored in {time.perf_counter() - begin:.0f} s")
-    results.print(label, markup=False)
+    say(label)
     for table in all_tables(outcome):
         _print(table)
     _write(outcome, read, folder, log, label)
@@ -136,9 +134,12 @@ def _label(settings: Settings, quick: bool) -> str:
 def training_progress() -> Iterator[OnProgress]:
     """A bar for each training with its loss, on a terminal; nothing in a pipe."""
     columns = (
-        TextColumn("{task.description}"),
+        TITLE,
         BarColumn(),
-        TextColumn("epoch {task.completed:.0f} of {task.total:.0f}, loss {task.fields[loss]}"),
+        TextColumn(
+            "epoch {task.completed:.0f} of {task.total:.0f}, loss {task.fields[loss]}",
+            markup=False,
+        ),
         RateColumn("epochs"),
         TimeRemainingColumn(),
     )
@@ -154,14 +155,14 @@ def training_progress() -> Iterator[OnProgress]:
 
 
 def _print(table: Table) -> None:
-    shown: RichTable = titled_table(table.title)
+    shown = titled_table(table.title)
     for index, column in enumerate(table.columns):
         shown.add_column(column, justify="right" if index else "left", no_wrap=index == 0)
     for row in table.rows:
         shown.add_row(*row)
-    results.print(shown)
-    results.print(table.note, markup=False, style="dim")
-    results.print()
+    show(shown)
+    say(table.note, style="dim")
+    say()
 
 
 def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str) -> None:
@@ -176,8 +177,7 @@ def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str)
             "log": {"path": str(log), "delay_s": read.delay, "dropped": dict(read.dropped)},
             **results_of(outcome),
         }
-        text = json.dumps(found, indent=1, allow_nan=False)
-        numbers.write_text(text + "\n", encoding="utf-8")
+        write_json(numbers, found)
         write_estimator_state(state, outcome)
         write_vehicle_file(vehicle, outcome, log.name)
     except OSError as error:

@@ -12,13 +12,21 @@ import typer
 
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.cli.afterwards import reported
-from evpinn_ros.cli.options import CanProfileOption, VehicleOption
+from evpinn_ros.cli.options import CanProfileOption, OriginOption, VehicleOption
 from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.state_keeper import state_path
 from evpinn_ros.report.foxglove import LOOPBACK, PORT
 
 MEGABYTE = 1e6
+
+
+def learned_before(state: Path | None, params: Path | None) -> Path | None:
+    """The state file that the estimator starts from: the command's, or that of its parameters."""
+    if state is None and params is not None:
+        return state_path(str(read_parameter_file(params, "estimator").get("state_file", "")))
+    return state_path(str(state or ""))
 
 
 def run(
@@ -83,6 +91,7 @@ def run(
     foxglove_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Likewise; 0 for any.")
     ] = PORT,
+    foxglove_origin: OriginOption = None,
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
@@ -116,7 +125,7 @@ def run(
         if report is not None:
             learning = {"--vehicle": vehicle, "--mode": mode and mode.value, "--params": params}
             options = [str(word) for pair in learning.items() if pair[1] for word in pair]
-            start = state_path(str(state or ""))
+            start = learned_before(state, params)
             record = beside.enter_context(reported(report, record, start, options))
         if view and sys.stdout.isatty():
             beside.enter_context(live_view())
@@ -124,7 +133,7 @@ def run(
             parameters,
             record=record,
             split=split,
-            foxglove=(foxglove_host, foxglove_port) if foxglove else None,
+            foxglove=(foxglove_host, foxglove_port, foxglove_origin or ()) if foxglove else None,
             beside=beside,
             ros_args=ros_args,
         )

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.console import progress_bar, writing
+from evpinn_ros.cli.console import progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.errors import InputError
@@ -86,7 +86,8 @@ def simulate(
     with Interruption():  # half a drive would not have the truth that is written beside it
         with writing(out), progress_bar(out.name, total=duration) as progress:
             write(drive, out, can_log, progress)
-        typer.echo(_summary(drive, out))
+        for line in _summary(drive, out):
+            say(line)
 
 
 def _parameters(given: list[str]) -> dict[str, float]:
@@ -100,12 +101,11 @@ def _parameters(given: list[str]) -> dict[str, float]:
     return parameters
 
 
-def _summary(drive: SimulatedDrive, out: Path) -> str:
+def _summary(drive: SimulatedDrive, out: Path) -> list[str]:
     motion, truth = drive.trace.motion, drive.truth
-    lines = [
+    return [
         f"{out}: {drive.duration_s:g} s, {len(drive.readings)} readings, "
         f"top speed {motion.speed.max() * 3.6:.0f} km/h",
         *(f"  {name:20} {value:.6g}" for name, value in truth.parameters._asdict().items()),
         f"  definitions and the rest: {out / TRUTH_FILE}",
     ]
-    return "\n".join(lines)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
+from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import MEANINGS, number
 from evpinn_ros.replay.run import WARM_UP
@@ -20,7 +18,7 @@ from evpinn_ros.replay.tables import (
 from evpinn_ros.vehicle.parameters import Parameters
 
 
-def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -> Table:
+def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -> PlainTable:
     """Live value, 1-sigma, prior share and state of each parameter, and the truth if known."""
     table = titled_table("Parameters of the car")
     for name in parameter_columns(truth):
@@ -30,7 +28,7 @@ def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -
     return table
 
 
-def live_table(drive: Drive, truth: Parameters | None) -> Table:
+def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
     """Live value, 1-sigma, prior share and truth of a drive recorded from the nodes."""
     table = titled_table("Parameters of the car")
     table.add_column("parameter")
@@ -50,7 +48,7 @@ def live_table(drive: Drive, truth: Parameters | None) -> Table:
     return table
 
 
-def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> Table:
+def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
     """Scores of power and energy, with the nulls that say what they are worth."""
     table = titled_table(f"Predict, then update; after {warm_up:.0f} s")
     for name in SCORE_COLUMNS:
@@ -60,12 +58,12 @@ def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP
     return table
 
 
-def titled_table(title: str) -> Table:
-    """An empty table in the style of all."""
-    return Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+def titled_table(title: str) -> PlainTable:
+    """An empty table with a title, in the style of all."""
+    return PlainTable(title=title)
 
 
-def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> Table:
+def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> PlainTable:
     """What was measured, beside its goal: (name, measured, goal)."""
     table = titled_table(title)
     table.add_column("")

@@ -11,6 +11,7 @@ import typer
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.cli.console import note
+from evpinn_ros.cli.options import OriginOption
 from evpinn_ros.errors import InputError
 from evpinn_ros.report.foxglove import LOOPBACK, PORT, FoxgloveServer, is_loopback
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -25,6 +26,7 @@ def view(
     loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
     host: Annotated[str, typer.Option(help="To listen on.")] = LOOPBACK,
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 for any.")] = PORT,
+    foxglove_origin: OriginOption = None,
 ) -> None:
     """Serve a bag to Foxglove at the pace it was recorded, from when somebody looks until Ctrl-C.
 
@@ -43,7 +45,9 @@ def view(
         }
         if not offered:
             raise InputError(f"{bag}: holds no messages that can be shown")
-        with FoxgloveServer(host, port, offered, replay=True) as server:
+        with FoxgloveServer(
+            host, port, offered, replay=True, origins=foxglove_origin or ()
+        ) as server:
             _serve(reader, server, rate, loop)
         if reader.problem is not None:
             note(reader.problem)

@@ -12,7 +12,7 @@ from evpinn_ros.drives.column import SIGNED, Column
 from evpinn_ros.drives.quantities import QUANTITIES, UNITS_OF_APPS, Unit
 from evpinn_ros.signals.readings import NANOSECONDS
 
-FASTEST = 62.0  # m/s: what is larger is no speed of a car in m/s
+FASTEST = 45.0  # m/s: what is larger is hardly a speed of a car in m/s
 STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no speed in m/s
 LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
 EVENT = 0.3  # m/s^2 from which on it is accelerating or braking

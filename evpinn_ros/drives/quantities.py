@@ -68,11 +68,11 @@ _LENGTH = _units(m=1.0, meters=1.0, ft=0.3048, feet=0.3048)
 _DISTANCE = _units(km=1e3, kilometers=1e3, mi=1609.344, miles=1609.344, m=1.0)
 _PERCENT = {"%": Unit(1.0), "pct": Unit(1.0), "percent": Unit(1.0), "fraction": Unit(100.0)}
 
-_BATTERY = "battery,batt,bat,pack,hv,traction,dc,total,v b"
+_BATTERY = "battery,batt,bat,pack,hv,ht,traction,dc,total,v b,batterie,batería,batteria,bateria"
 _OTHERS = (
     "motor,engine,cell,min,max,limit,charger,aux,auxiliary,lv,12v,phase,target,set,heating,heater,"
     "htr,aircon,ac,a c,regen,available,fan,accuracy,acc,wind,rear,gps2,temp,temperature,module,"
-    "adapter,avg,average,obc,dcdc,evse,steering,sensor,throttle"
+    "adapter,avg,average,mean,moyenne,media,durchschnittlich,zelle,cella,celda,cellule,obc,dcdc,evse,steering,sensor,throttle"
 )
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
@@ -91,7 +91,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "speed": Quantity(
         "speed_mps",
         _phrases(
-            "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph"
+            "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,"
+            "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,prędkość,rychlost,скорость,车速"
         ),
         (),
         _phrases("vehicle,car,obd,v p"),
@@ -101,7 +102,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "voltage": Quantity(
         "voltage_v",
-        _phrases("voltage,volt,volts,spannung,batteriespannung"),
+        _phrases("voltage,volt,volts,spannung,batteriespannung,tension,tensión,tensione,spänning"),
         (),
         _phrases(_BATTERY),
         (),
@@ -110,7 +111,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "current": Quantity(
         "current_a",
-        _phrases("current,amps,ampere,amperage,strom,batteriestrom"),
+        _phrases("current,amps,ampere,amperage,strom,batteriestrom,courant,corriente,corrente"),
         (),
         _phrases(_BATTERY),
         (),

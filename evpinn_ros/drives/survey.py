@@ -137,7 +137,7 @@ def look_through(
     table: Table,
     head: Head,
     wanted: Sequence[int],
-    early: Callable[[Survey], None],
+    early: Callable[[Survey], object],
     limit: int | None = None,
 ) -> Survey:
     """Keep the cells of the wanted columns, every k-th row of a long table.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import islice
 import math
 from pathlib import Path
@@ -16,6 +17,7 @@ from evpinn_ros.drives.column import Column, check_columns, columns_by_name
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
 from evpinn_ros.drives.long_form import LongTable
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
+from evpinn_ros.drives.order import RowOrder
 from evpinn_ros.drives.quantities import QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, RowReadings
 from evpinn_ros.drives.survey import Survey, Table, data_rows, find_head, long_form, look_through
@@ -24,6 +26,7 @@ from evpinn_ros.drives.times import (
     LAST_TIME_NS,
     NONE,
     RELATIVE_BELOW_S,
+    Clock,
     date_of_name,
     is_newest_first,
     start_of_comments,
@@ -32,7 +35,6 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
 BATCH = 16_384  # rows converted at once
-STRAGGLING_NS = 10 * NANOSECONDS  # rows that are late by less are put in order
 FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 
 Batch = tuple[tuple[int, list[str]], ...]
@@ -99,16 +101,16 @@ class TableDrive:
         )
         places = sorted({column.place for column in found})
 
-        def early(seen: Survey) -> None:
-            if choose_clock(found, seen, _styles(seen), header) is None:
-                raise InputError(f"{path}: {_no_time(found, seen)}")
-
-        survey = look_through(self._table, self._head, places, early, FEW_ROWS if own else None)
+        survey = look_through(
+            self._table,
+            self._head,
+            places,
+            early=partial(self._chosen_clock, found),
+            limit=FEW_ROWS if own else None,
+        )
         self._survey = survey
         self._styles = _styles(survey)
-        self.clock = choose_clock(found, survey, self._styles, header)
-        if self.clock is None:
-            raise InputError(f"{path}: {_no_time(found, survey)}")
+        self.clock = self._chosen_clock(found, survey)
         self._newest_first = self._is_newest_first()
         if self._newest_first:
             for cells in survey.cells.values():
@@ -124,6 +126,13 @@ class TableDrive:
         self._start_ns, self.dated = self._start()
         self.zoned = self.clock.zoned
 
+    def _chosen_clock(self, found: Sequence[Column], survey: Survey) -> Clock:
+        """The clock of the table; InputError when no column of time can be read."""
+        clock = choose_clock(found, survey, _styles(survey), self._head.names)
+        if clock is None:
+            raise InputError(f"{self.path}: {_no_time(found, survey)}")
+        return clock
+
     def readings(self) -> Iterator[Reading]:
         """The readings in order of time; an empty cell makes none.
 
@@ -134,8 +143,8 @@ class TableDrive:
         self.rows = self.used = 0
         self.first_bad = None
         clock = self.clock
-        assert clock is not None
         unwrapped = clock.unwrapped
+        order = RowOrder()
         makers = RowReadings(self.rules, self.nominal_voltage, self.dropped)
         for batch in self._batches():
             stamps = clock.stamps([self._cells(batch, place) for place in clock.columns])
@@ -155,12 +164,8 @@ class TableDrive:
                 self.dropped["speed_stands_still"] += int(np.isfinite(values["speed"]).sum())
                 values["speed"][:] = math.nan
             rows = np.flatnonzero(there & ~late)
-            newest = np.maximum.accumulate(stamps[rows]) if rows.size else stamps[rows]
-            old = stamps[rows] < newest - STRAGGLING_NS
-            self.dropped["time_not_increasing"] += int(old.sum())
-            rows = rows[~old]
-            rows = rows[np.argsort(stamps[rows], kind="stable")]
-            yield from makers.readings(stamps, values, rows)
+            yield from makers.readings(stamps, values, order.sorted(stamps, rows))
+        self.dropped["time_not_increasing"] += order.dropped
         self.used, self.at_nominal_voltage = makers.used, makers.at_nominal_voltage
         torn = getattr(self._table, "torn", 0)
         if torn:
@@ -211,7 +216,6 @@ class TableDrive:
             times, s since 1970, and numbers by name, NaN where there is none.
         """
         clock, header = self.clock, self._head.names
-        assert clock is not None
         places = {name: header.index(name) for name in names if name in header}
         found: dict[str, list[NDArray[np.float64]]] = {name: [] for name in places}
         times: list[NDArray[np.float64]] = []
@@ -244,7 +248,6 @@ class TableDrive:
         return values
 
     def _count_times(self, batch: Batch, stamps: NDArray[np.int64]) -> None:
-        assert self.clock is not None
         place = self.clock.columns[0]
         for i in np.flatnonzero(stamps == NONE):
             self.dropped["no_time"] += 1
@@ -262,21 +265,21 @@ class TableDrive:
             )
 
     def _is_newest_first(self) -> bool:
-        assert self.clock is not None
         stamps = self.clock.stamps([self._survey.cells[place] for place in self.clock.columns])
         return is_newest_first(stamps[stamps != NONE])
 
     def _ruled(self, found: Sequence[Column], own: bool) -> tuple[Column, ...]:
         """The columns with units and signs, in the order of the file."""
         clock = self.clock
-        assert clock is not None
         header = self._head.names
         time = Column("time", header[clock.columns[0]], place=clock.columns[0])
         told = any(column.quantity == "time" and column.why == "as told" for column in found)
         named = time.name == QUANTITIES["time"].column
         if not named:
             unit = clock.unit or clock.kind
-            time = time.measured_in(unit, _plain(clock.unit), "as told" if told else clock.why)
+            time = time.measured_in(
+                unit, _plain(clock.unit), "as told" if told else clock.why or "by its cells"
+            )
         used = {column.quantity: column for column in found if column.quantity != "time"}
         if not own:
             stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
@@ -298,7 +301,6 @@ class TableDrive:
     def _start(self) -> tuple[int, str]:
         """What is added to the times of the clock, ns, and what tells the date."""
         clock = self.clock
-        assert clock is not None
         stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
         known = stamps[stamps != NONE]
         first = int(known[0]) if known.size else NONE

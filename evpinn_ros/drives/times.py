@@ -46,6 +46,26 @@ _ZONES = ("", "%z")
 # Torque's "GPS Time", the text of a Java date: Mon Dec 17 17:46:23 GMT+01:00 2018.
 _JAVA = ("%a-%b-%d %H:%M:%S GMT%z %Y", "%a-%b-%d %H:%M:%S UTC %Y")
 
+# Months as phones abbreviate them in German, French, Spanish, Italian, Dutch and Portuguese, where
+# English does not.
+_MONTHS = {
+    f"-{name}-": f"-{month}-"
+    for month, names in {
+        "Jan": "jän janv ene gen",
+        "Feb": "févr fév fev",
+        "Mar": "mär märz mrz mars mrt",
+        "Apr": "avr abr",
+        "May": "mai mag mei",
+        "Jun": "juin giu",
+        "Jul": "juil lug",
+        "Aug": "août aoû ago",
+        "Sep": "sept set",
+        "Oct": "okt ott out",
+        "Dec": "déc dez dic",
+    }.items()
+    for name in names.split()
+}
+
 _NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
 
@@ -124,8 +144,10 @@ def _joined(cells: Sequence[Sequence[str]]) -> pl.Series:
     # 2024-03-05T07:08:09,5Z and 5.3.2024 7:08:09.5 p.m. become one pattern.
     return (
         text.str.replace(r"^(\w{3}) (\w{3}) (\d)", "$1-$2-$3")
+        .str.replace(r"^(\d{1,2}[ -]\pL{3,9})\.([ -])", "$1$2")
         .str.replace(r"^(\d{1,4})[./ -]([\w]{1,9})[./ -](\d{1,4})\.?", "$1-$2-$3")
         .str.replace(r"^(\d{1,4}-\w{1,9}-\d{1,4}),?[T ,]+", "$1 ")
+        .str.replace_many(_MONTHS, ascii_case_insensitive=True)
         .str.replace(r"(:\d\d)[,](\d+)", "$1.$2")
         .str.replace(r"\s*([AaPp])\.?\s?[Mm]\.?", " ${1}M")
         .str.replace(r"^(20\d{6})[T_ ]?(\d\d)(\d\d)(\d\d)$", "$1 $2:$3:$4")

@@ -35,6 +35,7 @@ from evpinn_ros.energy.rknn import (
     restored,
     slopes,
 )
+from evpinn_ros.errors import printable
 from evpinn_ros.one_thread import one_thread
 
 SEED = 20240601
@@ -193,13 +194,15 @@ def train(seed: int = SEED, epochs: int = ADAM_EPOCHS, traces: int = TRACES) -> 
 def main(arguments: list[str]) -> int:
     """Train and write the weights to the path given; the exit code."""
     if len(arguments) != 1:
-        print("usage: python -m evpinn_ros.energy.rknn_training OUT.npz", file=sys.stderr)
+        print(
+            printable("usage: python -m evpinn_ros.energy.rknn_training OUT.npz"), file=sys.stderr
+        )
         return 2
     one_thread()
     module = train()
     np.savez(Path(arguments[0]), **module.weights())  # type: ignore[arg-type]
     unseen = loss(module, synthetic_steps(np.random.default_rng(SEED + 1)))
-    print(f"loss on unseen steps: {unseen.item():.1e}", file=sys.stderr)
+    print(printable(f"loss on unseen steps: {unseen.item():.1e}"), file=sys.stderr)
     return 0
 
 

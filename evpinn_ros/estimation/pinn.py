@@ -208,7 +208,7 @@ class PinnLearner:
         physics = self._physics(sample)
         said = self._network.correct(sample)
         power, sigma = physics.power + said.power, math.hypot(physics.sigma, said.sigma)
-        if not sample.profile:
+        if sample.newest:
             return PowerPrediction(power, sigma)
         power += self._debt.repay(sample.stamp_ns, power)
         return PowerPrediction(power, sigma, *self._unmeasured)

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
-from evpinn_ros.durable import sync
+from evpinn_ros.durable import replaced, sync
 from evpinn_ros.errors import InputError
 
 MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
@@ -26,13 +26,11 @@ def write_state(path: Path, state: Mapping[str, Any]) -> None:
     """
     text = json.dumps(state, allow_nan=False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_name(path.name + ".new")
-    with fresh.open("w", encoding="utf-8") as file:
+    with replaced(path) as draft, draft.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
-    fresh.replace(path)
-    sync(path.parent)
+    sync(path.resolve().parent)
 
 
 def read_state(path: Path) -> dict[str, Any] | None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.fleet.car import read_result
@@ -211,12 +212,10 @@ def _table(path: Path, columns: Mapping[str, str]) -> Iterator[_Table]:
     types = {"list": pyarrow.list_(pyarrow.float64()), "bool": pyarrow.bool_()}
     types |= {name: pyarrow.type_for_alias(name) for name in ("string", "int64", "double")}
     schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
-    fresh = path.with_name(path.name + ".new")
     try:
-        with ParquetWriter(fresh, schema) as writer:
+        with replaced(path) as draft, ParquetWriter(draft, schema) as writer:
             table = _Table(columns, writer, schema)
             yield table
             table.flush()
-        fresh.replace(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error

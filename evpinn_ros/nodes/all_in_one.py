@@ -29,7 +29,7 @@ def run(
     *,
     record: Path | None = None,
     split: Split | None = None,
-    foxglove: tuple[str, int] | None = None,
+    foxglove: tuple[str, int, Sequence[str]] | None = None,
     beside: AbstractContextManager[object] | None = None,
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
@@ -40,7 +40,7 @@ def run(
         parameters: values by name; each node takes those of its table, over any file's.
         record: folder of a bag to write, raw CAN frames beside the topics.
         split: when that goes on in another file; None for never.
-        foxglove: host and port to serve all topics at.
+        foxglove: host and port to serve all topics at, and web pages that may connect.
         beside: entered before the nodes start and left when they have ended.
         namespace: of all topics.
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.

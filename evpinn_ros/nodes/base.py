@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from evpinn_ros.errors import printable
 from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
@@ -68,8 +69,13 @@ class GuardedNode(Node):
         """The health of the node's parts, for `/diagnostics`."""
         raise NotImplementedError
 
-    def close(self) -> None:
-        """Let go of threads and files; called once, when the node has stopped spinning."""
+    def close(self) -> str | None:
+        """Let go of threads and files; called once, when the node has stopped spinning.
+
+        Returns:
+            What could not be kept and why; None when all is well.
+        """
+        return None
 
     def advertise(self, *outputs: Topic) -> None:
         """Make publishers for `publish`."""
@@ -104,7 +110,7 @@ class GuardedNode(Node):
         if not raw:
             self._inputs[topic] = subscription.topic_name
 
-    def every(self, seconds: float, callback: Callable[[], None]) -> None:
+    def every(self, seconds: float, callback: Callable[[], object]) -> None:
         """Call back by a clock that never jumps."""
         safe = self.guarded(callback, callback.__name__)
         self.create_timer(seconds, safe, clock=self._steady)
@@ -202,7 +208,7 @@ class GuardedNode(Node):
         ]
         yield topics.DIAGNOSTICS, diagnostics(new_message, self.now_ns(), statuses)
 
-    def guarded(self, callback: Callable[..., None], name: str) -> Callable[..., None]:
+    def guarded(self, callback: Callable[..., object], name: str) -> Callable[..., None]:
         """The callback, such that a bad message or a fault of ours cannot end the node."""
 
         def safe(*arguments: Any) -> None:
@@ -231,5 +237,5 @@ class GuardedNode(Node):
         if not self.context.ok():
             return  # the shutdown came in the middle of a callback
         if text not in self._faults:
-            self.get_logger().error(f"{text} {detail}".strip())
+            self.get_logger().error(printable(f"{text} {detail}".strip()))
         self._faults[text] += 1

@@ -14,7 +14,7 @@ from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
-from evpinn_ros.errors import InputError
+from evpinn_ros.errors import InputError, printable
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import REPORT_PERIOD, GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
@@ -152,13 +152,13 @@ class CanBridgeNode(GuardedNode):
 
     def _say(self, status: Status) -> None:
         # Each call has a line of its own: rclpy ties the severity to the place.
-        logger = self.get_logger()
+        logger, text = self.get_logger(), printable(status.text)
         if status.level is Level.ERROR:
-            logger.error(status.text)
+            logger.error(text)
         elif status.level is Level.WARN:
-            logger.warning(status.text)
+            logger.warning(text)
         else:
-            logger.info(status.text)
+            logger.info(text)
 
     def _read(self) -> None:
         """Read the source until it ends; a log that is shorter than a judgement is judged then."""

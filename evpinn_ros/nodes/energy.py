@@ -118,14 +118,13 @@ class EnergyNode(GuardedNode):
         )
         return [meter_status(report), charge_status(report), plan_status(report)]
 
-    def save(self) -> None:
-        """Write what was counted, if there is a file for it; a failure shows in diagnostics."""
-        if self.values["energy_file"]:
-            self._keeper.save()
+    def save(self) -> str | None:
+        """Write what was counted, if there is a file for it; gives the reason when that fails."""
+        return self._keeper.save() if self.values["energy_file"] else None
 
-    def close(self) -> None:
+    def close(self) -> str | None:
         """Save."""
-        self.save()
+        return self.save()
 
     def _load(self) -> None:
         self._keeper.load()

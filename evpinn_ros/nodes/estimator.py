@@ -87,10 +87,9 @@ class EstimatorNode(GuardedNode):
         )
         return [estimator_status(report)]
 
-    def save(self) -> None:
-        """Write what was learned, if there is a file for it; a failure shows in diagnostics."""
-        if self.values["state_file"]:
-            self._keeper.save()
+    def save(self) -> str | None:
+        """Write what was learned, if there is a file for it; gives the reason when that fails."""
+        return self._keeper.save() if self.values["state_file"] else None
 
     def publish_model(self) -> None:
         """Tell what forecasts need of the car; latched, so a late listener has it at once."""
@@ -98,10 +97,11 @@ class EstimatorNode(GuardedNode):
         if model is not None:
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 
-    def close(self) -> None:
+    def close(self) -> str | None:
         """Save, and stop the thread of the updates."""
-        self.save()
+        problem = self.save()
         self._worker.close()
+        return problem
 
     def _load(self) -> None:
         self._keeper.load()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import partial
 from typing import Any
 
@@ -15,12 +16,13 @@ from evpinn_ros.report.foxglove import FoxgloveServer, is_loopback
 class FoxgloveNode(GuardedNode):
     """Passes messages on to a server, with the time of their arrival by the node's clock."""
 
-    def __init__(self, host: str, port: int, **kwargs: Any) -> None:
+    def __init__(self, host: str, port: int, origins: Collection[str] = (), **kwargs: Any) -> None:
         """Begin to serve.
 
         Args:
             host: to listen on.
             port: likewise, 0 for any.
+            origins: of web pages that may connect beside Foxglove's own.
             kwargs: go to rclpy's Node.
 
         Raises:
@@ -29,7 +31,7 @@ class FoxgloveNode(GuardedNode):
         super().__init__("foxglove", **kwargs)
         self._count = 0
         offered = {self.resolve_topic_name(topic.name): topic.type_name for topic in TOPICS}
-        self._server = FoxgloveServer(host, port, offered)
+        self._server = FoxgloveServer(host, port, offered, origins=origins)
         self._text, self._level = f"serving {self._server.address}", Level.OK
         if not is_loopback(host):
             self._text += " to the whole network: whoever reaches it can read along"

@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.errors import InputError, printable
 from evpinn_ros.nodes.factory import message_class, qos_profile
 from evpinn_ros.nodes.topics import NAMESPACE, SUBSCRIBER_DEPTH, Qos
 from evpinn_ros.report.live_json import as_json
@@ -131,9 +131,9 @@ def _plain(out: TextIO) -> Show:
         found = problem_lines(state, now)
         for line in found:
             if line not in told:
-                print(line, file=out)
+                print(printable(line), file=out)
         told[:] = found
-        print(plain_line(state, now), file=out, flush=True)
+        print(printable(plain_line(state, now)), file=out, flush=True)
 
     return show
 
@@ -183,4 +183,5 @@ def live_view(namespace: str = NAMESPACE) -> Iterator[None]:
             os.dup2(terminal, 2)
             os.close(terminal)
             kept.seek(0)
-            sys.stderr.write(kept.read().decode(errors="replace"))
+            for line in kept.read().decode(errors="replace").splitlines():
+                print(printable(line), file=sys.stderr)

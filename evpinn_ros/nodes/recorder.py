@@ -65,9 +65,10 @@ class RecorderNode(GuardedNode):
         folder = str(self._writer.folder)
         return [recorder_status(folder, self._counts, self._problem, self.health())]
 
-    def close(self) -> None:
+    def close(self) -> str | None:
         """Complete the bag."""
         self._unless_ended(self._write_frames, self._writer.close)
+        return self._problem
 
     def _flush(self) -> None:
         self._unless_ended(self._write_frames, self._writer.flush)

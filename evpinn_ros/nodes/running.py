@@ -13,7 +13,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.errors import InputError, printable
 from evpinn_ros.nodes.base import GuardedNode
 
 SWITCH_INTERVAL = 5e-4
@@ -37,7 +37,8 @@ def run(
         beside: entered before the nodes start and left when they have ended.
 
     Returns:
-        The exit code 1, with one line on stderr, when input is wrong.
+        The exit code 1, with a line on stderr, when input is wrong or something that shall last
+        could not be written.
     """
     # A signal shall wake rclpy up and nothing else: a KeyboardInterrupt would strike anywhere, in
     # the middle of its C++ too, which turns it into some other error.
@@ -59,6 +60,7 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
     except RuntimeError as error:
         return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
     nodes: list[GuardedNode] = []
+    unkept: list[str] = []
     try:
         for make in makers:
             nodes.append(make())
@@ -75,22 +77,33 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
             raise
         # The shutdown came in the middle of a call into rclpy.
     finally:
-        _end(nodes)
-    return 0
+        unkept += _end(nodes)
+    for problem in unkept:
+        _fail(problem)
+    return 1 if unkept else 0
 
 
-def _end(nodes: Sequence[GuardedNode]) -> None:
-    """Close all nodes, whatever one of them raises; the first error is raised in the end."""
-    steps = [node.close for node in reversed(nodes)]  # who listens hears the others' last words
-    steps += [node.destroy_node for node in nodes]  # tells the others that it is gone
+def _end(nodes: Sequence[GuardedNode]) -> list[str]:
+    """Close all nodes, whatever one of them raises; the first error is raised in the end.
+
+    Returns:
+        What the nodes could not keep.
+    """
+    # Who listens hears the others' last words; who is destroyed tells the others that it is gone.
+    steps: list[Callable[[], object]] = [node.close for node in reversed(nodes)]
+    steps += [node.destroy_node for node in nodes]
     errors: list[Exception] = []
+    problems: list[str] = []
     for step in (*steps, rclpy.try_shutdown):
         try:
-            step()
+            problem = step()
         except Exception as error:
             errors.append(error)
+        else:
+            problems += [problem] if isinstance(problem, str) else []
     if errors:
         raise errors[0]
+    return problems
 
 
 def _spin(nodes: list[GuardedNode]) -> None:
@@ -110,5 +123,5 @@ def _end_process() -> NoReturn:
 
 
 def _fail(reason: str) -> int:
-    sys.stderr.write(" ".join(reason.split()) + "\n")
+    print(printable(" ".join(reason.split())), file=sys.stderr)
     return 1

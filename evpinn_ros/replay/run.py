@@ -11,6 +11,8 @@ from pathlib import Path
 import time
 from typing import Any
 
+import numpy as np
+
 from evpinn_ros.bags.convert import reading_messages
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
@@ -77,7 +79,7 @@ def replay(
     `stopped` is asked at each reading whether the drive shall end there.
 
     Raises:
-        InputError: the source holds no speed at all.
+        InputError: the source holds no speed at all, or too few to predict from.
     """
     history = History()
     history.add_noticed(chain.estimator.noticed())  # what earlier drives left is no event of this
@@ -91,12 +93,14 @@ def replay(
             not_recorded.update(_record(writer, reading, outputs))
     wall = time.perf_counter() - started
     drive = history.drive()
+    where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:
-        where = "" if options.start == 0 and options.duration is None else " in that span"
-        why = "; ".join(getattr(source, "notes", ()))
+        why = next((text for text in getattr(source, "notes", ()) if "speed" in text), "")
         raise InputError(
             f"{source.path}: no speed{where}, so nothing can be predicted{why and f': {why}'}"
         )
+    if not len(drive.newest.power) and not len(drive.smoothed.power):
+        raise InputError(f"{source.path}: nothing can be predicted{where}: {_too_seldom(drive)}")
     status = chain.estimator.status()
     found = metrics(
         path=str(source.path),
@@ -110,6 +114,14 @@ def replay(
         wall=wall,
     )
     return Replayed(drive, found, source.problem)
+
+
+def _too_seldom(drive: Drive) -> str:
+    """How far apart the speeds are of a drive from which nothing could be predicted."""
+    steps = np.diff(drive.speed[:, 0])
+    if not steps.size:
+        return "there is one speed"
+    return f"{len(drive.speed)} speeds, {np.median(steps):.3g} s apart in the median"
 
 
 def span(readings: Iterator[Reading], start: float, duration: float | None) -> Iterator[Reading]:

@@ -15,8 +15,8 @@ SHORTEST = 10.0  # s, of a span that is worth naming
 STRAGGLING_NS = 10 * NANOSECONDS  # stamps that go back further are no stragglers: time began anew
 MAX_GAP_NS = int(StreamSettings().max_gap * NANOSECONDS)
 # A signal that comes every 5 s is bridged over some of its own steps, but never over a stop.
-STEPS_BRIDGED = 4
-LONGEST_BRIDGED_NS = 20 * NANOSECONDS
+STEPS_BRIDGED = 6
+LONGEST_BRIDGED_NS = 30 * NANOSECONDS
 
 Span: TypeAlias = tuple[int, int]  # first and last stamp, ns
 

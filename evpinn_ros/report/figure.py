@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
+from evpinn_ros.durable import replaced
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import longest_step
@@ -37,7 +38,7 @@ def drive_figure(
         withheld_from: s from which on the battery was withheld, drawn as a boundary.
     """
     figure = Figure(figsize=(12, 11), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)  # it may be the name of a file
     grid = figure.add_gridspec(5, 2, height_ratios=(0.7, 1.2, 1, 1, 1))
     _draw_speed(figure.add_subplot(grid[0, :]), drive)
     _draw_power(figure.add_subplot(grid[1, :]), drive)
@@ -58,7 +59,8 @@ def drive_figure(
 def save_figure(figure: Figure, path: Path) -> None:
     """Write the picture as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    with replaced(path) as draft:
+        figure.savefig(draft, dpi=110, format="png")
 
 
 def _draw_speed(axes: Axes, drive: Drive) -> None:

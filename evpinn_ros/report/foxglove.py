@@ -5,14 +5,19 @@ Wants the extra `foxglove`. Topics and types are those of a bag, so one layout f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from ipaddress import ip_address
+from secrets import randbelow
+import socket
 
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.errors import InputError
+from evpinn_ros.report.origin_gate import OriginGate
 
 LOOPBACK, PORT = "127.0.0.1", 8765  # 8765 is where Foxglove looks
 LAST_PORT = 65535
+ORIGINS = ("https://app.foxglove.dev",)
+"""Web pages that may connect."""
 TOLD_EVERY_NS = 20_000_000  # of the clock of a replay
 
 
@@ -24,7 +29,13 @@ class FoxgloveServer:
     """
 
     def __init__(
-        self, host: str, port: int, topics: Mapping[str, str], *, replay: bool = False
+        self,
+        host: str,
+        port: int,
+        topics: Mapping[str, str],
+        *,
+        replay: bool = False,
+        origins: Collection[str] = (),
     ) -> None:
         """Begin to serve.
 
@@ -33,6 +44,7 @@ class FoxgloveServer:
             port: 0 for any that is free.
             topics: types by full name, all of ROS 2 Jazzy.
             replay: whether `tell_time` gives the clock; else it is the computer's.
+            origins: of web pages that may connect beside `ORIGINS`.
 
         Raises:
             InputError: the extra is not installed, or nothing can listen there.
@@ -60,19 +72,21 @@ class FoxgloveServer:
             for topic, type_name in topics.items()
         }
         self._told_ns = -TOLD_EVERY_NS
+        inside = _inside()
+        self._server = foxglove.start_server(
+            name="evpinn",
+            host=inside,
+            port=0,
+            context=self._context,
+            capabilities=[Capability.Time] if replay else [],
+        )
         try:
-            self._server = foxglove.start_server(
-                name="evpinn",
-                host=host,
-                port=port,
-                context=self._context,
-                capabilities=[Capability.Time] if replay else [],
-            )
-        except RuntimeError as error:
-            reason = str(error).rpartition(": ")[2]
-            raise InputError(f"cannot serve Foxglove at {host}:{port}: {reason}") from error
+            self._gate = OriginGate(host, port, (inside, self._server.port), {*ORIGINS, *origins})
+        except InputError:
+            self._server.stop()
+            raise
         shown = f"[{host}]" if ":" in host else host
-        self.address = f"ws://{shown}:{self._server.port}"
+        self.address = f"ws://{shown}:{self._gate.port}"
 
     def __enter__(self) -> FoxgloveServer:
         return self
@@ -106,7 +120,23 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """Stop; clients see that the connection ended."""
+        self._gate.close()
         self._server.stop()
+
+
+def _inside() -> str:
+    """An address of this computer alone that no web page can guess, where there are such.
+
+    The whole of 127/8 is this computer on Linux; elsewhere there is 127.0.0.1, and a port of
+    thousands has to do.
+    """
+    host = f"127.{1 + randbelow(254)}.{randbelow(256)}.{1 + randbelow(254)}"
+    with socket.socket() as trial:
+        try:
+            trial.bind((host, 0))
+        except OSError:
+            return LOOPBACK
+    return host
 
 
 def _definition(type_name: str) -> bytes:

@@ -13,6 +13,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from evpinn_ros.durable import replaced
+
 BROWSER = Path(__file__).with_name("browser")  # what runs in the reader's browser
 UPLOT = BROWSER / "uplot"  # version 1.6.32 from npm, with its licence
 
@@ -53,7 +55,8 @@ def write_page(
         + "</body></html>\n"
     )
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(page.encode("utf-8", "replace"))  # a path may hold what is no text
+    with replaced(path) as draft:
+        draft.write_bytes(page.encode("utf-8", "replace"))  # a path may hold what is no text
 
 
 def embedded(figure: Figure, description: str) -> str:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from rich.cells import set_cell_size
 from rich.text import Text
 
+from evpinn_ros.errors import printable
 from evpinn_ros.estimation.operating_range import MANNERS
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import Level
@@ -210,7 +211,7 @@ def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:
 
 def _problems(found: Iterable[tuple[Level, str]]) -> Iterable[Text]:
     for level, text in found:
-        yield Text(f"! {text}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
+        yield Text(f"! {printable(text)}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
 
 
 def _count(count: float, most: float) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.errors import printable
 from evpinn_ros.estimation.operating_range import MANNERS, SPEEDS
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import (
@@ -123,10 +124,10 @@ class LiveState:
             return  # of somebody else: everybody shares this topic
         # rclpy holds a byte as bytes, rosbags as int.
         level = status.level if isinstance(status.level, int) else status.level[0]
-        values = {pair.key: _printable(pair.value) for pair in status.values}
+        values = {pair.key: printable(pair.value) for pair in status.values}
         known = Level(min(level, Level.STALE))
-        text = _printable(status.message)
-        self.statuses[_printable(status.name)] = PartStatus(known, text, values, now)
+        text = printable(status.message)
+        self.statuses[printable(status.name)] = PartStatus(known, text, values, now)
 
     def age(self, topic: Topic, now: float) -> float:
         """Seconds since the last message of a topic, infinite before the first."""
@@ -241,8 +242,3 @@ def _number(text: str | None) -> float:
         return math.nan if text is None else float(text)
     except ValueError:
         return math.nan
-
-
-def _printable(text: str) -> str:
-    """What somebody else wrote, without what would move the cursor."""
-    return "".join(char if char.isprintable() else " " for char in text)

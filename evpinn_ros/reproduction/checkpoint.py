@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError
 from evpinn_ros.npz import read_arrays
 
@@ -25,13 +26,12 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
     Raises:
         InputError: it cannot be written.
     """
-    fresh = path.with_name("new-" + path.name)
     arrays = {f"state/{name}": tensor.detach().cpu().numpy() for name, tensor in state.items()}
     names = np.array(sorted(arrays))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(fresh, settings=np.array(settings), names=names, **arrays)  # type: ignore[arg-type]
-        fresh.replace(path)
+        with replaced(path) as draft, draft.open("wb") as file:
+            np.savez(file, settings=np.array(settings), names=names, **arrays)  # type: ignore[arg-type]
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 

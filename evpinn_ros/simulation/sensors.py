@@ -7,7 +7,7 @@ to 10 Hz; each message has its own phase and jitter, so nothing arrives together
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
@@ -66,11 +66,12 @@ def tell(
 ) -> Told:
     """What the bus of a car with this profile tells of a drive that starts at `start_ns`.
 
-    `motors` go over the bus where the profile has a motor; where not, they are readings as they
-    are.
+    Speed and current beyond what their signals can show read as the most that they can, as in a
+    car. A voltage beyond is that of another car, and refused. `motors` go over the bus where the
+    profile has a motor; where not, they are readings as they are.
 
     Raises:
-        InputError: the profile has no broadcast speed or battery, or cannot show a value.
+        InputError: the profile has no broadcast speed or battery, or cannot show the voltage.
     """
     try:
         sent = _sent(trace, profile, start_ns, rng)
@@ -92,8 +93,15 @@ def _sent(
     trace: Trace, profile: CanProfile, start_ns: int, rng: np.random.Generator
 ) -> list[CanFrame]:
     encoder = Encoder(profile)
-    frames = [encoder.speed(reading) for reading in _speeds(trace, start_ns, rng)]
+    speeds = list(_speeds(trace, start_ns, rng))
     batteries = list(_batteries(trace, start_ns, rng))
+    if {"speed", "battery"} <= profile.messages.keys():
+        (speed,), (_, current) = (profile.messages[name].signals for name in ("speed", "battery"))
+        speeds = [replace(reading, speed=speed.clipped(reading.speed)) for reading in speeds]
+        batteries = [
+            replace(reading, current=current.clipped(reading.current)) for reading in batteries
+        ]
+    frames = [encoder.speed(reading) for reading in speeds]
     frames += [encoder.battery(reading) for reading in batteries]
     if "state_of_charge" in profile.messages:
         every = round(BATTERY_RATE / CHARGE_RATE)

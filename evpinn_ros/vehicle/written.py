@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from evpinn_ros.durable import replaced
 from evpinn_ros.vehicle.files import CONSTANTS, Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -29,7 +30,8 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
             document[name] = {"value": value, "source": f"vehicle file {vehicle.key}"}
     document["parameters"] = {name: asdict(vehicle.priors[name]) for name in PARAMETER_NAMES}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(yaml.safe_dump(document, sort_keys=False, width=99), encoding="utf-8")
+    with replaced(path) as draft:
+        draft.write_text(yaml.safe_dump(document, sort_keys=False, width=99), encoding="utf-8")
     load_vehicle(path)
 
 

@@ -3,18 +3,22 @@
 import gzip
 import sqlite3
 import struct
+import time
 import zlib
 
 import can
 from lz4.frame import compress as lz4
 from mcap.opcode import Opcode
+from mcap.writer import Writer
 import numpy as np
 import pytest
 import zstandard
 
 from evpinn_ros.bags import mcap_file
-from evpinn_ros.bags.mcap_records import HEAD, LARGEST_CHUNK, MAGIC, MESSAGE
+from evpinn_ros.bags.limits import FREE_BYTES, most_messages, most_unpacked
+from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.recover import recover
 from evpinn_ros.can.blf import LARGEST_OBJECT
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.drives import open_drive
@@ -22,7 +26,8 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.errors import InputError
 from evpinn_ros.text_lines import LONGEST_LINE
 
-ZEROS = bytes(LARGEST_CHUNK + 1)
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then data
+ZEROS = bytes(64 * FREE_BYTES)
 
 
 def record(opcode, body):
@@ -62,14 +67,83 @@ def test_a_chunk_in_the_summary_is_not_unpacked(tmp_path):
 def test_order_is_given_up_rather_than_memory(tmp_path, monkeypatch):
     """Chunks that all claim to begin at once, so that none may be let go before the last."""
     monkeypatch.setattr(mcap_file, "MOST_HELD", 3000)
-    schema = struct.pack("<HI", 1, 20) + b"std_msgs/msg/Float64" + struct.pack("<II", 0, 0)
-    channel = struct.pack("<HHI", 1, 1, 2) + b"/a" + struct.pack("<I", 3) + b"cdr" + bytes(4)
-    path = tmp_path / "a.mcap"
-    definitions = record(Opcode.SCHEMA, schema) + record(Opcode.CHANNEL, channel)
-    path.write_bytes(MAGIC + definitions + chunks_of_one_time(30))
-    with BagReader(path) as reader:
+    with BagReader(few_types(tmp_path / "a.mcap", chunks_of_one_time(30))) as reader:
         assert [each.message.data for each in reader.records()] == list(range(30))
         assert reader.problem.count("overlap too far") == 1
+
+
+def few_types(path, chunks, end=b""):
+    """A file of one topic and these chunks, with or without an end."""
+    schema = struct.pack("<HI", 1, 20) + b"std_msgs/msg/Float64" + struct.pack("<II", 0, 0)
+    channel = struct.pack("<HHI", 1, 1, 2) + b"/a" + struct.pack("<I", 3) + b"cdr" + bytes(4)
+    path.write_bytes(
+        MAGIC + record(Opcode.SCHEMA, schema) + record(Opcode.CHANNEL, channel) + chunks + end
+    )
+    return path
+
+
+def test_chunks_that_overlap_are_put_in_order_once(tmp_path, monkeypatch):
+    """Each of them reaches to the end: sorted anew at every chunk it took a minute and more."""
+    body = b""
+    for number in range(4000):
+        message = struct.pack("<d", number)
+        one = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, number, 5) + b"\0\1\0\0" + message)
+        late = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 10**9, 5) + b"\0\1\0\0" + message)
+        body += chunk(one + 9 * late, len(one + 9 * late), "", start=number)
+    begun = time.process_time()
+    with BagReader(few_types(tmp_path / "a.mcap", body)) as reader:
+        times = [each.log_time_ns for each in reader.raw_records()]
+    assert len(times) == 40_000 and times == sorted(times)
+    assert time.process_time() - begun < 10.0  # it takes 1 s
+
+
+def test_messages_packed_into_nothing_are_bounded(tmp_path):
+    """3 kB of chunks that unpack to 64 MB of the smallest messages there are."""
+    message = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(12))
+    body = message * (1_000_000 // len(message))
+    packed = chunk(zstd(body), len(body), "zstd", start=5)
+    path = few_types(tmp_path / "a.mcap", packed * 64)
+    assert path.stat().st_size < 30_000
+    with BagReader(path) as reader:
+        read = sum(1 for _ in reader.raw_records())
+        assert read <= most_messages(path.stat().st_size)
+        assert read * len(message) <= most_unpacked(path.stat().st_size)
+        assert "chunks are damaged" in reader.problem
+    (report,) = recover(path, tmp_path / "new")
+    assert report.messages == read
+    assert "over 200 times its size" in report.losses[0].reason
+
+
+def test_messages_packed_one_by_one_are_bounded_together(tmp_path):
+    """Each may unpack to a megabyte by itself."""
+    one = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + zstd(bytes(FREE_BYTES)))
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  compression_mode: MESSAGE\n"
+        "  relative_file_paths: [a.mcap]\n"
+    )
+    path = few_types(tmp_path / "a.mcap", one * 1000)
+    with BagReader(tmp_path) as reader:
+        read = sum(len(each.data) for each in reader.raw_records())
+        assert 0 < read <= most_unpacked(path.stat().st_size) < 1000 * FREE_BYTES
+        assert "messages do not unpack" in reader.problem
+
+
+def test_an_index_that_tells_less_than_there_is_is_not_followed(tmp_path):
+    """A sound summary of chunks whose heads say otherwise: they are gone through instead."""
+    message = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(12))
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        channel = writer.register_channel("/a", "cdr", schema)
+        writer.add_message(channel, 5, bytes(12), 5)
+        writer.finish()
+    data = (tmp_path / "a.mcap").read_bytes()
+    extra = chunk(message * 20, 20 * len(message), "", start=5)
+    first = data.index(b"\x06", len(MAGIC))
+    (tmp_path / "a.mcap").write_bytes(data[:first] + extra + data[first:])
+    with BagReader(tmp_path / "a.mcap") as reader:
+        assert len(list(reader.raw_records())) in (1, 21)
 
 
 def chunks_of_one_time(count):

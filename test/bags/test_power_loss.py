@@ -37,7 +37,7 @@ class Disk:
         def synced(handle: int) -> None:
             self._instant()
             sync(handle)
-            self._sync(Path(f"/proc/self/fd/{handle}").readlink(), os.fstat(handle).st_ino)
+            self._sync(handle)
             self._instant()
 
         def replaced(source: Path, target: Path) -> Path:
@@ -58,19 +58,37 @@ class Disk:
 
         self._instant = instant
 
-    def _sync(self, path: Path, inode: int) -> None:
-        if path == self.folder:
-            self._names = self._now()
-        elif path.parent == self.folder:
-            self._synced[inode] = self._newest[inode] = path.read_bytes()
+    def _sync(self, handle: int) -> None:
+        link = Path(f"/proc/self/fd/{handle}")
+        if link.readlink() == self.folder:
+            self._names = {name: inode for name, (inode, _) in self._now().items()}
+        elif link.readlink().parent == self.folder:
+            inode = os.fstat(handle).st_ino
+            self._synced[inode] = self._newest[inode] = link.read_bytes()
 
-    def _now(self) -> dict[str, int]:
-        return {path.name: path.stat().st_ino for path in self.folder.iterdir()}
+    def _now(self) -> dict[str, tuple[int, bytes]]:
+        """Inode and content of every name, as they are at one moment: others write meanwhile."""
+        while True:
+            names = self._names_now()
+            found = {}
+            try:
+                for name in names:
+                    with (self.folder / name).open("rb") as file:
+                        found[name] = os.fstat(file.fileno()).st_ino, file.read()
+            except FileNotFoundError:
+                continue  # renamed since it was listed
+            if names == self._names_now():
+                return found
+
+    def _names_now(self) -> list[str]:
+        there = self.folder.exists()
+        return sorted(path.name for path in self.folder.iterdir()) if there else []
 
     def states(self) -> Iterator[Path]:
-        now = self._now() if self.folder.exists() else {}
-        self._newest |= {inode: (self.folder / name).read_bytes() for name, inode in now.items()}
-        for names in (self._names, now):
+        now = self._now()
+        self._newest |= dict(now.values())
+        there = {name: inode for name, (inode, _) in now.items()}
+        for names in (self._names, there):
             for fate in ("missing", "zeros", "there"):
                 self._copies += 1
                 copy = self.folder.parent / f"after_{self._copies}" / self.folder.name
@@ -98,6 +116,25 @@ def test_a_state_is_the_old_one_or_the_new_one_and_once_saved_the_new_one(tmp_pa
         for copy in disk.states():
             assert read_state(copy / path.name) == new
     assert looks >= 3 * 6 * 4
+
+
+def test_a_name_that_goes_while_the_disk_is_looked_at_is_no_fault(tmp_path, monkeypatch):
+    """As when the thread that syncs and the one that writes meet, on a busy machine."""
+    disk = Disk(tmp_path / "disk", monkeypatch)
+    disk.folder.mkdir()
+    (disk.folder / "a.new").write_text("whole")
+    listed = Path.iterdir
+
+    def renamed_since(folder):
+        names = list(listed(folder))
+        if (disk.folder / "a.new") in names:
+            (disk.folder / "a.new").replace(disk.folder / "a")
+        return iter(names)
+
+    monkeypatch.setattr(Path, "iterdir", renamed_since)
+    *_, last = disk.states()
+    assert [path.name for path in last.iterdir()] == ["a"]
+    assert (last / "a").read_text() == "whole"
 
 
 @pytest.mark.parametrize("split", [None, Split(seconds=3.0)])

@@ -191,7 +191,7 @@ def test_a_killed_recording_loses_a_second_at_most(tmp_path):
     with BagReader(tmp_path / "drive") as reader:
         assert reader.topics["/ev/battery/voltage"].count >= last - 20
         values = [record.message.data for record in reader.records()]
-        assert "cut or damaged" in reader.problem
+        assert "the end of the file is missing" in reader.problem or "cut" in reader.problem
     assert values == list(range(len(values)))
     assert len(values) >= last - 20  # 20 messages a second
     information = yaml.safe_load((tmp_path / "drive" / "metadata.yaml").read_text())

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from evpinn_ros.bench.coverage import filter_alone
 from evpinn_ros.bench.floor import ASKED, median_floor
-from evpinn_ros.bench.truth import PROFILE, Comparison, summaries
+from evpinn_ros.bench.truth import PROFILE, Comparison, compare, summaries
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE, simulate
 from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 ONE = Comparison("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
@@ -28,12 +28,14 @@ def test_a_comparison_by_hand():
     assert (summary.drives, summary.coverage_percent) == (2, 100.0)
 
 
-def test_intervals_of_the_filter_alone_are_true():
-    """Twenty cars; `evpinn bench truth --filter-alone --cars 1000` has the figure."""
-    found = list(filter_alone(["tesla_model_3_lr"], range(20)))
-    assert {one.name for one in found} == set(PARAMETER_NAMES[:5])
+def test_intervals_of_cars_drawn_from_the_priors_are_true():
+    """Twenty cars for two minutes; `evpinn bench truth --from-priors` has the figures."""
+    found = list(
+        compare(DriveKind.URBAN, ["tesla_model_3_lr"], range(20), marks=(120,), from_priors=True)
+    )
+    assert {one.name for one in found} == {*PARAMETER_NAMES, *IDENTIFIABLE_NAMES}
     covered = np.mean([one.covered for one in found])
-    # 100 intervals, at least 20 of them independent: 1-sigma of the share is at most 5 %.
+    # 180 intervals, at least 20 of them independent: 1-sigma of the share is at most 5 %.
     assert covered >= 0.95 - 3 * 0.05
 
 

@@ -30,14 +30,12 @@ def encoded(profile: CanProfile, readings: tuple[Reading, ...]) -> Iterator[CanF
     for index, reading in enumerate(readings):
         if isinstance(reading, SpeedReading) and "speed" in profile.messages:
             (speed,) = profile.messages["speed"].signals
-            value = min(max(reading.speed, speed.lower), speed.upper)
-            yield encoder.speed(SpeedReading(reading.stamp_ns, value))
+            yield encoder.speed(SpeedReading(reading.stamp_ns, speed.clipped(reading.speed)))
         elif isinstance(reading, BatteryReading):
             if "battery" in profile.messages:
                 volts, amperes = profile.messages["battery"].signals
-                voltage = min(max(reading.voltage, volts.lower), volts.upper)
-                current = min(max(reading.current, amperes.lower), amperes.upper)
-                yield encoder.battery(BatteryReading(reading.stamp_ns, voltage, current))
+                shown = volts.clipped(reading.voltage), amperes.clipped(reading.current)
+                yield encoder.battery(BatteryReading(reading.stamp_ns, *shown))
             if "state_of_charge" in profile.messages and index % 20 == 0:
                 yield encoder.state_of_charge(BatteryReading(reading.stamp_ns, 0.0, 0.0, 0.7))
 

@@ -8,6 +8,7 @@ import time
 import can
 import pytest
 
+from evpinn_ros.can import poller as poller_module
 from evpinn_ros.can import restraint as restraint_module
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.bus import BusReader
@@ -227,6 +228,7 @@ def test_wrong_and_short_answers_and_garbage(channel, unit):
 def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeypatch):
     monkeypatch.setattr(restraint_module, "UNANSWERED_S", 1.5)
     monkeypatch.setattr(restraint_module, "QUIET_S", 1.0)
+    monkeypatch.setattr(poller_module, "LISTEN_FIRST_S", 0.0)
     awake = False
     kona(
         unit,
@@ -236,7 +238,9 @@ def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeyp
     with can.Bus(channel, interface="virtual") as other, live(channel, KONA) as car:
 
         def wake():
-            other.send(can.Message(arbitration_id=0x100, data=b"", is_extended_id=False))
+            for index in range(restraint_module.AWAKE_FRAMES):
+                can_id = 0x100 + index % restraint_module.AWAKE_IDS
+                other.send(can.Message(arbitration_id=can_id, is_extended_id=False))
 
         wake()
         wait_for(lambda: not car.bridge.poller.status().ok)
@@ -249,6 +253,57 @@ def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeyp
         wake()
         wait_for(lambda: car.of(BatteryReading))
         assert car.bridge.poller.status().ok
+
+
+@pytest.mark.parametrize(
+    ("every_s", "frames"),
+    [
+        (12.0, [(0x555, b"")]),  # one foreign frame
+        (12.0, [(0x7EC, b"\xff" * 8)]),  # noise on the id of the answers
+        (12.0, [(0x100 + index % 5, b"") for index in range(50)]),  # a bus that wakes in vain
+        (1.0, [(0x100 + index % 5, b"") for index in range(50)]),  # a bus that never sleeps
+    ],
+)
+def test_a_dead_car_is_asked_a_hundred_times_and_no_more(every_s, frames):
+    """An hour of foreign frames and no answer: the questions of half a minute, and few retries."""
+    now, sent = [0.0], []
+    poller = Poller(KONA, lambda frame: sent.append(frame) or True, clock=lambda: now[0])
+    next_s = 0.0
+    while now[0] < 3600.0:
+        now[0] += 0.25
+        for unit in poller._units.values():
+            unit.step(now[0], poller._may_ask(now[0]))
+        if now[0] >= next_s:
+            next_s += every_s
+            for can_id, data in frames:
+                frame = CanFrame(0, can_id, data)
+                poller.push(frame) if poller.hears(frame) else poller.note(frame, ())
+    assert 50 < len(sent) <= 140
+    assert poller.status().text.startswith("stopped: no answer")
+
+
+@pytest.mark.parametrize("seconds", [0.5, 20.0])
+def test_an_id_on_which_somebody_else_sends_is_left_alone(seconds):
+    """Before the first question and later: two senders of one id destroy each other's frames."""
+    now, sent = [0.0], []
+    poller = Poller(KONA, lambda frame: sent.append(frame) or True, clock=lambda: now[0])
+
+    def ask(until_s):
+        while now[0] < until_s:
+            now[0] += 0.1
+            for unit in poller._units.values():
+                unit.step(now[0], poller._may_ask(now[0]))
+
+    ask(seconds)
+    for frame in sent:  # an adapter may echo what we sent
+        poller.note(frame, ())
+    ask(seconds + 0.4)
+    assert poller.status().ok
+    asked = len(sent)
+    poller.note(CanFrame(0, 0x7E4, bytes.fromhex("8000000000000000")), ())
+    ask(3600.0)
+    assert len(sent) == asked
+    assert poller.status().text.startswith("stopped: the car or another tester sends on 0x7E4")
 
 
 def test_a_low_12_v_battery_ends_the_asking(channel, unit, monkeypatch):

@@ -10,12 +10,20 @@ import pytest
 import evpinn_ros
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile, profile_names
-from evpinn_ros.can.read_only import ReadOnlyGate
-from evpinn_ros.can.request import READ_SERVICES, Address
+from evpinn_ros.can.read_only import FRAMES_PER_S, ReadOnlyGate
+from evpinn_ros.can.request import Address, RequestRule
 
-PLAIN = Address(0x7E4, 0x7EC, False, None, None)
-PREFIXED = Address(0x6F1, 0x607, False, 0x07, 0xF1)
-WIDE = Address(0x17FC007B, 0x17FE007B, True, None, None)
+
+def request(tx, rx, payload, target=None, source=None):
+    return RequestRule("one", Address(tx, rx, tx > 0x7FF, target, source), payload, 1, 0.2)
+
+
+PLAIN = request(0x7E4, 0x7EC, b"\x22\x01\x01")
+PREFIXED = request(0x6F1, 0x607, b"\x22\xdd\x68", 0x07, 0xF1)
+WIDE = request(0x17FC007B, 0x17FE007B, b"\x22\x1e\x3d")
+TO_ALL = request(0x7DF, 0x7E8, b"\x01\x0d")
+QUESTION = CanFrame(0, 0x7E4, bytes.fromhex("0322010100000000"))
+FLOW_CONTROL = CanFrame(0, 0x7E4, bytes.fromhex("3000000000000000"))
 
 
 @pytest.fixture
@@ -24,67 +32,120 @@ def passed():
 
 
 @pytest.fixture
-def gate(passed):
-    return ReadOnlyGate([PLAIN, PREFIXED, WIDE], lambda frame: passed.append(frame) or True)
+def now():
+    return [0.0]
+
+
+@pytest.fixture
+def gate(passed, now):
+    return ReadOnlyGate(
+        [PLAIN, PREFIXED, WIDE, TO_ALL], lambda frame: passed.append(frame) or True, lambda: now[0]
+    )
 
 
 @pytest.mark.parametrize(
-    ("can_id", "extended", "data"),
+    ("can_id", "question", "flow_control"),
     [
-        (0x7E4, False, "0322010100000000"),
-        (0x7E4, False, "02210100"),
-        (0x7E4, False, "02010D"),
-        (0x7E4, False, "300000"),
-        (0x6F1, False, "070322DD68000000"),
-        (0x6F1, False, "0730000000000000"),
-        (0x17FC007B, True, "03221E3D55555555"),
+        (0x7E4, "0322010100000000", "3000000000000000"),
+        (0x6F1, "070322DD68000000", "0730000000000000"),
+        (0x17FC007B, "03221E3D00000000", "3000000000000000"),
     ],
 )
-def test_reading_passes(gate, passed, can_id, extended, data):
-    frame = CanFrame(0, can_id, bytes.fromhex(data), extended)
-    assert gate(frame) and passed == [frame]
+def test_a_question_passes_and_the_flow_control_of_its_answer(
+    gate, passed, can_id, question, flow_control
+):
+    frames = [
+        CanFrame(0, can_id, bytes.fromhex(data), can_id > 0x7FF)
+        for data in (question, flow_control)
+    ]
+    with pytest.raises(PermissionError):
+        gate(frames[1])
+    assert all(map(gate, frames)) and passed == frames
+    with pytest.raises(PermissionError):  # first frames that nobody asked for
+        gate(frames[1])
+
+
+def test_no_flow_control_goes_to_all(gate):
+    assert gate(CanFrame(0, 0x7DF, bytes.fromhex("02010D0000000000")))
+    with pytest.raises(PermissionError):
+        gate(CanFrame(0, 0x7DF, FLOW_CONTROL.data))
 
 
 @pytest.mark.parametrize(
     ("can_id", "extended", "data"),
     [
-        (0x7E4, False, "021003"),  # another session
-        (0x7E4, False, "021101"),  # reset
-        (0x7E4, False, "0104"),  # clear the fault memory
-        (0x7E4, False, "042E010155"),  # write
-        (0x7E4, False, "042F010103"),  # move an actuator
-        (0x7E4, False, "0431010203"),  # start a routine
-        (0x7E4, False, "023E00"),  # keep the session open
-        (0x7E4, False, "0122"),
-        (0x7E4, False, "05220101"),  # longer than its bytes
+        (0x7E4, False, "0210030000000000"),  # another session
+        (0x7E4, False, "0211010000000000"),  # reset
+        (0x7E4, False, "0104000000000000"),  # clear the fault memory
+        (0x7E4, False, "042E010155000000"),  # write
+        (0x7E4, False, "042F010103000000"),  # move an actuator
+        (0x7E4, False, "0431010203000000"),  # start a routine
+        (0x7E4, False, "023E000000000000"),  # keep the session open
+        (0x7E4, False, "0322010200000000"),  # reads what the profile does not name
+        (0x7E4, False, "0221010000000000"),
+        (0x7E4, False, "0322010100000001"),  # something behind the question
+        (0x7E4, False, "03220101"),  # another length of the frame
+        (0x7E4, False, "0322010100000000" + "00" * 4),
         (0x7E4, False, "0522010101020000"),  # two identifiers
-        (0x7E4, False, "00032201010000"),  # an escaped length
-        (0x7E4, False, "00102201010000"),
+        (0x7E4, False, "0003220101000000"),  # an escaped length
         (0x7E4, False, "100A220101010201"),  # the first of several frames
         (0x7E4, False, "2122010101020102"),
+        (0x7E4, False, "3100000000000000"),  # wait
+        (0x7E4, False, "3200000000000000"),  # overflow
+        (0x7E4, False, "3000000022010100"),
         (0x7E4, False, ""),
         (0x7E4, True, "0322010100000000"),
         (0x7E5, False, "0322010100000000"),
+        (0x1D4, False, "0322010100000000"),
         (0x6F1, False, "0322DD6800000000"),  # lacks the control unit
         (0x6F1, False, "080322DD68000000"),  # another control unit
-        (0x17FC007B, False, "03221E3D55555555"),
+        (0x17FC007B, False, "03221E3D00000000"),
     ],
 )
 def test_all_else_is_held_back(gate, passed, can_id, extended, data):
+    gate(QUESTION)
     with pytest.raises(PermissionError):
         gate(CanFrame(0, can_id, bytes.fromhex(data), extended))
-    assert not passed
+    assert passed == [QUESTION]
 
 
-@given(st.binary(max_size=8))
-def test_only_services_that_read_ever_pass(data):
+@given(st.binary(max_size=8), st.integers(0, 0x7FF))
+def test_only_questions_of_the_profile_ever_pass(data, can_id):
     passed = []
     gate = ReadOnlyGate([PLAIN], lambda frame: passed.append(frame) or True)
     try:
-        gate(CanFrame(0, 0x7E4, data))
+        gate(CanFrame(0, can_id, data))
     except PermissionError:
         return
-    assert data[0] >> 4 == 3 or data[1] in READ_SERVICES
+    assert (can_id, data) == (QUESTION.can_id, QUESTION.data)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        request(0x000, 0x008, b"\x22\x01\x01"),
+        request(0x1D4, 0x1DC, b"\x22\x01\x01"),
+        request(0x7E4, 0x7ED, b"\x22\x01\x01"),
+        request(0x7E4, 0x7EC, b"\x2e\x01\x01"),
+        request(0x7E4, 0x7EC, b"\x22\x01\x01\x55"),
+    ],
+)
+def test_the_gate_of_a_request_that_does_more_than_read_never_opens(bad):
+    with pytest.raises(PermissionError):
+        ReadOnlyGate([bad], lambda frame: True)
+
+
+def test_the_pace_is_bounded(gate, passed, now):
+    """A question loops, or first frames pour in: 50 frames a second leave, and no more."""
+    refused = 0
+    for _ in range(10_000):
+        now[0] += 0.001
+        try:
+            gate(QUESTION)
+        except PermissionError:
+            refused += 1
+    assert len(passed) == pytest.approx(10 * FRAMES_PER_S, abs=FRAMES_PER_S)
+    assert refused == 10_000 - len(passed)
 
 
 def test_every_request_of_every_profile_passes():
@@ -92,7 +153,7 @@ def test_every_request_of_every_profile_passes():
         for request in profile.requests:
             address, payload = request.address, request.payload
             data = address.prefix + bytes((len(payload),)) + payload
-            sent = ReadOnlyGate([address], lambda frame: True)
+            sent = ReadOnlyGate([request], lambda frame: True)
             assert sent(CanFrame(0, address.tx_id, data.ljust(8, b"\0"), address.extended))
 
 

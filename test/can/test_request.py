@@ -1,6 +1,7 @@
 """Profiles that ask: every value from the bytes their sources give, and every error told."""
 
 from pathlib import Path
+import re
 
 import pytest
 
@@ -162,7 +163,15 @@ def broken(tmp_path):
         ("tx: 0x7E4", "tx: seven", "'tx' must be a whole number"),
         ("tx: 0x7E4", "tx: 0x18DADAF1", "both have 11 bits or both 29"),
         ("tx: 0x7E4", "tx: 0x7EC", "'rx' is the id of the requests"),
-        ("tx: 0x7E4", "tx: 0x7E5", "share the answer id alone"),
+        ("tx: 0x7E4", "tx: 0x7DF", "share the answer id alone"),
+        ("tx: 0x7E4", "tx: 0x7E5", "0x7EC does not answer what is sent to 0x7E5"),
+        ("tx: 0x7E4", "tx: 0x000", "0x0 is no diagnostic id (ISO 15765-4, or on the list in"),
+        ("tx: 0x7E4", "tx: 0x1D4", "0x1D4 is no diagnostic id"),
+        ("tx: 0x7E4, rx: 0x7EC", "tx: 0x18DA7E4, rx: 0x18DA7EC", "is no diagnostic id"),
+        ("tx: 0x7E4", "tx: 0x6F1", "0x7EC does not answer what is sent to 0x6F1"),
+        ("tx: 0x7E4, rx: 0x7EC", "tx: 0x6F1, rx: 0x607", "0x6F1 needs a 'target'"),
+        ("rx: 0x7EC", "rx: 0x7EC, target: 7, source: 0xF1", "knows no 'target'"),
+        ("2, period: 5", "2, period: 0.05", "35 questions a second are more than 25"),
         ("rx: 0x7EC", "rx: 0x3FFFFFFF", "rx is outside"),
         ("rx: 0x7EC", "rx: 0x7EC, target: 7", "needs both 'target' and 'source'"),
         ("min_length: 2", "min_length: 1", "ends behind min_length = 1 of request 'speed'"),
@@ -191,6 +200,23 @@ def test_charge_comes_the_way_the_battery_does(broken):
         "chevrolet_bolt",
     )
     assert "no quantity needs request 'charge'" in text
+
+
+def test_an_id_that_the_profile_reads_is_not_asked(tmp_path):
+    """Whatever the list of diagnostic ids says: the car itself sends there."""
+    dbc = (CONFIG / "nissan_leaf.dbc").read_text()
+    number = re.search(r"BO_ (\d+) (\w+)", dbc)
+    (tmp_path / "mine.dbc").write_text(dbc.replace(f"BO_ {number[1]} ", f"BO_ {0x797} "))
+    text = (CONFIG / "nissan_leaf.yaml").read_text().replace("nissan_leaf.dbc", "mine.dbc")
+    assert f"message: {number[2]}" in text
+    text = re.sub(r"(?ms)^state_of_charge:.*?(?=^\S|\Z)", "", text)
+    text += """
+requests: {twelve: {tx: 0x797, rx: 0x79A, read: 22 11 03, min_length: 1, period: 5}}
+auxiliary_voltage: {request: twelve, first_byte: 0, type: u8, unit: V, valid: [0, 20]}
+"""
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(InputError, match="the car itself broadcasts 0x797"):
+        load_profile(tmp_path / "mine.yaml")
 
 
 def test_12_v_without_requests_is_refused(broken):

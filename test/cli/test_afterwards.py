@@ -1,13 +1,19 @@
 """The report of a live drive, from the bag that the nodes would have left."""
 
+import os
+from pathlib import Path
 import shutil
+import signal
+import threading
+import time
 
 import pytest
 import typer
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.afterwards import reported
+from evpinn_ros.cli.afterwards import CUT_SHORT_S, reported
+from evpinn_ros.cli.run import learned_before
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
 
@@ -67,3 +73,30 @@ def test_a_report_that_has_no_place_is_refused_before_the_drive(tmp_path):
         reported(tmp_path / "file" / "drive.html", None, None, OPTIONS),
     ):
         pass
+
+
+def test_sigterm_cuts_the_report_short_and_keeps_the_drive(tmp_path):
+    """Whoever sends it, systemd say, kills us a while later: the drive would be lost."""
+    threading.Timer(4.0, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    begun = time.monotonic()
+    with (
+        pytest.raises(typer.Exit) as ended,
+        reported(tmp_path / "drive.html", None, None, (*OPTIONS[:2], "--rate", "1")) as bag,
+    ):
+        shutil.copytree(URBAN, bag)
+    assert ended.value.exit_code in (130, 143)
+    assert time.monotonic() - begun < 4.0 + CUT_SHORT_S + 5.0  # of a drive of six minutes
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    (kept,) = (path for path in tmp_path.iterdir() if path.is_dir())
+    with BagReader(kept) as reader:
+        assert any(reader.log_times())
+
+
+def test_the_report_starts_from_the_state_that_the_nodes_start_from(tmp_path):
+    params, other = tmp_path / "params.yaml", tmp_path / "other.json"
+    params.write_text("/**/estimator:\n  ros__parameters:\n    state_file: ~/car.json\n")
+    assert learned_before(None, params) == Path("~/car.json").expanduser()
+    assert learned_before(other, params) == other
+    assert learned_before(None, None) is None
+    params.write_text("/**/estimator:\n  ros__parameters:\n    vehicle: bmw_i3\n")
+    assert learned_before(None, params) is None

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"}
 METRIC_KEYS = {
     "input": {"path", "duration_s", "samples", "dropped"},
-    "power": {"lag_s", "rmse_w", "mae_w", "r2", "coverage_90"},
+    "power": {"lag_s", "rmse_w", "mae_w", "r2", "coverage_90", "floor_w"},
     "power_now": {"rmse_w", "mae_w", "r2", "coverage_90"},
     "energy": {"measured_j", "predicted_j", "rknn_j", "error_percent", "rknn_error_percent"},
     "updates": {"count", "accepted", "rejected", "p50_ms", "p99_ms"},
@@ -160,7 +160,7 @@ def test_bad_inputs_fail_in_one_line(folder):
 
 def test_battery_alone_is_an_error(folder):
     (folder / "battery.csv").write_text("t_s,speed_mps,power_w\n0,,700\n0.1,,800\n")
-    assert_fails_in_one_line(evpinn("replay", "battery.csv", cwd=folder), "vehicle/speed")
+    assert_fails_in_one_line(evpinn("replay", "battery.csv", cwd=folder), "no speed")
 
 
 def test_truncated_bag_is_replayed_as_far_as_it_goes(folder):

@@ -1,11 +1,11 @@
 """The layouts of apps, as their exports or their readers show them; clocks, units, refusals."""
 
 from datetime import datetime, timedelta, timezone
+import gzip
 import math
 from pathlib import Path
 import zipfile
 
-import openpyxl
 import polars as pl
 import pytest
 
@@ -149,6 +149,7 @@ def typed():
 
 
 def test_parquet_and_spreadsheets(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
     columns = typed()
     pl.DataFrame({**columns, "nested": [[1]] * SECONDS}).write_parquet(tmp_path / "d.parquet")
     book = openpyxl.Workbook()
@@ -289,8 +290,7 @@ SHEET = (
 
 
 def test_tables_of_nothing_are_refused_at_once(tmp_path):
-    import gzip
-
+    openpyxl = pytest.importorskip("openpyxl")
     bombs = {
         "columns.csv.gz": b",".join([b"a"] * 600_000),
         "row.csv.gz": b'time,speed,power\n"' + b"x" * (LONGEST_LINE + 9),
@@ -333,3 +333,17 @@ def test_real_logs_are_read_with_no_flag():
         assert 340 < min(v for v in volts if not math.isnan(v)) < 440
         temperatures = [r.celsius for r in readings if isinstance(r, TemperatureReading)]
         assert -10 < min(temperatures) <= max(temperatures) < 50
+
+
+def test_months_of_other_languages_and_a_byte_of_windows(tmp_path):
+    lines = ["date,speed (km/h),power (kW),Ambient"]
+    lines += [
+        f"05-{month}-2024 07:0{k}:00,36,1,7" for k, month in enumerate(("déc.", "dez", "dic"))
+    ]
+    (tmp_path / "d.csv").write_text("\n".join([*lines, "05-Dec-2024 07:03:00,36,1,7", ""]))
+    source = open_drive(tmp_path / "d.csv")
+    assert times(source) == [0, 60, 120, 180] and source.drive.dated == "log"
+    rows = [f"{i},1,1,warm 7 °C" for i in range(3000)]
+    text = "\n".join(["t_s,speed_mps,power_w,note", *rows])
+    (tmp_path / "w.csv").write_bytes(text.encode("cp1252"))
+    assert len(times(open_drive(tmp_path / "w.csv"))) == 3000

@@ -201,3 +201,12 @@ def test_real_drives():
     tesla = open_drive(DATA / "tesla_model3" / "drive_first_757s.csv", NOMINAL).drive
     first = next(reading for reading in tesla.readings() if isinstance(reading, BatteryReading))
     assert first.voltage == NOMINAL and first.power == pytest.approx(10142.436)
+
+
+def test_rows_that_are_late_are_put_in_order_and_one_in_the_future_costs_no_other(tmp_path):
+    stamps = [0, 1, 3, 2, 4, 9_999_999, 5, 6, 8, 7, 9]
+    rows = "".join(f"{stamp},1,1\n" for stamp in stamps)
+    drive = drive_of(tmp_path, "t_s,speed_mps,power_w\n" + rows)
+    found = [r.stamp_ns - START for r in drive.readings() if isinstance(r, SpeedReading)]
+    assert found == [1_000_000_000 * t for t in range(10)]
+    assert drive.dropped == {"time_not_increasing": 1}

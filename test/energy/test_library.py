@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 import torch
 
+from evpinn_ros.bench.truth import CarChain
 import evpinn_ros.energy
 from evpinn_ros.energy.forecast import Profiles, forecast, forecast_plan
 from evpinn_ros.energy.plan import PlanError, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, combined_model, prior_identifiable
-from evpinn_ros.estimation.power_filter import PowerFilter
-from evpinn_ros.signals.sample import Sample
+from evpinn_ros.estimation.forecast_model import linear_power
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
+from evpinn_ros.vehicle.linear_power import FEATURES
 from evpinn_ros.vehicle.physics import GRAVITY
 
 CAR = load_vehicle("tesla_model_3_lr")
@@ -25,18 +28,14 @@ SIMPLE = combined_model(COMBINED, SIGMAS, CAR, 1000.0)
 
 
 def taught():
-    """A model whose network has something to say."""
-    found = PowerFilter(CAR)
-    rng = np.random.default_rng(4)
-    for second in range(1500):
-        speed, acceleration = 16 + 14 * np.sin(second / 40), float(rng.normal(0, 0.8))
-        sample = Sample(second * 10**9, speed, acceleration, 0.0, 1.2, 300.0)
-        found.advance(sample)
-        power = 1500 + speed * (300 + 0.5 * speed**2 + 2400 * acceleration)
-        found.update(sample, power + 3000 * np.sin(speed / 3), 1.0)
-    return PowerModel(found.linear_power())
+    """A model that an estimator learned from a drive in town."""
+    chain = CarChain(CAR)
+    for reading in simulate(DriveKind.URBAN, CAR, 600.0, 4).readings:
+        chain.add_reading(reading)
+    return PowerModel(linear_power(chain.car.filter, chain.car.loads, CAR, 5.0))
 
 
+CONSTANT, DRIFT = FEATURES.index("constant"), FEATURES.index("present_drift")
 LEARNED = taught()
 MODELS = pytest.mark.parametrize("model", [SIMPLE, LEARNED], ids=["combinations", "learned"])
 
@@ -173,7 +172,7 @@ def test_what_is_no_profile_is_refused(change, reason, model):
 @given(st.integers(0, 10_000), st.integers(1, 58))
 def test_a_profile_cut_in_two_adds_up(model, seed, cut):
     # The drift that is present fades from the start of a plan, so a cut starts it anew.
-    model = changed(model, 8, -model.linear.mean[8])
+    model = changed(model, DRIFT, -model.linear.mean[DRIFT])
     whole = profiles(seed, 1)
     first = Profiles(*(array[..., : cut + 1] for array in whole))
     second = Profiles(*(array[..., cut:] for array in whole))
@@ -186,12 +185,12 @@ def test_a_profile_cut_in_two_adds_up(model, seed, cut):
 def test_standing_costs_auxiliary_power(model, duration):
     found = Profiles(np.array([0.0, duration]), np.zeros((1, 2)))
     fading = model.linear.drift_time * -np.expm1(-duration / model.linear.drift_time)
-    expected = model.linear.mean[6] * duration + model.linear.mean[8] * fading
+    expected = model.linear.mean[CONSTANT] * duration + model.linear.mean[DRIFT] * fading
     assert energy(found, model) == pytest.approx(expected, rel=1e-9, abs=0.1)
 
 
 @MODELS
-@given(st.integers(0, 10_000), st.sampled_from([0, 1, 3, 4, 6]))
+@given(st.integers(0, 10_000), st.sampled_from([0, 1, 3, 4, CONSTANT]))
 def test_more_drag_rolling_or_auxiliary_load_is_never_cheaper(model, seed, column):
     more = changed(model, column, 0.1 * abs(model.linear.mean[column]))
     assert energy(profiles(seed, 1), more) >= energy(profiles(seed, 1), model) - 1e-6

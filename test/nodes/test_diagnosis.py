@@ -14,7 +14,7 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import State
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.estimation.load_change import LoadChange
+from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Health
 from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
@@ -153,7 +153,7 @@ def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
 
 
 def test_what_was_noticed_of_the_car_is_told():
-    change = LoadChange(5_000_000_000, 151.23456, 24.0)
+    change = PayloadChange(5_000_000_000, 151.23456, 24.0)
     noticed = LearnerReport(change, 2, 1, "current_sign")
     status = dataclasses.replace(
         STATUS,
@@ -166,8 +166,8 @@ def test_what_was_noticed_of_the_car_is_told():
     found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
     assert found.level == Level.WARN and "sign of current" in found.text
     told = {
-        "load_change_kg": 151.235,
-        "load_changes": 2,
+        "payload_change_kg": 151.235,
+        "payload_changes": 2,
         "progress.mass": 73,
         "state.mass": "estimating",
     }

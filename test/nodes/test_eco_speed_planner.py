@@ -14,6 +14,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.nodes import topics
@@ -83,7 +84,7 @@ def plan_of(candidate):
 
 
 def forecast_of(plan):
-    return Forecaster(VEHICLE).answer(plan, UNKNOWN, UNKNOWN, 0).forecast
+    return Forecaster(VEHICLE).answer(plan, UNKNOWN, UNKNOWN, 0, BatteryModel(math.nan)).forecast
 
 
 def forecasts(planner):

@@ -31,7 +31,7 @@ def drive(bench, node, begin, end, with_battery=True):
     for tenth in range(round(begin * 10), round(end * 10)):
         at = tenth / 10
         if with_battery:
-            bench.deliver(node, topics.BATTERY, battery(at))
+            bench.deliver(node, topics.BATTERY, battery(at, -30.0 + math.sin(at)))
         bench.deliver(node, topics.SPEED, speed(at, 10.0 + 5 * math.sin(at / 3)))
 
 
@@ -70,12 +70,12 @@ def test_prediction_goes_on_without_the_battery(bench):
 def test_enable_pauses_learning_alone(bench):
     node = bench.start(EstimatorNode)
     assert bench.call(SetBool, "/ev/estimator/enable", data=False).success
-    drive(bench, node, 0, 4)
+    drive(bench, node, 0, 16)
     assert said(bench, node)[:2] == (Level.OK, "predicting; learning is paused by ~/enable")
     assert node.published[topics.POWER_SMOOTHED] > 30
     assert unsure(node) == pytest.approx(1.0, abs=0.01)
     bench.call(SetBool, "/ev/estimator/enable", data=True)
-    drive(bench, node, 4, 8)
+    drive(bench, node, 16, 32)
     assert unsure(node) < 0.9
 
 
@@ -98,13 +98,13 @@ def test_save_gives_the_reason_when_it_cannot(bench, tmp_path):
 def test_what_was_learned_is_saved_and_read_again(bench, tmp_path):
     path = tmp_path / "state" / "car.json"
     node = bench.start(EstimatorNode, state_file=str(path))
-    drive(bench, node, 0, 3)
+    drive(bench, node, 0, 24)
     answer = bench.call(Trigger, "/ev/estimator/save")
     assert answer.success and str(path) in answer.message
     saved = json.loads(path.read_text())
     again = bench.start(EstimatorNode, state_file=str(path))
     assert unsure(again) == pytest.approx(unsure(node)) and unsure(node) < 0.9
-    drive(bench, node, 3, 4)
+    drive(bench, node, 24, 25)
     node.close()
     assert json.loads(path.read_text()) != saved, "saved at the end too"
 

@@ -4,12 +4,13 @@ The protocol: github.com/foxglove/ws-protocol, docs/spec.md.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 import json
 from pathlib import Path
 import re
 import signal
+import socket
 import struct
 import subprocess
 import sys
@@ -29,6 +30,7 @@ from evpinn_ros.report.live_state import NODES
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
 websockets = pytest.importorskip("websockets.sync.client", reason="no WebSocket client")
+InvalidStatus = pytest.importorskip("websockets.exceptions").InvalidStatus
 
 ROOT = Path(__file__).resolve().parents[2]
 URBAN = ROOT / "bags" / "urban"
@@ -210,3 +212,61 @@ def test_a_port_in_use_and_a_bag_without_messages_are_one_line(tmp_path):
         cwd=ROOT, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert done.returncode == 1 and "holds no messages" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("origin", "welcome"),
+    [
+        (None, True),  # a program
+        ("https://app.foxglove.dev", True),
+        ("http://localhost:8080", True),  # named below
+        ("https://evil.example", False),
+        ("https://app.foxglove.dev.evil.example", False),
+        ("http://app.foxglove.dev", False),
+        ("null", False),
+        ("file://", False),
+    ],
+)
+def test_a_web_page_reads_only_where_it_was_named(origin, welcome):
+    offered = {"/a": "std_msgs/msg/Float64"}
+    with FoxgloveServer(LOOPBACK, 0, offered, origins=["http://localhost:8080"]) as server:
+
+        def connect():
+            return websockets.connect(
+                server.address, origin=origin, subprotocols=["foxglove.sdk.v1"]
+            )
+
+        if not welcome:
+            with pytest.raises(InvalidStatus, match="403"):
+                connect()
+            return
+        with connect() as connection:
+            Client(connection).await_channels("/a")
+
+
+@pytest.mark.parametrize(
+    "request_bytes",
+    [
+        b"GET / HTTP/1.1\r\nHost: a\r\n\r\n",  # no WebSocket
+        b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nORIGIN : https://evil.example\r\n\r\n",
+        b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nOrigin: https://app.foxglove.dev\r\n"
+        b"Origin: https://evil.example\r\n\r\n",
+        b"x" * 100_000,
+    ],
+)
+def test_whatever_comes_to_the_door_it_stays_shut(request_bytes):
+    with FoxgloveServer(LOOPBACK, 0, {}) as server:
+        port = int(server.address.rpartition(":")[2])
+        with socket.create_connection((LOOPBACK, port), timeout=PATIENCE) as guest:
+            guest.sendall(request_bytes)
+            answer = b""
+            with suppress(ConnectionResetError):
+                while part := guest.recv(1000):
+                    answer += part
+        assert answer == b"" or answer.startswith(b"HTTP/1.1 403 ")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="127/8 is this computer on Linux alone")
+def test_no_page_can_guess_where_the_server_behind_the_door_is():
+    with FoxgloveServer(LOOPBACK, 0, {}) as server, pytest.raises(OSError, match="refused"):
+        socket.create_connection((LOOPBACK, server._server.port), timeout=PATIENCE)

@@ -73,6 +73,26 @@ def test_a_signal_ends_the_node_well_and_saves_the_state(bench, tmp_path, stop):
     assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
 
 
+@pytest.mark.parametrize(("name", "key"), [("estimator", "state_file"), ("energy", "energy_file")])
+def test_a_state_that_cannot_be_written_is_said_and_fails(bench, tmp_path, name, key):
+    (tmp_path / "file").write_text("in the way")
+    running = subprocess.Popen(
+        [sys.executable, *node(name, **{key: str(tmp_path / "file" / "car.json")})],
+        cwd=ROOT, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        bench.listen(topics.DIAGNOSTICS)
+        bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
+        running.terminate()
+        _, said = running.communicate(timeout=20)
+    finally:
+        running.kill()
+    assert running.returncode == 1
+    last = said.strip().splitlines()[-1]
+    assert last.startswith(f"{tmp_path}/file/car.json: not written: ") and "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
 CLOSING = """
 import sys
 from evpinn_ros.nodes.base import GuardedNode

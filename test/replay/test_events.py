@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.estimation.load_change import LoadChange
+from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.replay.events import EventKind, drive_events
 from evpinn_ros.replay.history import Drive, Noticed, PowerSeries
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -68,7 +68,7 @@ def test_stamps_that_go_back_are_a_reset_and_stragglers_none():
 
 def test_a_payload_is_told_once_as_it_was_known_last():
     stop = START_NS + 10 * NANOSECONDS
-    changes = [LoadChange(stop, mass, std) for mass, std in ((150.0, 40.0), (180.0, 25.0))]
+    changes = [PayloadChange(stop, mass, std) for mass, std in ((150.0, 40.0), (180.0, 25.0))]
     reports = [LearnerReport(change, 1) for change in changes]
     found = drive_events(
         drive(noticed=[(0.0, LearnerReport()), (40.0, reports[0]), (41.0, reports[1])])
@@ -78,7 +78,7 @@ def test_a_payload_is_told_once_as_it_was_known_last():
 
 
 def test_a_payload_that_is_withdrawn_is_told():
-    known = LearnerReport(LoadChange(START_NS, 150.0, 40.0), 1)
+    known = LearnerReport(PayloadChange(START_NS, 150.0, 40.0), 1)
     gone = LearnerReport(None, 1, 1)
     found = drive_events(drive(noticed=[(0.0, LearnerReport()), (30.0, known), (50.0, gone)]))
     assert told(found) == [(0.0, EventKind.PAYLOAD), (50.0, EventKind.PAYLOAD)]
@@ -86,7 +86,7 @@ def test_a_payload_that_is_withdrawn_is_told():
 
 
 def test_a_payload_of_an_earlier_drive_is_no_event():
-    known = LearnerReport(LoadChange(START_NS - NANOSECONDS, 150.0, 40.0), 1)
+    known = LearnerReport(PayloadChange(START_NS - NANOSECONDS, 150.0, 40.0), 1)
     assert drive_events(drive(noticed=[(0.0, known)])) == []
 
 

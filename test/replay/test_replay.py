@@ -131,7 +131,7 @@ def test_no_battery_predicts_from_the_priors(readings, vehicle, tmp_path):
 
 def test_no_speed_is_an_error(readings, vehicle, tmp_path):
     battery = [r for r in readings if isinstance(r, BatteryReading)]
-    with pytest.raises(InputError, match="vehicle/speed"):
+    with pytest.raises(InputError, match="no speed"):
         run(battery, vehicle, tmp_path)
 
 

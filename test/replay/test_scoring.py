@@ -70,9 +70,9 @@ def test_nothing_measured_gives_null_not_zero():
 
 def test_power_is_not_known_across_a_gap():
     found = drive([0, 0, 0, 0, 0, 0], [0])
-    rows = np.array([[0.0, 1.0], [1.0, 1.0], [5.0, 1.0], [6.0, 1.0]])
+    rows = np.array([[0.0, 1.0], [1.0, 1.0], [9.0, 1.0], [10.0, 1.0]])
     gappy = Drive(**{**{f: getattr(found, f) for f in found.__slots__}, "measured": rows})
-    _, known = measured_at(gappy, np.array([0.5, 3.0, 5.5, 7.0]))
+    _, known = measured_at(gappy, np.array([0.5, 5.0, 9.5, 11.0]))
     assert known.tolist() == [True, False, True, False]
 
 
@@ -100,10 +100,10 @@ def test_nulls_by_hand():
 
 
 def test_a_hole_in_the_battery_is_left_out_of_both_energies():
-    # 1000 W throughout; the battery is silent from 3 to 9 s, the prediction goes on.
-    energy = [[float(t), 1000.0 * t, 1000.0 * t] for t in range(13)]
-    whole = drive([1000] * 13, [0], energy=energy)
-    rows = np.array([[float(t), 1000.0] for t in (0, 1, 2, 3, 9, 10, 11, 12)])
+    # 1000 W throughout; the battery is silent from 3 to 10 s, the prediction goes on.
+    energy = [[float(t), 1000.0 * t, 1000.0 * t] for t in range(14)]
+    whole = drive([1000] * 14, [0], energy=energy)
+    rows = np.array([[float(t), 1000.0] for t in (0, 1, 2, 3, 10, 11, 12, 13)])
     gappy = Drive(**{**{f: getattr(whole, f) for f in whole.__slots__}, "measured": rows})
     score = energy_score(gappy, WHOLE)
     assert score["measured_j"] == pytest.approx(6000.0)

@@ -64,7 +64,7 @@ def test_csv_plain_and_compressed(tmp_path, vehicle):
         file.write(text)
     plain = list(open_source(tmp_path / "drive.csv", vehicle).readings())
     packed = list(open_source(tmp_path / "drive.csv.gz", vehicle).readings())
-    assert plain == packed
+    assert repr(plain) == repr(packed)  # what a table does not hold is NaN, which equals nothing
     assert len(plain) == 3  # the empty cell makes no message
     assert plain[1].power == pytest.approx(3500.0)
     assert plain[1].voltage == vehicle.nominal_voltage

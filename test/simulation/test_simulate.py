@@ -141,6 +141,22 @@ def test_a_later_start_only_moves_the_stamps():
     assert [reading.stamp_ns for reading in later.readings] == moved
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_current_beyond_the_signal_reads_as_its_limit(seed):
+    """A loaded Leaf takes more than the 511 A that its signal can show: the car goes on."""
+    leaf, heavy = load_vehicle("nissan_leaf"), {"mass": 3000.0, "mu": 0.95}
+    told = simulate(DriveKind.MIXED, leaf, 200.0, seed, car=heavy)
+    currents = [reading.current for reading in of(told, BatteryReading)]
+    assert len(currents) > 1900 and -511.0 <= min(currents) <= max(currents) <= 400.0
+    assert (min(currents) == -511.0) == (max(told.trace.current) > 511.0)
+
+
+def test_a_voltage_beyond_the_signal_is_another_car(monkeypatch):
+    monkeypatch.setattr("evpinn_ros.simulation.sensors.VOLTAGE_NOISE", 500.0)
+    with pytest.raises(InputError, match="is outside"):
+        simulate(DriveKind.MIXED, load_vehicle("nissan_leaf"), 30.0, 1)
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

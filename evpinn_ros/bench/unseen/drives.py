@@ -19,7 +19,14 @@ from evpinn_ros.bench.unseen.sumo_cars import (
 from evpinn_ros.bench.unseen.truth import CARRIED_VEHICLE, carried_drives
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import open_source
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    MotorReading,
+    Reading,
+    TemperatureReading,
+)
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 
@@ -93,14 +100,17 @@ class Folder:
 
     pattern: str
     vehicle: str
-    speed_only: bool = False
+    hidden: tuple[type, ...] = (MotorReading,)
 
+
+ALL_BUT_SPEED = (AltitudeReading, AuxiliaryReading, MotorReading, TemperatureReading)
 
 # The folders of `../shared/data`; a file name sorts by its date.
 FOLDERS = {
     "model3": Folder("tesla_model3/*.csv", "tesla_model_3_lr"),
     "i3": Folder("bmw_i3/*.csv.gz", "bmw_i3"),
-    "i3_speed": Folder("bmw_i3/*.csv.gz", "bmw_i3", speed_only=True),
+    "i3_speed": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=ALL_BUT_SPEED),
+    "i3_torque": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=()),
     "e208": Folder("peugeot_e208_car_scanner/*.csv.gz", "generic"),
     "leaf2013": Folder("nissan_leaf_2013_leafspy/*.csv.gz", "nissan_leaf"),
     "can_model3": Folder("can/tesla_model3_2019/decoded*.csv", "tesla_model_3_lr"),
@@ -149,8 +159,9 @@ def load_car(data: str, key: str) -> Car:
     folder = FOLDERS[key]
     car = load_vehicle(folder.vehicle)
     paths = sorted(Path(data).glob(folder.pattern))
-    keep = _speed_and_battery if folder.speed_only else (lambda _: True)
-    drives = tuple(_drives([(path, None) for path in paths], car, keep))
+    drives = tuple(
+        _drives([(path, None) for path in paths], car, lambda r: not isinstance(r, folder.hidden))
+    )
     if not drives:
         raise InputError(f"{data}: no drive of {key} can be read")
     return Car(key, car, drives)
@@ -165,7 +176,3 @@ def _drives(
             drive = Drive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)
             if drive.spans:
                 yield drive
-
-
-def _speed_and_battery(reading: Reading) -> bool:
-    return isinstance(reading, (SpeedReading, BatteryReading))

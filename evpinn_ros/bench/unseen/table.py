@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rich.table import Table
+from evpinn_ros.plain_table import PlainTable
 
 ENERGY_COLUMNS = (
     "carried:\nnet %",
@@ -28,9 +28,9 @@ TRUTH_COLUMNS = {
 AGES = ("0.1", "1", "10", "60", "600")
 
 
-def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> Table:
+def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """Whole drives and dropouts: median and mean of the errors, coverage and width."""
-    table = Table("method", *ENERGY_COLUMNS)
+    table = PlainTable("method", *ENERGY_COLUMNS)
     for name, scores in methods.items():
         carried, short, long = (scores[key] for key in ("carried", "withheld", "dropout_600"))
         table.add_row(
@@ -48,9 +48,9 @@ def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> Table:
     return table
 
 
-def age_table(methods: Mapping[str, Mapping[str, Any]]) -> Table:
+def age_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """RMSE and error of energy by the age of the last battery sample."""
-    table = Table("s since the battery", *(f"{age}:\nW, %" for age in AGES))
+    table = PlainTable("s since the battery", *(f"{age}:\nW, %" for age in AGES))
     for name, scores in methods.items():
         ages = scores["by_battery_age"]
         cells = (
@@ -61,9 +61,9 @@ def age_table(methods: Mapping[str, Mapping[str, Any]]) -> Table:
     return table
 
 
-def truth_table(methods: Mapping[str, Mapping[str, Any]]) -> Table:
+def truth_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """Bias, percent (W for p_aux), and how often the 95 % interval holds the truth."""
-    table = Table("bias %; 95 % covers %", *TRUTH_COLUMNS.values())
+    table = PlainTable("bias %; 95 % covers %", *TRUTH_COLUMNS.values())
     for name, scores in methods.items():
         found = scores["truth"]
         if found:

@@ -1,0 +1,33 @@
+"""How much of a bag is taken, whatever it says of itself; each limit stands here alone.
+
+What a small file can unpack to is bounded by its own size, so that work and memory are too.
+"""
+
+from __future__ import annotations
+
+MEBIBYTE = 1 << 20
+
+LONGEST_CHUNK = 128 * MEBIBYTE
+"""Bytes of a chunk, packed and unpacked, of a message in it and of an attachment. Recorders write
+chunks of 1 MB, and a longer message has one of its own."""
+
+LONGEST_MESSAGE = 16 * MEBIBYTE
+"""Bytes of a message that is decoded: ours have at most 8 MB, a plan of 50 000 points."""
+
+MOST_HELD = 512 * MEBIBYTE
+"""Bytes of messages held back to put them in order. Chunks of a recorder overlap by seconds."""
+
+RATIO, FREE_BYTES, FREE_MESSAGES = 200, MEBIBYTE, 100_000
+
+
+def most_unpacked(size: int) -> int:
+    """Bytes that so many packed bytes may unpack to.
+
+    Drives of real cars shrink to a fifth, a bag in which nothing ever changes to a hundredth.
+    """
+    return FREE_BYTES + RATIO * size
+
+
+def most_messages(size: int) -> int:
+    """Messages in so many bytes: number and two times of each cost more, however they repeat."""
+    return FREE_MESSAGES + 4 * size

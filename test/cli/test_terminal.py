@@ -1,0 +1,114 @@
+"""Names of files, topics and types come from anywhere: they are shown, and obeyed by nobody."""
+
+import csv
+import json
+import math
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from mcap.writer import Writer
+import pytest
+
+from evpinn_ros.cli.console import show_json
+
+ROOT = Path(__file__).parents[2]
+ESCAPES = "\x1b[2J\x1b]0;owned\x07\r\b\x9b1m\u202e"
+MARKUP = "[/bold][red]:smile:[/]"
+
+
+def evpinn(*arguments, out=subprocess.PIPE, **environment) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
+        env={"PYTHONPATH": str(ROOT), "COLUMNS": "300", "OMP_NUM_THREADS": "1", **environment},
+        stdout=out,
+        stderr=subprocess.PIPE,
+        timeout=150,
+    )
+
+
+@pytest.fixture
+def hostile(tmp_path) -> Path:
+    """A bag whose every name speaks to the terminal and to rich."""
+    path = tmp_path / f"{ESCAPES}[red].mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", ESCAPES)
+        schema = writer.register_schema(f"{ESCAPES}/{MARKUP}", "ros2msg", b"float64 data\n")
+        channel = writer.register_channel(f"/{MARKUP}{ESCAPES}", "cdr", schema)
+        for second in range(5):
+            writer.add_message(channel, second * 10**9, bytes(12), second * 10**9)
+        writer.finish()
+    return path
+
+
+def assert_harmless(text: bytes) -> None:
+    shown = text.decode()
+    assert all(character.isprintable() or character == "\n" for character in shown)
+
+
+def test_foreign_names_are_shown_as_they_are(hostile):
+    done = evpinn("info", hostile)
+    assert done.returncode == 0, done.stderr
+    assert MARKUP in done.stdout.decode()
+    assert_harmless(done.stdout)
+    assert_harmless(done.stderr)
+
+
+def test_foreign_names_in_errors_and_recovery(hostile, tmp_path):
+    (tmp_path / f"{MARKUP[7:]}{ESCAPES}.csv".replace("/", "")).write_text("a,b\n1,2\n")
+    (column_file,) = tmp_path.glob("*.csv")
+    for arguments in (
+        ("info", column_file),
+        ("recover", hostile, tmp_path / "saved"),
+        ("replay", hostile, "--vehicle", "nissan_leaf"),
+        ("can", "inspect", hostile),
+        ("convert", hostile, tmp_path / f"{ESCAPES}out", "--vehicle", "nissan_leaf"),
+    ):
+        done = evpinn(*arguments)
+        assert b"Traceback" not in done.stderr, arguments
+        assert_harmless(done.stdout + done.stderr)
+
+
+def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
+    show_json([{"distance": math.inf, "pair": (math.nan, 1.0)}])
+    assert json.loads(capsys.readouterr().out) == [{"distance": None, "pair": [None, 1.0]}]
+    with (tmp_path / "huge.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(("t_s", "speed_mps", "voltage_v", "current_a"))
+        rows.writerows((second, 1e308, 1e308, 1e308) for second in range(100))
+    done = evpinn("info", "--json", tmp_path / "huge.csv")
+    assert b"Traceback" not in done.stderr and isinstance(json.loads(done.stdout), list)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has this device alone")
+@pytest.mark.parametrize("arguments", [("info",), ("info", "--json"), ("--help",)])
+def test_a_full_device_is_said_in_one_line(arguments):
+    bag = () if "--help" in arguments else (ROOT / "bags" / "urban",)
+    with Path("/dev/full").open("wb") as full:
+        done = evpinn(*arguments, *bag, out=full)
+    assert done.returncode == 1
+    assert done.stderr.decode().splitlines() == ["evpinn: the output: No space left on device"]
+
+
+def test_a_terminal_without_all_letters_gets_those_that_it_has(hostile):
+    done = evpinn("info", hostile, PYTHONIOENCODING="ascii", LC_ALL="C")
+    assert done.returncode == 0 and b"Traceback" not in done.stderr
+
+
+def test_a_name_that_is_no_text_is_shown(tmp_path):
+    path = os.fsencode(tmp_path) + b"/\xff\xfe.csv"
+    Path(os.fsdecode(path)).write_text("a,b\n1,2\n")
+    done = evpinn("info", os.fsdecode(path))
+    assert done.returncode == 1 and b"Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("number", ["1" + ":01" * 30_000, "!!int 1:30", "!!float 1:30.5"])
+def test_numbers_of_base_60_are_none(tmp_path, number):
+    (tmp_path / "mine.yaml").write_text(
+        f"estimator:\n  ros__parameters:\n    update_period: {number}\n"
+    )
+    done = evpinn("check-params", tmp_path / "mine.yaml")
+    assert done.returncode == 1 and b"Traceback" not in done.stderr
+    assert len(done.stderr.decode().splitlines()) == 1
