@@ -12,9 +12,7 @@ from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.pinn import LearnedCar
 from evpinn_ros.estimation.published import EnergySums, mass_over_eta, published
 from evpinn_ros.estimation.weak_form import Warmth, spent
-from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -132,10 +130,3 @@ def test_motor_torque_tells_the_mass_in_kilograms(name, most):
         shares[torque] = mass.prior_share
     assert shares[True] < most < 2 * most < shares[False] and mass.state.value == "valid"
     assert abs(mass.value - drive.truth.parameters.mass) < 2.0 * mass.std
-
-
-def test_a_stream_of_motor_readings_reaches_the_intervals(vehicle):
-    drive = simulate(DriveKind.URBAN, vehicle, 60.0, 4, motor_torque=True)
-    stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
-    found = [e for r in drive.readings for e in stream.push(r) if isinstance(e, Interval)]
-    assert found and not any(np.isnan(one.steps.motor_drive).any() for one in found[1:])
