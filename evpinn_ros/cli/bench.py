@@ -11,6 +11,7 @@ COMMANDS = (
     "online",
     "carried",
     "unseen",
+    "ablation",
     "truth",
     "can",
     "energy",

@@ -38,6 +38,7 @@ from evpinn_ros.estimation.gaussian import (
     Innovation,
     condition,
     innovate,
+    is_possible,
     mixture,
     outlier_variance,
     predict,
@@ -52,6 +53,7 @@ from evpinn_ros.estimation.weak_form import (
 )
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 # What the hypotheses are about: 1-sigma of the unseen slope, the unseen force over the weight, and
 # the wandering load in W; and in place of the slope, of a measured height's error in m.
@@ -151,7 +153,8 @@ class CarFilter:
         seen = innovate(self.state, found.gradient, interval.energy - found.energy, noise)
         weights = self.weights
         self.state = condition(self.state, seen, outlier_variance(seen, noise, OUTLIER))
-        self._judge(seen)
+        if abs(interval.distance) > STANDSTILL_SPEED * interval.duration:
+            self._judge(seen)  # a standing car says nothing of slopes, winds and their noise
         self.intervals += 1
         mean = float(weights @ seen.residual)
         away = seen.residual - mean
@@ -245,6 +248,7 @@ class CarFilter:
         evidence, scale = (np.array(saved[key], float) for key in ("evidence", "scale"))
         variances = np.array(saved["drive_variance"], float)
         drives, seconds = float(saved["drives"]), float(saved["seconds"])
+        intervals = int(saved["intervals"])
         shapes = (mean.shape, covariance.shape, evidence.shape, scale.shape, variances.shape)
         own = (self.state.mean.shape, self.state.covariance.shape, self._evidence.shape)
         if shapes != (*own, self._scale.shape, (len(DRIVE_STD),)):
@@ -262,15 +266,12 @@ class CarFilter:
         self._evidence, self._scale = evidence, scale
         self._drive_variance = dict(zip(DRIVE_STD, variances.tolist(), strict=True))
         self._drives, self._seconds = drives, seconds
-        self.intervals = int(saved["intervals"])
+        self.intervals = intervals
 
     def _check(self, mean: np.ndarray, covariance: np.ndarray) -> None:
-        """Refuse what no drive leaves: far from the prior, or no covariance."""
-        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-            raise ValueError("the saved filter is not finite")
+        """Refuse what no drive leaves: no Gaussian, or far from the prior."""
         away = np.abs(mean[:, CAR] - self.prior.mean[CAR]) / self.prior.std[CAR]
-        variance = np.diagonal(covariance, axis1=1, axis2=2)
-        if away.max() > MOST_AWAY or variance.min() < -1e-9:
+        if not (is_possible(Gaussian(mean, covariance)) and away.max() <= MOST_AWAY):
             raise ValueError("the saved filter is out of range")
 
     # How -------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
 
@@ -68,6 +68,21 @@ class ParameterSet:
     identifiable_std: Identifiable
     reliable: bool
     identifiable_states: Mapping[str, State] = field(default_factory=dict)
+
+    def stale(self) -> ParameterSet:
+        """The same when nothing was measured for long."""
+        states = {State.VALID: State.STALE}
+        return replace(
+            self,
+            parameters={
+                name: replace(p, state=states.get(p.state, p.state))
+                for name, p in self.parameters.items()
+            },
+            reliable=False,
+            identifiable_states={
+                name: states.get(state, state) for name, state in self.identifiable_states.items()
+            },
+        )
 
 
 class PowerKind(str, Enum):

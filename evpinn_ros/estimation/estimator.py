@@ -177,6 +177,7 @@ class OnlineEstimator:
         self._stuck = StuckSuspicion()
         self._tick_ns: int | None = None
         self._waiting = False
+        self._news = False  # whether there is anything that no update has seen
         self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
             kind: deque(maxlen=2000) for kind in self._bands
         }
@@ -203,13 +204,7 @@ class OnlineEstimator:
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
         found = self._learner.parameters()
-        if not self._silent_for(STALE_AFTER_NS):
-            return found
-        stale = {
-            name: replace(p, state=State.STALE) if p.state is State.VALID else p
-            for name, p in found.parameters.items()
-        }
-        return replace(found, parameters=stale, reliable=False)
+        return found.stale() if self._silent_for(STALE_AFTER_NS) else found
 
     def linear_power(self) -> LinearPower | None:
         """What forecasts of plans need of the car; None in the paper's mode."""
@@ -294,9 +289,11 @@ class OnlineEstimator:
                         self._seen.add(event.sample)
                 if self.enabled:
                     self._learner.observe(event.sample, event.power)
+                    self._news = True
             case Interval():
                 if self.enabled and self._stuck.suspected is None:
                     self._learner.add_interval(event)
+                    self._news = True
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
             case TimeJump():
@@ -335,7 +332,8 @@ class OnlineEstimator:
         self._tick_ns += (stamp_ns - self._tick_ns) // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
         if self._waiting:
             self._collect()
-        if not self._waiting and self.enabled:
+        if not self._waiting and self.enabled and self._news:
+            self._news = False
             self._begin_update()
         yield replace(self.parameters(), stamp_ns=stamp_ns)
 

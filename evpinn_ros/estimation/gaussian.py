@@ -11,6 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+MOST = 1e12  # of a mean or 1-sigma of any unit: J of a month of driving
+LEAST_VARIANCE, ROUNDING = 1e-12, 1e-6  # of a covariance, and of its correlations
+
 
 class Gaussian(NamedTuple):
     """A mean, shape (..., n), and a covariance, shape (..., n, n)."""
@@ -101,3 +104,17 @@ def outlier_variance(seen: Innovation, noise: np.ndarray, limit: float) -> np.nd
     """Variance that takes an innovation beyond `limit` sigmas for a heavy tail (Huber, 1964)."""
     beyond = np.maximum(1.0, np.abs(seen.residual) / (limit * np.sqrt(seen.variance)))
     return np.asarray(noise * (beyond**2 - 1.0))
+
+
+def is_possible(state: Gaussian) -> bool:
+    """Whether a mean and a covariance are finite, of a size, symmetric and not negative."""
+    mean, covariance = state
+    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        return False
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    std = np.sqrt(np.maximum(variance, LEAST_VARIANCE))
+    if max(np.abs(mean).max(), std.max()) > MOST or np.abs(covariance).max() > MOST**2:
+        return False
+    scaled = covariance / (std[..., :, None] * std[..., None, :])
+    skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
+    return bool(skew < ROUNDING and np.linalg.eigvalsh(scaled).min() > -ROUNDING)

@@ -120,7 +120,15 @@ class StateHysteresis:
         }
         self._states = {name: p.state for name, p in parameters.items()}
         wrong = State.INVALID in self._states.values()
-        return replace(found, parameters=parameters, reliable=found.reliable and not wrong)
+        combined = found.identifiable_states
+        if suspected:
+            combined = dict.fromkeys(combined, State.INVALID)
+        return replace(
+            found,
+            parameters=parameters,
+            reliable=found.reliable and not wrong,
+            identifiable_states=combined,
+        )
 
     def _next(self, name: str, now: ParameterEstimate, away: float, suspected: bool) -> State:
         before = self._states.get(name)

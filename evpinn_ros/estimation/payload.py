@@ -46,6 +46,8 @@ STOPS_KEPT = 40.0  # that what chance does is learned from, about an hour in tow
 PRIOR_STOPS = 8.0  # stops that the prior of true sigmas weighs
 FORKS = 4  # stops on trial at once
 PROBATION = 600.0  # s of motion in which a change may be withdrawn
+SIGNED = ("delta_mass", "change")  # of the saved numbers; all others are positive
+MOST = {"stamp_ns": 2**63, "before": 20.0, "before_std": 20.0, "change": 20.0}  # others 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,9 +169,11 @@ class PayloadDetector:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
-        chance = Chance(**_finite(state["chance"]))
-        change = None if state["change"] is None else PayloadChange(**_finite(state["change"]))
-        found = None if state["found"] is None else _Trial(**_finite(state["found"]))
+        chance = Chance(**_possible(state["chance"]))
+        change = None if state["change"] is None else PayloadChange(**_possible(state["change"]))
+        found = None if state["found"] is None else _Trial(**_possible(state["found"]))
+        if found is not None and found.change == 0.0:
+            raise ValueError("the saved payload is out of range")
         self._chance, self.change, self._found = chance, change, found
         self._standing = STOP  # the car may have stood since
 
@@ -266,10 +270,11 @@ def _trailing(stands: np.ndarray, steps: Any) -> float:
     return float(steps.duration[len(stands) - count :].sum())
 
 
-def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Saved numbers; ValueError when they are none, or one is not finite."""
+def _possible(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Saved numbers; ValueError when they are none, or one is what no car can have."""
     if not isinstance(values, Mapping) or not all(
-        math.isfinite(value) for value in values.values()
+        abs(value) <= MOST.get(name, 1e6) and (name in SIGNED or value >= 0)
+        for name, value in values.items()
     ):
-        raise ValueError("the saved payload is not finite")
+        raise ValueError("the saved payload is out of range")
     return dict(values)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 import math
 from typing import Any
 
@@ -62,6 +63,7 @@ class LearnedCar:
         gated: intervals not learned from, by reason.
         end_ns: of the last interval.
         measured: whether the battery was measured in it.
+        stretches: of road and drives begun so far; what began meanwhile outdates an update.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -69,18 +71,18 @@ class LearnedCar:
         self.filter, self.sums = CarFilter(vehicle), EnergySums()
         self.payload, self.grade, self.loads = PayloadDetector(), GradeSuspicion(), ReportedLoads()
         self.gated: Counter[str] = Counter()
-        self.end_ns, self.measured = 0, True
+        self.end_ns, self.measured, self.stretches = 0, True, 0
 
     def after(self, intervals: list[Interval]) -> LearnedCar:
         """The car after some more intervals; this one is left as it is."""
         other = object.__new__(LearnedCar)
         other.filter, other.payload = self.filter.copy(), self.payload.copy()
-        other.sums = EnergySums.restored(self.sums.export())
-        other.sums.distance, other.sums.cold_tyres = self.sums.distance, self.sums.cold_tyres
+        other.sums = replace(self.sums)
         other.grade, other.loads = GradeSuspicion(), ReportedLoads.restored(self.loads.export())
         other.grade.restore(self.grade.export())
         other.gated = Counter()
         other.end_ns, other.measured = self.end_ns, self.measured
+        other.stretches = self.stretches
         for interval in intervals:
             other.learn(interval)
         return other
@@ -110,8 +112,16 @@ class LearnedCar:
         self.grade.learn(interval, learned.residual, weight)
         self.filter = self.payload.learn(self.filter, self.sums, interval)
 
+    def forget_road(self) -> None:
+        """After a jump of time: another place on the road, and the car may have stood."""
+        self.stretches += 1
+        self.payload.forget_time()
+        self.filter.forget_road()
+        self.measured = True
+
     def begin_drive(self) -> None:
         """Another drive of this car."""
+        self.stretches += 1
         self.loads.end_drive()
         self.filter.begin_drive()
         self.sums.begin_drive()
@@ -190,7 +200,7 @@ class PinnLearner:
         if abs(passed) > PARKED:
             self.end_drive()
         elif passed < 0.0:
-            self._car.filter.forget_road()
+            self._car.forget_road()
         self._network.advance(min(max(passed, 0.0), PARKED))
 
     def predict(self, sample: Sample) -> PowerPrediction:
@@ -198,7 +208,7 @@ class PinnLearner:
         physics = self._physics(sample)
         said = self._network.correct(sample)
         power, sigma = physics.power + said.power, math.hypot(physics.sigma, said.sigma)
-        if not sample.profile:
+        if sample.newest:
             return PowerPrediction(power, sigma)
         power += self._debt.repay(sample.stamp_ns, power)
         return PowerPrediction(power, sigma, *self._unmeasured)
@@ -229,9 +239,11 @@ class PinnLearner:
         return lambda: car.after(intervals)
 
     def consider(self, candidate: LearnedCar) -> str | None:
-        """Take the result of an update, unless it is not finite."""
+        """Take the result of an update, unless it is not finite or of a drive that ended."""
         if not candidate.is_finite():
             return "not_finite"
+        if candidate.stretches != self._car.stretches:
+            return "outdated"
         self.gated.update(candidate.gated)
         self._adopt(candidate)
         if candidate.measured:
@@ -264,9 +276,7 @@ class PinnLearner:
         self._waiting.clear()
         self._last_ns = None
         self._network.advance(PARKED)
-        self._car.payload.forget_time()
-        self._car.filter.forget_road()
-        self._car.measured = True
+        self._car.forget_road()
         self._debt = EnergyDebt()
         self._adopt(self._car)
 

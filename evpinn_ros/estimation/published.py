@@ -8,9 +8,10 @@ and its tyres; p_aux is the standing load. What a drivetrain loses by turning is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,11 +21,13 @@ from evpinn_ros.estimation.evidence import Evidence, evidence
 from evpinn_ros.estimation.gaussian import Gaussian
 from evpinn_ros.estimation.weak_form import Spent
 from evpinn_ros.signals.interval import Interval
+from evpinn_ros.signals.road import TEMPERATURES
 
 ENERGY_FLOOR = 5e4  # J: a launch to town speed is more; less is no base for a share
 ENERGY_MEMORY = 36_000.0  # s of driving over which the sums are kept
 SHARE_RANGE = (0.3, 3.0)  # of published over learned values, no car leaves it
 MOST_ENERGY = 1e12  # J, no saved sum is larger
+SUMS = ("driven", "driven_force", "braked", "braked_force", "recovered", "distance", "cold_tyres")
 LOGARITHMIC = [State.ETA, State.MU, State.MASS, State.C_D]
 LASTING = slice(0, State.AUX)  # states of car and drive
 
@@ -76,18 +79,19 @@ class EnergySums:
         """Another drive: other tyres and weather."""
         self.distance = self.cold_tyres = 0.0
 
-    def export(self) -> list[float]:
+    def export(self) -> dict[str, Any]:
         """State to save."""
-        return [self.driven, self.driven_force, self.braked, self.braked_force, self.recovered]
+        return asdict(self)
 
     @classmethod
-    def restored(cls, saved: list[float]) -> EnergySums:
-        """Those of a saved state; ValueError when they do not fit."""
-        values = [float(value) for value in saved]
-        if len(values) != 5 or not all(0.0 <= value <= MOST_ENERGY for value in values):
+    def restored(cls, saved: Mapping[str, Any]) -> EnergySums:
+        """Those of a saved state; KeyError, TypeError or ValueError when they do not fit."""
+        values = {name: float(saved[name]) for name in SUMS}
+        celsius = None if saved["celsius"] is None else float(saved["celsius"])
+        possible = celsius is None or TEMPERATURES[0] <= celsius <= TEMPERATURES[1]
+        if not (possible and all(0.0 <= value <= MOST_ENERGY for value in values.values())):
             raise ValueError("the saved energies are out of range")
-        driven, driven_force, braked, braked_force, recovered = values
-        return cls(driven, driven_force, braked, braked_force, recovered)
+        return cls(**values, celsius=celsius, load_known=bool(saved["load_known"]))
 
 
 class Published(NamedTuple):

@@ -96,6 +96,6 @@ class BatteryTrack:
         step = np.diff(stamps) / NANOSECONDS
         energy = float((power[1:] + power[:-1]) @ step) / 2
         bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ step**2)
-        usual = max(track.step(start_ns, end_ns) for track in (self._voltage, self._current))
-        ends = (TIMING * usual) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
+        period = max(track.step_around(end_ns) for track in (self._voltage, self._current))
+        ends = (TIMING * period) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
         return Energy(energy, bridge + ends) if math.isfinite(energy) else None

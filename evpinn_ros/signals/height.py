@@ -21,9 +21,9 @@ class HeightProfile:
         self._height: list[float] = []
         self._integral: list[float] = []  # of height along the way, m^2
 
-    def add(self, odometer: float, height: float | None) -> None:
-        """Take the height, m, where the odometer shows so many m; None where unknown."""
-        if height is None or (self._odometer and odometer - self._odometer[-1] < LEAST_STEP):
+    def add(self, odometer: float, height: float) -> None:
+        """Take the height, m, where the odometer shows so many m, further on than the last."""
+        if self._odometer and odometer - self._odometer[-1] < LEAST_STEP:
             return
         before = 0.0
         if self._odometer:
@@ -39,6 +39,10 @@ class HeightProfile:
     def known_at(self, odometer: float) -> bool:
         """Whether heights are measured where the car is."""
         return bool(self._odometer) and odometer - self._odometer[-1] < KNOWN_WITHIN
+
+    def reaches(self, odometer: float) -> bool:
+        """Whether heights are measured up to a place, so that its average changes no more."""
+        return bool(self._odometer) and self._odometer[-1] >= odometer
 
     def mean_around(self, odometer: float) -> float | None:
         """Height averaged `REACH` to either side, m, as far as known; None where it is not."""

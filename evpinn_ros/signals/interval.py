@@ -31,6 +31,7 @@ STEP = 1.0  # s, shortest step within an interval
 DURATION = 6.0  # s, shortest interval
 READINGS = 6  # usual steps of the slower signal that an interval spans at least
 EDGE_HALF_NS = 250_000_000  # ns to either side over which the speed at an edge is averaged
+PASSED = 20  # edges among which late altitudes find their place
 WAIT_NS = 60 * NANOSECONDS  # longest wait for the height or battery around an interval
 
 
@@ -123,6 +124,7 @@ class IntervalBuilder:
         self._settled_ns = max(late_ns, EDGE_HALF_NS)
         self._edges: list[_Edge] = []
         self._complete: deque[list[_Edge]] = deque()
+        self._passed: deque[tuple[int, float]] = deque(maxlen=PASSED)
         self._odometer = self._air = 0.0
 
     def intervals(self) -> Iterator[Interval]:
@@ -167,7 +169,10 @@ class IntervalBuilder:
             motor = self._motor.energy(last, stamp_ns)
         speed = self._speed.mean(stamp_ns - EDGE_HALF_NS, stamp_ns + EDGE_HALF_NS)
         edge = _Edge(stamp_ns, speed, self._odometer, self._air, motor, conditions)
-        self._height.add(self._odometer, self._road.height_at(stamp_ns, self._odometer))
+        self._passed.append((stamp_ns, self._odometer))
+        stamps, odometers = zip(*self._passed, strict=True)
+        for place, height in self._road.heights(stamps, odometers):
+            self._height.add(place, height)
         self._edges.append(edge)
         whole_ns = int(self.duration * NANOSECONDS) - LAG_TOLERANCE_NS
         if stamp_ns - self._edges[0].stamp_ns >= whole_ns:
@@ -175,17 +180,15 @@ class IntervalBuilder:
             self._edges = [edge]
 
     def _ready(self, end: _Edge) -> bool:
-        newest_ns, heard_ns = self._speed.newest_ns, self._battery.newest_ns
-        if newest_ns - end.stamp_ns > WAIT_NS:
+        """Whether all is known, by what may come no more: whatever the order of arrival."""
+        settled_ns = self._speed.newest_ns - self._settled_ns
+        if settled_ns - end.stamp_ns > WAIT_NS:
             return True
-        known_ns = self._battery.next_ns(end.stamp_ns)
-        # By the clock of speed, so that the order in which readings come decides nothing.
-        settled = known_ns is not None and newest_ns - known_ns >= self._settled_ns
-        battery = heard_ns is None or settled
-        silent = heard_ns is not None and newest_ns - heard_ns > self._battery.gap_ns
-        height = (
-            not self._height.known_at(self._odometer) or self._odometer - end.odometer >= REACH
-        )
+        after_ns = self._battery.next_ns(end.stamp_ns)
+        battery = after_ns is not None and after_ns <= settled_ns
+        silent = settled_ns - end.stamp_ns > self._battery.gap_ns
+        known = self._height.known_at(self._odometer)
+        height = not known or self._height.reaches(end.odometer + REACH)
         return (battery or silent) and height
 
     def _interval(self, edges: list[_Edge]) -> Interval:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator, Sequence
 from enum import Enum
 import math
 from typing import NamedTuple, TypeAlias
@@ -32,7 +33,7 @@ ALTITUDES = (-500.0, 9000.0)  # m, where roads are
 PRESSURES = (30e3, 110e3)  # Pa, from the highest road to a fair day below the sea
 MAX_WIND = 60.0  # m/s, a hurricane
 TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
-MAX_AUXILIARY = 50_000.0  # W
+MAX_AUXILIARY = 15_000.0  # W, heater and air conditioning of a car together at their most
 HEATED_BELOW = 20.0  # degrees Celsius outside; that of the room in degree days (VDI 3807)
 GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
 STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
@@ -129,7 +130,7 @@ class Road:
         self._hill = _Hill()
         self._altitude_ns: int | None = None
         self._altitudes = SignalTrack(STALE_AFTER)
-        self._odometer = self._climbed = 0.0  # m
+        self._begin_heights()
 
     def push(self, reading: RoadReading) -> None:
         """Take one reading."""
@@ -163,7 +164,12 @@ class Road:
         self._altitude_ns = None
         self._altitudes = SignalTrack(STALE_AFTER)
         self._auxiliary = None
-        self._odometer = self._climbed = 0.0
+        self._begin_heights()
+
+    def _begin_heights(self) -> None:
+        self._odometer = self._height = 0.0  # m
+        self._datum: float | None = None  # m of height above altitude, None while pitch leads
+        self._placed_ns = -(2**63)  # up to here heights were given
 
     def grade(self, stamp_ns: int) -> float:
         """Road incline angle, rad, 0 while unknown."""
@@ -188,15 +194,31 @@ class Road:
             self._auxiliary is not None,
         )
 
-    def height_at(self, stamp_ns: int, odometer: float) -> float | None:
-        """Height of the road, m, from altitude or the integral of pitch; None while unknown."""
-        step, self._odometer = odometer - self._odometer, odometer
-        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamp_ns):
-            self._climbed += step * math.sin(self.grade(stamp_ns))
-            return self._climbed
-        if self._source in (GradeSource.AUTO, GradeSource.FIX):
-            return self._altitudes.at(stamp_ns)
-        return None
+    def heights(
+        self, stamps: Sequence[int], odometers: Sequence[float]
+    ) -> Iterator[tuple[float, float]]:
+        """Places, m by the odometer, and heights of the road there, m, not yet given.
+
+        Altitudes stand at their own stamps, whenever they come; the integral of pitch stands in
+        for them where the IMU speaks, and goes on from the last of them.
+
+        Args:
+            stamps: ns, increasing, of moments up to now.
+            odometers: m, at these.
+        """
+        step, self._odometer = odometers[-1] - self._odometer, odometers[-1]
+        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamps[-1]):
+            self._height += step * math.sin(self.grade(stamps[-1]))
+            self._datum, self._placed_ns = None, stamps[-1]
+            yield odometers[-1], self._height
+        elif self._source in (GradeSource.AUTO, GradeSource.FIX):
+            since_ns = max(self._placed_ns, stamps[0] - 1)
+            for stamp_ns in self._altitudes.within(since_ns, stamps[-1] + 1):
+                altitude = self._altitudes.at(stamp_ns) or 0.0
+                if self._datum is None:
+                    self._datum = self._height - altitude
+                self._height, self._placed_ns = altitude + self._datum, stamp_ns
+                yield float(np.interp(stamp_ns, stamps, odometers)), self._height
 
     def air_density(self) -> float:
         """Air density, kg/m^3: that of the vehicle file until temperature or pressure is known."""

@@ -20,11 +20,12 @@ class Sample:
         grade: road incline angle, rad, positive uphill; 0 while unknown.
         air_density: kg/m^3.
         known_auxiliary: power of auxiliary loads the car reports, W; 0 while unknown.
-        profile: of a smoothed sample, its acceleration profile, shape (`kinematics.PROFILE`,),
-            m/s^2; empty for the newest moment, whose future is unknown.
+        profile: its acceleration profile as far as it is known, shape (`kinematics.PROFILE`,),
+            m/s^2; empty where nothing of it is.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature of the air outside, None while unknown.
         motor_power: mechanical power of the motor, W, NaN where no bus tells it.
+        newest: whether it is the newest moment, whose future is unknown.
     """
 
     stamp_ns: int
@@ -37,6 +38,7 @@ class Sample:
     head_wind: float = 0.0
     celsius: float | None = None
     motor_power: float = math.nan
+    newest: bool = False
 
 
 @dataclass(frozen=True, slots=True)

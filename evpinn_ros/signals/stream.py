@@ -198,7 +198,9 @@ class SampleStream:
         if abs(acceleration) > MAX_ACCELERATION:
             self.dropped["acceleration_impossible"] += 1
             return
-        yield NewestSample(self._sample(reading.stamp_ns, reading.speed, acceleration))
+        yield NewestSample(
+            self._sample(reading.stamp_ns, reading.speed, acceleration, newest=True)
+        )
 
     def _smoothed_samples(self) -> Iterator[SmoothedSample | MeasuredSample]:
         newest = self._speed.newest_ns
@@ -215,8 +217,7 @@ class SampleStream:
             yield from self._match_power(stamp_ns - 1)
             self._last_moment_ns = stamp_ns
             self._differentiator.learn(stamp_ns, acceleration)
-            profile = self._speed.profile(stamp_ns, newest, acceleration)
-            sample = self._sample(stamp_ns, speed, acceleration, profile)
+            sample = self._sample(stamp_ns, speed, acceleration)
             self._unmeasured.append(sample)
             yield SmoothedSample(sample)
 
@@ -228,7 +229,7 @@ class SampleStream:
         return step >= int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
 
     def _sample(
-        self, stamp_ns: int, speed: float, acceleration: float, profile: tuple[float, ...] = ()
+        self, stamp_ns: int, speed: float, acceleration: float, *, newest: bool = False
     ) -> Sample:
         return Sample(
             stamp_ns=stamp_ns,
@@ -237,10 +238,11 @@ class SampleStream:
             grade=self._road.grade(stamp_ns),
             air_density=self._road.air_density(),
             known_auxiliary=self._road.known_auxiliary(stamp_ns),
-            profile=profile,
+            profile=self._speed.profile(stamp_ns, self._speed.newest_ns, acceleration),
             head_wind=self._road.head_wind(stamp_ns),
             celsius=self._road.celsius,
             motor_power=self._motor.at(stamp_ns),
+            newest=newest,
         )
 
     def _push_battery(self, reading: BatteryReading) -> None:

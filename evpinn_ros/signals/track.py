@@ -90,14 +90,11 @@ class SignalTrack:
             return False
         return bool((np.diff(self.stamps[first : last + 1]) <= self.cadence.gap_ns).all())
 
-    def step(self, start_ns: int, end_ns: int) -> float:
-        """Usual step, s, of the readings around and within a span that they cover.
-
-        Unlike `cadence`, it does not depend on the order in which they came.
-        """
-        first = bisect_right(self.stamps, start_ns) - 1
-        last = bisect_left(self.stamps, end_ns)
-        return float(np.median(np.diff(self.stamps[first : last + 1]))) / NANOSECONDS
+    def step_around(self, stamp_ns: int) -> float:
+        """Usual step between the readings up to a moment, s, whatever their order of arrival."""
+        last = bisect_left(self.stamps, stamp_ns) + 1
+        latest = self.stamps[max(0, last - RATE_READINGS - 1) : last]
+        return float(np.median(np.diff(latest))) / NANOSECONDS if len(latest) > 1 else 0.0
 
     def within(self, start_ns: int, end_ns: int) -> list[int]:
         """Stamps strictly between two moments."""

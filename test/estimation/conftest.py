@@ -1,6 +1,6 @@
-"""A car that is exactly what the filter believes a car to be, so that errors are the filter's."""
+"""Cars that are exactly what the model believes a car to be, so that errors are the learner's."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 import math
@@ -10,15 +10,10 @@ import pytest
 
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.estimation.parameter_filter import (
-    CORRELATION_TIME,
-    FORCE_NOISE,
-    POWER_NOISE,
-    SLOPE_LENGTH,
-    SLOPE_STD,
-)
 from evpinn_ros.estimation.worker import InlineWorker, Worker
+from evpinn_ros.signals.interval import Interval, Steps
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.road import Conditions
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed
 from evpinn_ros.simulation.simulate import SimulatedDrive, simulate
@@ -40,34 +35,9 @@ class Synthetic:
 
 
 @cache
-def _motion(seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Speed and acceleration of an urban drive at RATE."""
-    speed = drive_speed(DriveKind.URBAN, seconds, np.random.default_rng(seed))
-    every = SAMPLE_RATE // RATE
-    return speed[every::every], np.gradient(speed, 1 / SAMPLE_RATE)[every::every]
-
-
-def _noise(speed: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """As the filter believes: relative to speed, and one independent value each 0.5 s.
-
-    A first-order process whose mean over n samples has (1 + r) / (1 - r) times the variance of
-    white noise counts a sample for RATE * CORRELATION_TIME less.
-    """
-    fewer = RATE * CORRELATION_TIME
-    keep = (fewer - 1) / (fewer + 1)
-    white = rng.standard_normal(speed.size)
-    for k in range(1, speed.size):
-        white[k] = keep * white[k - 1] + math.sqrt(1 - keep**2) * white[k]
-    return np.hypot(POWER_NOISE, FORCE_NOISE * speed) * white
-
-
-def _slope(speed: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """As the filter believes: unknown slope that is forgotten over SLOPE_LENGTH."""
-    slope = SLOPE_STD * rng.standard_normal(speed.size)
-    for k in range(1, speed.size):
-        keep = math.exp(-speed[k] / RATE / SLOPE_LENGTH)
-        slope[k] = keep * slope[k - 1] + math.sqrt(1 - keep**2) * slope[k]
-    return slope
+def _speed(kind: DriveKind, seconds: float, seed: int) -> np.ndarray:
+    """Speed of a drive at SAMPLE_RATE."""
+    return drive_speed(kind, seconds, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="session")
@@ -77,12 +47,15 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="session")
 def synthetic(vehicle) -> Callable[..., Synthetic]:
-    """A drive of a car that obeys the filter's equations to the letter."""
+    """A drive in town of a car that obeys eq. 19 to the letter, on a road that may have hills."""
 
-    def make(truth, *, seconds=120.0, route=0, seed=0, noise=1.0, hills=1.0) -> Synthetic:
-        speed, acceleration = _motion(seconds, route)
-        rng = np.random.default_rng(seed)
-        slope = hills * _slope(speed, rng)
+    def make(truth, *, seconds=120.0, noise=1.0, hills=1.0) -> Synthetic:
+        every = SAMPLE_RATE // RATE
+        whole = _speed(DriveKind.URBAN, seconds, 0)
+        speed, acceleration = (x[every::every] for x in (whole, np.gradient(whole) * SAMPLE_RATE))
+        rng = np.random.default_rng(0)
+        white = np.convolve(rng.standard_normal(speed.size + 4), np.full(5, 5**-0.5), "valid")
+        slope = hills * 0.006 * np.sin(np.cumsum(speed) / RATE / 60.0)
         powers = combined_power(
             speed,
             acceleration,
@@ -91,13 +64,62 @@ def synthetic(vehicle) -> Callable[..., Synthetic]:
             grade=slope,
             rotating_mass_factor=vehicle.rotating_mass_factor,
         )
-        powers = powers + noise * _noise(speed, rng)
+        powers = powers + noise * np.hypot(60.0, 60.0 * speed) * white
         stamps = [START + k * NANOSECONDS // RATE for k in range(speed.size)]
         rows = zip(stamps, speed.tolist(), acceleration.tolist(), strict=True)
         samples = [Sample(*row, 0.0, vehicle.air_density, 0.0) for row in rows]
         return Synthetic(truth, samples, powers.tolist())
 
     return make
+
+
+def _conditions(**others) -> Conditions:
+    values = {"air_density": 1.17, "head_wind": 0.0, "celsius": None, "load": 0.0}
+    return Conditions(**{**values, "load_known": False, **others})
+
+
+@pytest.fixture(scope="session")
+def conditions() -> Callable[..., Conditions]:
+    """A mild day without wind or reported loads, but for what is named."""
+    return _conditions
+
+
+@pytest.fixture(scope="session")
+def intervals() -> Callable[..., list[Interval]]:
+    """Intervals of 6 s of a speed at SAMPLE_RATE, or a kind of drive, their energy not measured.
+
+    `height` gives the height of the road, m, by the odometer, m.
+    """
+
+    def cut(speed, *, height=None, begin_ns=START, **surroundings) -> list[Interval]:
+        if isinstance(speed, tuple):
+            speed = _speed(*speed)
+        middle = (speed[1:] + speed[:-1]) / 2
+        odometer, air = (
+            np.concatenate(([0.0], np.cumsum(each / SAMPLE_RATE))) for each in (middle, middle**3)
+        )
+        edges = np.arange(0, len(speed), SAMPLE_RATE)
+        heights = np.zeros(len(edges)) if height is None else height(odometer[edges])
+        whole = [
+            np.diff(column)
+            for column in (edges / SAMPLE_RATE, odometer[edges], air[edges], speed[edges] ** 2 / 2)
+        ]
+        columns = (*whole, np.diff(heights), *np.full((2, len(edges) - 1), math.nan))
+        told = _conditions(**surroundings)
+        return [
+            Interval(
+                begin_ns + k * NANOSECONDS,
+                begin_ns + (k + 6) * NANOSECONDS,
+                Steps(*(column[k : k + 6] for column in columns)),
+                told,
+                height is not None,
+                math.nan,
+                math.nan,
+            )
+            for k in range(0, len(edges) - 6, 6)
+        ]
+
+    return cut
 
 
 @cache
@@ -146,12 +168,13 @@ def cruise() -> Callable[..., list[Reading]]:
     """Speed and battery at 10 Hz, the same at every moment, for these seconds."""
 
     def readings(begin, end, *, speed=15.0, power=6000.0, battery=True) -> list[Reading]:
-        found: list[Reading] = []
-        for tick in range(round(begin * 10), round(end * 10)):
-            stamp = START + tick * NANOSECONDS // 10
-            found.append(SpeedReading(stamp, speed))
-            if battery:
-                found.append(BatteryReading(stamp, 400.0, -power / 400.0))
-        return found
+        def told() -> Iterator[Reading]:
+            for tick in range(round(begin * 10), round(end * 10)):
+                stamp = START + tick * NANOSECONDS // 10
+                yield SpeedReading(stamp, speed)
+                if battery:
+                    yield BatteryReading(stamp, 400.0, -power / 400.0)
+
+        return list(told())
 
     return readings

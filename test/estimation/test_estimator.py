@@ -37,9 +37,11 @@ def test_before_anything(new_estimator):
 
 
 def test_the_first_predictions_are_the_prior_s(new_estimator, play, powers, vehicle, cruise):
+    """With what a drivetrain loses by turning, 300 W, and tyres a seventh stiffer at first."""
     outputs = play(new_estimator(), cruise(0, 2, battery=False))
-    expected = combined_power(
-        15.0, 0.0, identifiable(vehicle.initial, vehicle.frontal_area), air_density=1.17
+    cold = vehicle.initial._replace(c_rr=1.15 * vehicle.initial.c_rr)
+    expected = 300.0 + combined_power(
+        15.0, 0.0, identifiable(cold, vehicle.frontal_area), air_density=1.17
     )
     found = powers(outputs)
     assert {power.kind for power in found} == {PowerKind.PREDICTED, PowerKind.SMOOTHED}
@@ -55,10 +57,12 @@ def test_measured_power_is_passed_on(new_estimator, play, powers, at_start):
     found = powers(play(new_estimator(), readings), PowerKind.MEASURED)
     assert [(p.stamp_ns, p.power) for p in found] == [
         (at_start, 10_000.0),
+        (at_start + 1, 10_000.0),  # with the last voltage
         (at_start + 2, -2000.0),
     ]
     # 30 W and 1 % of the reading
-    assert [p.sigma for p in found] == pytest.approx([math.hypot(30, 100), math.hypot(30, 20)])
+    expected = [math.hypot(30, 100), math.hypot(30, 100), math.hypot(30, 20)]
+    assert [p.sigma for p in found] == pytest.approx(expected)
 
 
 @pytest.fixture
@@ -97,7 +101,7 @@ def test_seeds_matter(new_estimator, play, drive):
 def test_no_prediction_knows_the_battery_of_its_moment_or_later(
     new_estimator, play, powers, drive, mode, slower, early_ns
 ):
-    """All batteries from a moment on read otherwise: up to then not one bit differs.
+    """The current trebles from a moment on: up to then not one bit differs.
 
     Also with a battery at 2 Hz, and when it comes long before the speed of its moment.
     """
@@ -107,7 +111,9 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
     speeds = [r for r in readings if isinstance(r, SpeedReading)]
     batteries = [r for r in readings if isinstance(r, BatteryReading)][::slower]
     batteries = [b for b in batteries if not math.isnan(b.voltage)]
-    changed = [replace(b, current=b.current - 40.0) if b.stamp_ns >= cut else b for b in batteries]
+    changed = [
+        replace(b, current=3 * b.current - 1.0) if b.stamp_ns >= cut else b for b in batteries
+    ]
 
     def outputs(told) -> list[str]:
         arrivals = [(r.stamp_ns - early_ns, 0, r) for r in told]
@@ -140,7 +146,8 @@ def test_without_a_battery_predictions_go_on(new_estimator, play, powers, drive,
     assert probe_sigma(estimator) >= probe
     status = estimator.status()
     assert status.activity is Activity.PREDICTING
-    assert status.updates <= updates + 4  # 3 s pass until silence is declared
+    # The paper's window has nothing new; intervals without energy show what they predict.
+    assert status.updates <= updates + (4 if mode is Mode.PAPER else seconds / 6 + 1)
 
 
 def probe_sigma(estimator) -> float:
@@ -154,21 +161,25 @@ def test_parameters_are_stale_after_five_minutes_of_silence(new_estimator, play,
     estimator = new_estimator()
     readings = drive(1, 240.0).readings
     play(estimator, up_to(readings, 60.0))
-    assert estimator.parameters().parameters["mass"].state is State.VALID
+    assert estimator.parameters().identifiable_states["mass_over_eta"] is State.VALID
+    eta = estimator.parameters().parameters["eta"].state
     begin = (readings[0].stamp_ns - cruise(0, 1)[0].stamp_ns) / NANOSECONDS + 60.0
     for seconds, state in ((299.0, State.VALID), (302.0, State.STALE)):
         play(estimator, cruise(begin + seconds - 1, begin + seconds, battery=False))
-        assert estimator.parameters().parameters["mass"].state is state
+        found = estimator.parameters()
+        assert found.identifiable_states["mass_over_eta"] is state
+        assert found.parameters["eta"].state is (state if eta is State.VALID else eta)
 
 
 def test_reverse_and_charging_teach_nothing(new_estimator, play, cruise):
     estimator = new_estimator()
+    before = estimator.export()
     play(estimator, cruise(0, 10, speed=-2.0, power=30e3))
     play(estimator, cruise(10, 20, speed=0.0, power=-7000.0))
     status = estimator.status()
     # The first half second of standing is smoothed with reversing before it.
     assert status.gated["reverse"] + status.gated["charging"] >= 190
-    assert status.updates == 0
+    assert estimator.export()["learner"]["filter"] == before["learner"]["filter"]
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -180,7 +191,7 @@ def test_paused_it_predicts_and_does_not_learn(new_estimator, play, powers, driv
 
     def noted():  # changes with every sample learned from
         learner = estimator.export()["learner"]
-        return learner.get("variance") or learner["parameter_filter"]["noise_scale"]
+        return learner.get("variance") or learner["network"]
 
     before, updates = noted(), estimator.status().updates
     assert powers(play(estimator, from_on(readings, 12.0)))

@@ -5,13 +5,14 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.bench.truth import CarChain
 from evpinn_ros.estimation.evidence import SIZE, evidence
-from evpinn_ros.estimation.published_filter import PublishedFilter
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.estimation.pinn import LearnedCar, PinnLearner
+from evpinn_ros.estimation.published import evidence_of, published
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 LEAF = load_vehicle("nissan_leaf")
 STATES = SIZE + 2
@@ -41,7 +42,7 @@ def test_the_likelihood_comes_back(seed):
 
 
 def test_the_prior_alone_is_no_evidence():
-    found = PublishedFilter(LEAF).evidence()
+    found = PinnLearner(LEAF).evidence()
     assert not found.precision.any() and not found.information.any()
 
 
@@ -52,15 +53,12 @@ def test_a_held_state_or_a_mean_that_was_pushed_is_no_evidence():
 
 
 @pytest.fixture(scope="module")
-def driven() -> PublishedFilter:
+def driven() -> LearnedCar:
     drive = simulate(DriveKind.URBAN, LEAF, 240.0, 3)
-    estimator = OnlineEstimator(LEAF, EstimatorSettings(), InlineWorker(lambda: 0.0))
+    chain = CarChain(LEAF)
     for reading in drive.readings:
-        for _ in estimator.push(reading):
-            pass
-    filter_ = PublishedFilter(LEAF)
-    filter_.restore(estimator.export()["learner"]["parameter_filter"])
-    return filter_
+        chain.add_reading(reading)
+    return chain.car
 
 
 def test_a_drive_tells_nothing_of_what_cannot_be_told(driven):
@@ -69,7 +67,7 @@ def test_a_drive_tells_nothing_of_what_cannot_be_told(driven):
     drag = LEAF.priors["c_d"].std / LEAF.priors["c_d"].value
     untold = np.array([1 / sigma[0], -1 / sigma[1], 1 / sigma[2], 0.0, 1 / drag, 0.0])
     untold /= np.linalg.norm(untold)
-    found = driven.evidence()
+    found = evidence_of(driven.filter, driven.sums)
     assert np.linalg.norm(found.precision) > 10.0
     assert np.linalg.norm(found.precision @ untold) < 1e-6 * np.linalg.norm(found.precision)
     assert abs(found.information @ untold) < 1e-6 * np.linalg.norm(found.information)
@@ -77,12 +75,17 @@ def test_a_drive_tells_nothing_of_what_cannot_be_told(driven):
 
 def test_prior_and_evidence_are_what_was_believed(driven):
     """Joined with the vehicle file again, the evidence gives what was published."""
-    found, told = driven.evidence(), driven.published()
+    found, told = (of(driven.filter, driven.sums) for of in (evidence_of, published))
     covariance = np.linalg.inv(np.eye(SIZE) + found.precision)
-    std = np.sqrt(np.diag(covariance))
-    value = covariance @ found.information
-    for index, name in enumerate(("eta", "mu", "mass", "c_rr", "c_d", "p_aux")):
-        deviation = getattr(told.deviation(), name)
-        share = getattr(told.prior_share(), name)
-        assert std[index] == pytest.approx(np.sqrt(share), abs=0.06), name
-        assert value[index] == pytest.approx(deviation, abs=0.2), name
+    std, value = np.sqrt(np.diag(covariance)), covariance @ found.information
+    for index, name in enumerate(PARAMETER_NAMES):
+        prior, now = LEAF.priors[name], float(told.now.mean[index])
+        spread = float(np.sqrt(told.now.covariance[index, index]))
+        if name == "p_aux":
+            away, sigma = now - prior.value, prior.std
+        else:
+            if name == "c_rr":
+                now, spread = np.log(now), spread / now
+            away, sigma = now - np.log(prior.value), prior.std / prior.value
+        assert std[index] == pytest.approx(spread / sigma, abs=0.06), name
+        assert value[index] == pytest.approx(away / sigma, abs=0.2), name

@@ -1,57 +1,59 @@
 """Signs that contradict the physics are named, and right ones never."""
 
+from dataclasses import replace
 import json
 import math
 
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.grade_suspicion import GradeSuspicion
-from evpinn_ros.estimation.published_filter import PublishedFilter
+from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.pinn import LearnedCar
+from evpinn_ros.estimation.weak_form import Warmth, spent
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.suspicion import SignSuspicion
-from evpinn_ros.vehicle.identifiable import combined_power, identifiable
-from evpinn_ros.vehicle.parameters import Parameters
-
-TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
 
 
 class Hills:
     """A car on a country road whose hills a sensor tells `sign` times."""
 
-    def __init__(self, vehicle) -> None:
-        self.filter, self.grade = PublishedFilter(vehicle), GradeSuspicion()
-        self._vehicle, self._rng, self._second = vehicle, np.random.default_rng(0), 0
+    def __init__(self, vehicle, intervals) -> None:
+        self.car, self.truth = LearnedCar(vehicle), CarFilter(vehicle)
+        self._intervals, self._rng, self._begin = intervals, np.random.default_rng(0), 0
 
     def drive(self, seconds: int, sign: float) -> bool:
-        """At 1 Hz; whether the sign of grade was suspected at any time."""
+        """Whether the sign of grade was suspected at any time."""
         suspected = False
-        for _ in range(seconds):
-            self._second += 1
-            speed = 15.0 + 3.0 * math.sin(self._second / 20)
-            acceleration = 0.15 * math.cos(self._second / 20)
-            grade = 0.02 * math.sin(self._second / 15) + 0.01 * math.sin(self._second / 40)
-            power = combined_power(
-                speed,
-                acceleration,
-                identifiable(TRUTH, self._vehicle.frontal_area),
-                air_density=self._vehicle.air_density,
-                grade=grade + 0.005 * self._rng.standard_normal(),
-                rotating_mass_factor=self._vehicle.rotating_mass_factor,
+        time = self._begin + np.arange(0.0, seconds, 0.01)
+        speed = 15.0 + 3.0 * np.sin(time / 20)
+        for one in self._intervals(speed, height=self._height, begin_ns=self._begin * 10**9):
+            energy, *_ = spent(
+                self.truth.state.mean,
+                one.steps,
+                one.conditions,
+                Warmth(0.0, 0.0),
+                self.truth.constants,
             )
-            told = sign * (grade + 0.005 * self._rng.standard_normal())
-            moment = Sample(self._second * NANOSECONDS, speed, acceleration, told, 1.17, 0.0)
-            self.filter.advance(moment)
-            self.filter.update(moment, power, 1.0)
-            self.grade.push(self.filter, moment, power, 1.0)
-            suspected |= self.grade.suspected
+            told = sign * one.steps.climb + 0.02 * self._rng.standard_normal(6)
+            energy = float(energy[0]) + 5e3 * self._rng.standard_normal()
+            self.car.learn(
+                replace(
+                    one, energy=energy, sampling_variance=0.0, steps=one.steps._replace(climb=told)
+                )
+            )
+            suspected |= self.car.grade.suspected
+        self._begin += seconds
         return suspected
+
+    @staticmethod
+    def _height(odometer):
+        return 6.0 * np.sin(odometer / 220.0) + 4.0 * np.sin(odometer / 600.0)
 
 
 @pytest.fixture
-def hills(vehicle) -> Hills:
-    return Hills(vehicle)
+def hills(vehicle, intervals) -> Hills:
+    return Hills(vehicle, intervals)
 
 
 @pytest.mark.parametrize("sign", [1.0, 0.0])
@@ -61,9 +63,9 @@ def test_a_right_grade_and_none_are_never_suspected(hills, sign):
 
 def test_a_flipped_grade_is_found_within_ten_kilometres_and_mended(hills):
     hills.drive(660, -1.0)
-    assert hills.grade.suspected
+    assert hills.car.grade.suspected
     hills.drive(5400, 1.0)
-    assert not hills.grade.suspected
+    assert not hills.car.grade.suspected
 
 
 def test_both_are_saved_and_what_does_not_fit_is_refused(hills):
@@ -73,7 +75,7 @@ def test_both_are_saved_and_what_does_not_fit_is_refused(hills):
         moment = Sample(k * NANOSECONDS, 10.0, 1.0 if k % 2 else -1.0, 0.0, 1.17, 0.0)
         current.push(moment, -2e4 if k % 2 else 2e4, 1.0)
     assert current.suspected
-    for suspicion in (hills.grade, current):
+    for suspicion in (hills.car.grade, current):
         saved = json.loads(json.dumps(suspicion.export()))
         other = type(suspicion)()
         other.restore(saved)

@@ -96,6 +96,6 @@ def test_the_next_drive_of_a_replay_is_another_wherever_its_stamps_lie(vehicle):
         list(estimator.push(AuxiliaryReading(stamp_ns, 1500.0, 0.0)))
         list(estimator.push(BatteryReading(stamp_ns, 350.0, -30.0)))
         list(estimator.push(SpeedReading(stamp_ns, 10.0)))
-    assert estimator.export()["learner"]["power_filter"]["loads"]["drive"][0] > 30.0
+    assert estimator.export()["learner"]["loads"]["drive"][0] > 30.0
     estimator.begin_next_drive()
-    assert estimator.export()["learner"]["power_filter"]["loads"]["drive"][0] == 0.0
+    assert estimator.export()["learner"]["loads"]["drive"][0] == 0.0

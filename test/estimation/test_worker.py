@@ -121,8 +121,9 @@ def test_an_update_that_fails_is_counted_and_the_next_begins(new_estimator, play
     estimator = new_estimator(Failing(ticking()))
     assert len(play(estimator, readings)) > 700
     status = estimator.status()
-    assert status.updates > 10
-    assert status.rejected == {"failed_ArithmeticError": status.updates - 1}
+    assert status.updates > 2  # one for each interval of 6 s
+    assert set(status.rejected) == {"failed_ArithmeticError"}
+    assert status.rejected["failed_ArithmeticError"] >= status.updates - 1
 
 
 def test_a_thread_that_is_waited_for_gives_the_numbers_of_a_replay(
@@ -142,7 +143,7 @@ def test_updates_that_take_too_long_are_counted(new_estimator, play, thread_work
     play(estimator, readings)
     status = estimator.status()
     assert (status.updates, status.accepted) == (1, 0)
-    # Samples of a second and a half are enough for none; then each of the last seconds is one.
+    # The first interval ends after some seconds; then each of the last seconds is one.
     assert status.rejected["overrun"] >= 10
     assert set(status.rejected) == {"overrun"}
     go.set()
@@ -150,6 +151,5 @@ def test_updates_that_take_too_long_are_counted(new_estimator, play, thread_work
     last = readings[-1].stamp_ns
     later = [type(r)(last + NANOSECONDS, r.speed) for r in readings if hasattr(r, "speed")][:1]
     play(estimator, later)
-    # It is taken at last, to be judged, and the next begins.
-    assert estimator.status().updates == 2
-    assert estimator.status().rejected["not_judged_yet"] == 1
+    # It is taken at last, and the next begins.
+    assert (estimator.status().updates, estimator.status().accepted) == (2, 1)

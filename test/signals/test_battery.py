@@ -1,67 +1,94 @@
-from hypothesis import given
-from hypothesis import strategies as st
+"""Voltage and current, each with its own stamps."""
+
+import math
+
+import numpy as np
 import pytest
 
-from evpinn_ros.signals.battery import TRACK_LENGTH, PowerTrack
+from evpinn_ros.signals.battery import BatteryTrack
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 
 START = 1_700_000_000 * NANOSECONDS
-MILLI = NANOSECONDS // 1000
+
+
+def at(second: float) -> int:
+    return START + round(second * NANOSECONDS)
+
+
+def voltage(t):
+    return 380.0 - 0.5 * t
+
+
+def current(t):
+    return -40.0 - 30.0 * np.sin(t / 4.0)
+
+
+def track(step=0.1, shift=0.0, paired=True, seconds=40.0) -> BatteryTrack:
+    """Readings each `step`, all in one row or the current `shift` later on its own."""
+    found = BatteryTrack(2.5)
+    for t in np.arange(0.0, seconds, step).tolist():
+        if paired:
+            found.add(at(t), voltage(t), float(current(t)))
+        else:
+            found.add(at(t), voltage(t), math.nan)
+            found.add(at(t + shift), math.nan, float(current(t + shift)))
+    return found
+
+
+def drawn(start: float, end: float) -> float:
+    t = np.linspace(start, end, 20_001)
+    return float(np.trapezoid(-voltage(t) * current(t), t))
 
 
 def test_power_is_positive_when_drawn_from_the_battery():
     """`sensor_msgs/BatteryState`: a discharging current is negative. P = -V I."""
     assert BatteryReading(0, 350.0, -20.0).power == 7000.0
     assert BatteryReading(0, 350.0, 20.0).power == -7000.0
+    found = BatteryTrack(2.5)
+    found.add(at(0.0), 350.0, 20.0)
+    assert found.at(at(0.0)) == -7000.0
 
 
-@given(
-    st.lists(st.integers(1, 200), min_size=2, max_size=60),
-    st.floats(-1e5, 1e5),
-    st.floats(-1e5, 1e5),
-    st.integers(0, 5000),
-)
-def test_interpolation_is_exact_on_linear_power(steps, level, slope, pick):
-    track, stamp, stamps = PowerTrack(2.5), START, []
-    for step in steps:
-        stamp += step * MILLI
-        stamps.append(stamp)
-        track.add(stamp, level + slope * (stamp - START) / NANOSECONDS)
-    moment = min(stamps[0] + pick * MILLI, stamps[-1])
-    if moment < track.newest_ns - TRACK_LENGTH * NANOSECONDS:
-        return
-    expected = level + slope * (moment - START) / NANOSECONDS
-    assert track.at(moment) == pytest.approx(expected, rel=1e-9, abs=1e-6)
+def test_energy_of_separate_rows_is_that_of_pairs():
+    paired, apart = track(), track(shift=0.05, paired=False)
+    expected = drawn(5.0, 11.0)
+    for found in (paired, apart):
+        assert found.energy(at(5.0), at(11.0)).energy == pytest.approx(expected, rel=1e-4)
+    assert apart.at(at(5.02)) == pytest.approx(-voltage(5.02) * current(5.02), rel=1e-3)
+    assert apart.newest_ns == at(39.9)
 
 
-def test_nothing_is_joined_across_a_gap_nor_beyond_the_ends():
-    track = PowerTrack(2.5)
-    for second, power in ((0.0, 1.0), (2.5, 2.0), (5.1, 3.0)):
-        track.add(START + int(second * NANOSECONDS), power)
-
-    def at(second: float) -> float | None:
-        return track.at(START + int(second * NANOSECONDS))
-
-    assert at(1.25) == 1.5
-    assert at(3.0) is None  # 2.6 s lie between
-    assert (at(2.5), at(5.1)) == (2.0, 3.0)
-    assert at(-0.1) is None and at(5.2) is None
-    assert track.next_ns(START + 1) == START + int(2.5 * NANOSECONDS)
-    assert track.next_ns(START + 6 * NANOSECONDS) is None
-
-
-def test_order_does_not_matter_and_the_first_of_a_stamp_counts():
-    track = PowerTrack(2.5)
-    assert track.newest_ns is None
-    assert all(track.add(START + k * MILLI, float(k)) for k in (3, 1, 2))
-    assert not track.add(START + 2 * MILLI, 99.0)
-    assert track.newest_ns == START + 3 * MILLI
-    assert [track.at(START + k * MILLI) for k in (1, 2, 3)] == [1.0, 2.0, 3.0]
+def test_the_slower_the_less_certain_and_the_error_is_within():
+    """Also with the ends between readings: their interpolation is part of it."""
+    variances, deviates = [], []
+    for step in (0.1, 0.5, 1.2, 3.0):
+        found = track(step=step, shift=step / 2, paired=False)
+        parts = [found.energy(at(b), at(b + 6.0)) for b in np.arange(5.3, 25.0, 1.7)]
+        variances.append(np.mean([part.variance for part in parts]))
+        truth = [drawn(b, b + 6.0) for b in np.arange(5.3, 25.0, 1.7)]
+        deviates += [
+            (part.energy - true) / math.sqrt(part.variance)
+            for part, true in zip(parts, truth, strict=True)
+        ]
+    assert variances == sorted(variances) and variances[-1] > 100 * variances[0]
+    assert np.abs(deviates).max() < 2.0
 
 
-def test_old_power_is_forgotten():
-    track = PowerTrack(2.5)
-    for second in range(60):
-        track.add(START + second * NANOSECONDS, 1.0)
-    assert track.at(START + 49 * NANOSECONDS) == 1.0
-    assert track.at(START + 48 * NANOSECONDS) is None
+def test_what_was_not_measured_has_no_energy():
+    found = track(seconds=20.0)
+    assert found.energy(at(-1.0), at(5.0)) is None and found.energy(at(18.0), at(24.0)) is None
+    found.add(at(30.0), 380.0, -1.0)
+    assert found.energy(at(18.0), at(24.0)) is None, "across a gap nothing is joined"
+    only_voltage = BatteryTrack(2.5)
+    only_voltage.add(at(0.0), 380.0, math.nan)
+    assert only_voltage.newest_ns is None and only_voltage.next_ns(at(0.0)) is None
+
+
+def test_the_latest_voltage_serves_a_current_alone():
+    found = track(step=1.2, shift=0.6, paired=False, seconds=6.0)
+    assert found.latest_voltage(at(5.5)) == pytest.approx(voltage(4.8))
+    assert found.latest_voltage(at(-0.1)) is None and found.latest_voltage(at(60.0)) is None
+    assert found.next_ns(at(1.0)) == at(1.8) and found.next_ns(at(5.5)) is None
+    assert not found.add(at(4.8), 99.0, math.nan), "doubled"
+    found.restart()
+    assert found.newest_ns is None

@@ -205,9 +205,10 @@ def test_impossible_accelerations(new_stream, play, ramp, at):
 @pytest.mark.parametrize(
     ("voltage", "current", "reason"),
     [
-        (math.nan, -1.0, "battery_unmeasured"),
-        (350.0, math.nan, "battery_unmeasured"),
-        (350.0, math.inf, "battery_unmeasured"),
+        (math.nan, math.nan, "battery_unmeasured"),
+        (350.0, math.inf, "battery_out_of_range"),
+        (math.nan, 5001.0, "battery_out_of_range"),
+        (5.0, math.nan, "battery_out_of_range"),
         (0.0, -20.0, "battery_out_of_range"),
         (-1.0, 1.0, "battery_out_of_range"),
         (2001.0, 1.0, "battery_out_of_range"),
@@ -218,6 +219,22 @@ def test_impossible_batteries(new_stream, play, at, voltage, current, reason):
     stream = new_stream()
     play(stream, [BatteryReading(at(0), voltage, current)])
     assert stream.dropped == {reason: 1} and stream.battery_ns is None
+
+
+def test_voltage_and_current_may_come_apart(new_stream, play, ramp, at):
+    """The current with the voltage of its own moment, 100 V/s: P = -V I."""
+    rows = [BatteryReading(at(k / 10), 200.0 + 10 * k, math.nan) for k in range(60)]
+    rows += [BatteryReading(at(k / 10 + 0.05), math.nan, -10.0) for k in range(60)]
+    stream = new_stream()
+    events = play(stream, sorted([*ramp(10.0, 0.0, 6.0), *rows], key=lambda r: r.stamp_ns))
+    found = of(events, MeasuredSample)
+    assert len(found) > 45 and not stream.dropped
+    for event in found:
+        seconds = (event.sample.stamp_ns - at(0)) / NANOSECONDS
+        assert event.power == pytest.approx(10.0 * (200.0 + 100.0 * seconds))
+    alone = BatteryReading(at(5.95), math.nan, -10.0)
+    assert stream.measured_power(alone) == pytest.approx(10.0 * 790.0)
+    assert stream.measured_power(rows[0]) is None
 
 
 def test_late_and_doubled_batteries(new_stream, play, battery, at):

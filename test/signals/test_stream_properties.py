@@ -4,7 +4,9 @@ import math
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+import numpy as np
 
+from evpinn_ros.signals.interval import DURATION, Interval
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -21,19 +23,20 @@ from evpinn_ros.signals.sample import Gap, MeasuredSample, NewestSample, Smoothe
 from evpinn_ros.signals.stream import MAX_ACCELERATION, MAX_SPEED, SampleStream, StreamSettings
 
 START = 1_700_000_000 * NANOSECONDS
+COUNT = 100  # readings, 10 s
 
 
 @given(
-    st.lists(st.integers(0, 289_000_000), min_size=60, max_size=60),
-    st.lists(st.floats(-200.0, 200.0), min_size=60, max_size=60),
+    st.lists(st.integers(0, 289_000_000), min_size=COUNT, max_size=COUNT),
+    st.lists(st.floats(-200.0, 200.0), min_size=COUNT, max_size=COUNT),
     st.integers(0, 99),
 )
 @settings(max_examples=30, deadline=None)
 def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
     delays, currents, phase
 ):
-    """Each of 60 battery readings is held up on its way; the speeds come on time."""
-    speeds = [SpeedReading(START + k * 100_000_000, 8 + math.sin(k / 5)) for k in range(60)]
+    """Each battery reading is held up on its way; the speeds come on time."""
+    speeds = [SpeedReading(START + k * 100_000_000, 8 + math.sin(k / 5)) for k in range(COUNT)]
     first = START + phase * 1_000_000
     batteries = [
         BatteryReading(first + k * 100_000_000, 350.0, current)
@@ -50,11 +53,12 @@ def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
             for e in stream.push(reading)
         ]
         assert not stream.dropped
-        return [event for event in events if isinstance(event, MeasuredSample)]
+        kept = [event for event in events if isinstance(event, (MeasuredSample, Interval))]
+        return [repr(event) for event in kept]
 
-    in_order = measured([0] * 60)
-    assert len(in_order) > 45
-    assert measured(delays) == in_order
+    in_order = measured([0] * COUNT)
+    assert len(in_order) > 85 and any("Interval(" in event for event in in_order)
+    assert sorted(measured(delays)) == sorted(in_order)
 
 
 numbers = st.one_of(
@@ -107,6 +111,10 @@ def test_nonsense_makes_no_exception_and_nothing_that_is_not_finite(readings, sm
     for reading in readings:
         for event in stream.push(reading):
             if isinstance(event, (Gap, TimeJump)):
+                continue
+            if isinstance(event, Interval):
+                assert all(np.isfinite(column).all() for column in event.steps[:5])
+                assert event.duration >= 0.9 * DURATION and (event.steps.duration > 0).all()
                 continue
             sample = event.sample
             assert abs(sample.speed) <= MAX_SPEED

@@ -5,7 +5,13 @@ from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.errors import InputError
-from evpinn_ros.vehicle.files import CONSTANTS, Vehicle, load_vehicle, vehicle_names
+from evpinn_ros.vehicle.files import (
+    CONSTANTS,
+    OPTIONAL_CONSTANTS,
+    Vehicle,
+    load_vehicle,
+    vehicle_names,
+)
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
 
 NAMES = [
@@ -60,7 +66,7 @@ def test_every_file_of_the_package_loads(name):
         assert limits.lower < prior.value < limits.upper and prior.std > 0 and prior.source
     for constant, limits in CONSTANTS.items():
         value = getattr(vehicle, constant)
-        missing = constant == "battery_capacity" and value != value
+        missing = constant in OPTIONAL_CONSTANTS and value != value
         assert missing or limits.lower <= value <= limits.upper
 
 

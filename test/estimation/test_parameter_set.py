@@ -1,0 +1,172 @@
+"""States of the parameters: how each is come to and left, and what is never valid."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.car_state import State as Index
+from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.parameter_set import (
+    ESTIMATING_BELOW,
+    IMPOSSIBLE_BEYOND,
+    OWN_VALID_BELOW,
+    POSSIBLE_WITHIN,
+    STAYS_BELOW,
+    TYRES,
+    UNOBSERVABLE_ABOVE,
+    VALID_BELOW,
+    StateHysteresis,
+    parameter_set,
+)
+from evpinn_ros.estimation.published import EnergySums, Published, published
+from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES
+
+UNESTIMATED, ESTIMATING, VALID, INVALID = (
+    State.UNESTIMATED,
+    State.ESTIMATING,
+    State.VALID,
+    State.INVALID,
+)
+CALM = dict.fromkeys(PARAMETER_NAMES, 0.0)
+NULL = np.array([1.0, -1.0, 1.0, 0.0, 1.0, 0.0])  # what no power tells, in the logarithms
+
+
+@pytest.fixture
+def prior(vehicle) -> Published:
+    return published(CarFilter(vehicle), EnergySums())
+
+
+def told(prior: Published, share: float, own: float = 0.0, **moved) -> Published:
+    """All that data can determine known to this share of variance, `own` left of all together."""
+    mean, covariance = prior.now
+    mean = mean.copy()
+    for name, value in moved.items():
+        mean[PARAMETER_NAMES.index(name)] = value
+    gauge = own * NULL * np.sqrt(covariance[0, 0])
+    return prior._replace(
+        now=prior.now._replace(mean=mean, covariance=share * covariance + np.outer(gauge, gauge))
+    )
+
+
+@pytest.mark.parametrize(
+    ("share", "own", "state"),
+    [
+        (1.0, 0.0, UNESTIMATED),
+        (ESTIMATING_BELOW - 0.01, 0.0, UNESTIMATED),  # its own prior is most of it
+        (UNOBSERVABLE_ABOVE - 0.01, 0.0, ESTIMATING),
+        (VALID_BELOW + 0.01, 0.0, ESTIMATING),
+        (VALID_BELOW - 0.01, 0.0, VALID),
+        (0.01, math.sqrt(OWN_VALID_BELOW - 0.05), VALID),
+        (0.01, math.sqrt(OWN_VALID_BELOW + 0.05), ESTIMATING),  # mostly prior is never valid
+        (0.01, math.sqrt(UNOBSERVABLE_ABOVE + 0.05), UNESTIMATED),
+    ],
+)
+def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own, state):
+    """Of eta: by the shares of prior variance left in m / eta and in eta itself."""
+    found = parameter_set(0, told(prior, share, own))
+    assert found.parameters["eta"].state is state
+    combined = found.identifiable_states["mass_over_eta"]
+    assert combined is (
+        VALID if share < VALID_BELOW else ESTIMATING if share < ESTIMATING_BELOW else UNESTIMATED
+    )
+    assert found.reliable == (share < VALID_BELOW)
+
+
+@pytest.mark.parametrize(
+    "c_rr", [0.5 * TYRES.lower, 0.95 * TYRES.lower, 1.05 * TYRES.upper, 0.036]
+)
+def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
+    judge = StateHysteresis()
+    good = judge.judge(parameter_set(0, told(prior, 0.01, c_rr=0.01)), CALM, suspected=False)
+    assert good.parameters["c_rr"].state is VALID
+    found = parameter_set(0, told(prior, 0.01, c_rr=c_rr))
+    assert found.parameters["c_rr"].state is ESTIMATING
+    later = judge.judge(found, CALM, suspected=False)
+    assert later.parameters["c_rr"].state is ESTIMATING, "not even where it was valid before"
+
+
+def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
+    """A normal logarithm cut off at 1, of 10 % sigma about 1.05."""
+    source = told(prior, 0.05, eta=math.log(1.05))
+    found = parameter_set(0, source).parameters["eta"]
+    assert found.lower < found.value < found.upper <= 1.0
+    assert found.lower < 0.98 and found.upper > 0.99 and found.std > 0.0
+    rng = np.random.default_rng(0)
+    std = math.sqrt(source.now.covariance[0, 0])
+    draws = np.exp(math.log(1.05) + std * rng.standard_normal(400_000))
+    draws = draws[draws <= 1.0]
+    assert found.value == pytest.approx(np.median(draws), abs=0.005)
+    assert found.upper == pytest.approx(np.quantile(draws, 0.975), abs=0.005)
+    assert found.lower >= np.quantile(draws, 0.025) - 0.005
+
+
+def test_values_lie_within_bounds_and_bounds_within_limits(prior):
+    for share in (1.0, 0.5, 0.01):
+        for name, found in parameter_set(0, told(prior, share)).parameters.items():
+            assert LIMITS[name].lower <= found.lower <= found.value <= found.upper
+            assert found.upper <= LIMITS[name].upper and found.std > 0.0
+
+
+def test_bounds_by_hand(prior):
+    """eta and mu in [q, 1]; mass in [q, 1] m / eta, each two sigmas to the safe side."""
+    found = parameter_set(0, told(prior, 0.01, eta=math.log(0.85), mu=math.log(0.75)))
+    combined, std = found.identifiable, found.identifiable_std
+    q = combined.regeneration - 2 * std.regeneration
+    low, high = (combined.mass_over_eta + sign * 2 * std.mass_over_eta for sign in (-1, 1))
+    assert found.parameters["mass"].lower == pytest.approx(q * low)
+    assert found.parameters["mass"].upper == pytest.approx(high)
+    assert found.parameters["eta"].lower >= q
+
+
+class Judge:
+    """One parameter through a `StateHysteresis`."""
+
+    def __init__(self, prior) -> None:
+        self._judge, self._prior = StateHysteresis(), prior
+
+    def __call__(self, share, *, away: float = 0.0, suspected: bool = False) -> State:
+        found = parameter_set(0, told(self._prior, share))
+        self.set = self._judge.judge(found, {**CALM, "mass": away}, suspected=suspected)
+        return self.set.parameters["mass"].state
+
+
+@pytest.fixture
+def judge(prior) -> Judge:
+    return Judge(prior)
+
+
+def test_valid_stays_until_much_is_forgotten(judge):
+    assert [judge(share) for share in (1.0, 0.5, 0.2)] == [UNESTIMATED, ESTIMATING, VALID]
+    assert judge(VALID_BELOW * STAYS_BELOW - 0.01) is VALID
+    assert judge(VALID_BELOW * STAYS_BELOW + 0.01) is ESTIMATING
+    # What it takes to come back is more than what it took to stay.
+    assert judge(VALID_BELOW * STAYS_BELOW - 0.01) is ESTIMATING
+    assert judge(0.93) is ESTIMATING and judge(1.01) is UNESTIMATED
+
+
+def test_an_impossible_value_is_invalid_until_it_is_well_possible_again(judge):
+    assert judge(0.1, away=IMPOSSIBLE_BEYOND - 0.1) is VALID
+    assert judge(0.1, away=-IMPOSSIBLE_BEYOND - 0.1) is INVALID and not judge.set.reliable
+    assert judge(0.1, away=(POSSIBLE_WITHIN + IMPOSSIBLE_BEYOND) / 2) is INVALID
+    assert judge(0.1, away=POSSIBLE_WITHIN - 0.1) is VALID and judge.set.reliable
+
+
+def test_a_suspicion_makes_all_invalid_while_it_lasts(judge):
+    judge(0.1)
+    assert judge(0.1, suspected=True) is INVALID
+    assert {p.state for p in judge.set.parameters.values()} == {INVALID}
+    assert set(judge.set.identifiable_states.values()) == {INVALID}
+    assert judge(0.1) is VALID and VALID in judge.set.identifiable_states.values()
+
+
+def test_what_is_stale_was_valid(prior):
+    found = parameter_set(0, told(prior, 0.1))
+    stale = found.stale()
+    assert {p.state for p in stale.parameters.values()} == {State.STALE}
+    assert set(stale.identifiable_states.values()) == {State.STALE} and not stale.reliable
+    one = replace(found.parameters["mass"], state=ESTIMATING)
+    assert replace(found, parameters={"mass": one}).stale().parameters["mass"].state is ESTIMATING
+    assert Index.ETA == 0
