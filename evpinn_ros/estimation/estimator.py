@@ -292,8 +292,7 @@ class OnlineEstimator:
                     self._news = True
             case Interval():
                 if self.enabled and self._stuck.suspected is None:
-                    self._learner.add_interval(event)
-                    self._news = True
+                    self._news |= self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
             case TimeJump():
@@ -372,7 +371,7 @@ class OnlineEstimator:
     def _activity(self) -> Activity:
         if self._stream.newest_ns is None:
             return Activity.WAITING
-        if self._silent_for(BATTERY_TIMEOUT_NS):
+        if self._silent_for(max(BATTERY_TIMEOUT_NS, self._stream.battery_gap_ns)):
             return Activity.PREDICTING
         return Activity.LEARNING if self.enabled else Activity.PAUSED
 

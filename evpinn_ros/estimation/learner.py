@@ -63,8 +63,8 @@ class Learner(Protocol):
     def observe(self, sample: Sample, power: float) -> None:
         """Learn from a sample whose battery power, W, was measured."""
 
-    def add_interval(self, interval: Interval) -> None:
-        """Take an interval, its battery measured or not."""
+    def add_interval(self, interval: Interval) -> bool:
+        """Take an interval, its battery measured or not; gives whether an update is due."""
 
     def prepare_update(self) -> Callable[[], Any] | None:
         """Work of one windowed update on a snapshot, safe to run in another thread, or None."""

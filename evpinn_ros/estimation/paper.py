@@ -159,8 +159,9 @@ class PaperLearner:
         self._window.add(Observation(sample, power))
         self._last_ns = sample.stamp_ns
 
-    def add_interval(self, interval: Interval) -> None:
+    def add_interval(self, interval: Interval) -> bool:
         """Nothing: the paper learns from samples."""
+        return False
 
     def evidence(self) -> Evidence:
         """Nothing that a population could use: no prior holds the paper's parameters."""

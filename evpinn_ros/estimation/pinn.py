@@ -226,10 +226,12 @@ class PinnLearner:
             return
         self._network.learn(sample, power - self._physics(sample).power, step)
 
-    def add_interval(self, interval: Interval) -> None:
+    def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
-        if not self._suspicion.suspected:
-            self._waiting.append(interval)
+        if self._suspicion.suspected:
+            return False
+        self._waiting.append(interval)
+        return True
 
     def prepare_update(self) -> Callable[[], LearnedCar] | None:
         """Condition a copy of the car on the intervals that wait, None where there are none."""

@@ -3,8 +3,9 @@
 The residual of learning is energy over an interval, not power at a sample. The integral of v a is
 the difference of v^2 / 2 and that of v sin(grade) the difference of height, exactly, so no
 acceleration is needed; battery energy is integrated between the battery's own stamps. An interval
-is 6 s of a 10 Hz bus and some readings of a polled car or of a phone's log, by the same code (the
-variational form of a PINN: Kharazmi 2019; of system identification: Messenger and Bortz 2021).
+is 1.5 s of a 10 Hz bus and some readings of a polled car or of a phone's log, by the same code
+(the variational form of a PINN: Kharazmi 2019; of system identification: Messenger and Bortz
+2021).
 
 Within an interval, steps of at least `STEP` keep driving and braking apart.
 """
@@ -27,8 +28,8 @@ from evpinn_ros.signals.motor import MotorTrack
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.road import Conditions, Road
 
-STEP = 1.0  # s, shortest step within an interval
-DURATION = 6.0  # s, shortest interval
+STEP = 0.5  # s, shortest step within an interval
+DURATION = 1.5  # s, shortest interval
 READINGS = 6  # usual steps of the slower signal that an interval spans at least
 EDGE_HALF_NS = 250_000_000  # ns to either side over which the speed at an edge is averaged
 PASSED = 20  # edges among which late altitudes find their place

@@ -62,8 +62,8 @@ class SpeedTrack(SignalTrack):
     def travelled(self, start_ns: int, end_ns: int, head_wind: float) -> tuple[float, float]:
         """Distance, m, and integral of the air's flow, m^3/s^2, between two speeds' stamps.
 
-        Between readings speed is linear, so both are exact while the flow keeps its sign (Simpson's
-        rule is, for cubes).
+        Between readings speed is linear, so both are exact while the flow keeps its sign
+        (Simpson's rule is, for cubes).
 
         Args:
             start_ns: stamp of a speed.

@@ -132,7 +132,7 @@ class SampleStream:
         return self._battery.newest_ns
 
     @property
-    def silent_after_ns(self) -> int:
+    def battery_gap_ns(self) -> int:
         """Nanoseconds without the battery after which it counts as silent, by its own rate."""
         return self._battery.gap_ns
 

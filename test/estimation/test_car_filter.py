@@ -11,7 +11,6 @@ import pytest
 from evpinn_ros.estimation.car_filter import (
     FORCE_LENGTH,
     LOAD_TIME,
-    NOISE_TIME,
     CarFilter,
     _matern,
 )
@@ -228,7 +227,6 @@ def test_a_round_trip_is_exact_and_what_does_not_fit_is_refused(car, vehicle, dr
     other = CarFilter(vehicle)
     other.restore(saved)
     assert other.export() == saved
-    assert NOISE_TIME == 6.0
     for one in drives[2][:5]:
         told = [
             each.learn(replace(one, energy=3e4, sampling_variance=0.0)) for each in (car, other)

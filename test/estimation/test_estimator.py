@@ -5,6 +5,7 @@ import pytest
 
 from evpinn_ros.estimation.estimate import ParameterSet, PowerKind, State
 from evpinn_ros.estimation.estimator import Activity, Mode
+from evpinn_ros.signals.interval import DURATION
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
@@ -147,7 +148,7 @@ def test_without_a_battery_predictions_go_on(new_estimator, play, powers, drive,
     status = estimator.status()
     assert status.activity is Activity.PREDICTING
     # The paper's window has nothing new; intervals without energy show what they predict.
-    assert status.updates <= updates + (4 if mode is Mode.PAPER else seconds / 6 + 1)
+    assert status.updates <= updates + (4 if mode is Mode.PAPER else seconds / DURATION + 1)
 
 
 def probe_sigma(estimator) -> float:

@@ -84,8 +84,10 @@ def test_prior_and_evidence_are_what_was_believed(driven):
         if name == "p_aux":
             away, sigma = now - prior.value, prior.std
         else:
-            if name == "c_rr":
+            before = np.log(prior.value)
+            if name == "c_rr":  # of this drive, whose tyres were cold: that is no evidence
                 now, spread = np.log(now), spread / now
-            away, sigma = now - np.log(prior.value), prior.std / prior.value
+                before = np.log(float(told.prior.mean[index]))
+            away, sigma = now - before, prior.std / prior.value
         assert std[index] == pytest.approx(spread / sigma, abs=0.06), name
         assert value[index] == pytest.approx(away / sigma, abs=0.2), name

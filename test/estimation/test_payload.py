@@ -76,7 +76,6 @@ def test_no_change_is_found_where_there_is_none(driver):
     assert driver.payload.found == driver.payload.withdrawn and driver.payload.change is None
 
 
-@pytest.mark.xfail(strict=True, reason="sigma of m / eta 90 s after a stop is 2 to 4 %")
 def test_one_hundred_and_fifty_kilograms_are_found_in_time():
     steps = list(load_steps(["tesla_model_3_lr"], [3000, 3001, 3002], before=900, after=180))
     found = [step for step in steps if step.detected_after <= 90.0]

@@ -96,7 +96,8 @@ def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
     for weights in ([-1, 0, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0]):
         away = abs(np.dot(weights, one.mean - other.mean))
         assert away < 1.5 * math.sqrt(weights @ other.covariance @ weights), weights
-        assert weights @ other.covariance @ weights >= 0.9 * (weights @ one.covariance @ weights)
+        # Either learns the scale of its own noise, so the thin one may be surer by some of that.
+        assert weights @ other.covariance @ weights >= 0.7 * (weights @ one.covariance @ weights)
 
 
 @pytest.mark.parametrize("kind", ["slip", "dropouts"])

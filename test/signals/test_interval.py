@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.signals.height import REACH
 from evpinn_ros.signals.interval import DURATION, WAIT_NS, Interval
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -51,10 +52,20 @@ def of(events) -> list[Interval]:
     return [event for event in events if isinstance(event, Interval)]
 
 
+def settled(events) -> list[Interval]:
+    """Intervals from where heights are averaged to both sides: `REACH` after the start."""
+    found, way = [], 0.0
+    for interval in of(events):
+        if way > REACH:
+            found.append(interval)
+        way += interval.distance
+    return found
+
+
 def test_a_drive_telescopes(new_stream, play, journey, at):
     """Distances, kinetic energy and climb of all intervals are those of the whole way."""
-    found = of(play(new_stream(), journey(200.0)))[1:]
-    assert len(found) > 28
+    found = settled(play(new_stream(), journey(200.0)))
+    assert len(found) > 110
     assert all(a.end_ns == b.start_ns for a, b in pairwise(found))
     assert all(one.duration == pytest.approx(DURATION) for one in found)
     begin, end = ((one - at(0)) / NANOSECONDS for one in (found[0].start_ns, found[-1].end_ns))
@@ -83,10 +94,11 @@ def test_a_slow_or_late_barometer_gives_heights_all_the_same(
     readings = journey(120.0, altitude_step=altitude_step)
     delay = {AltitudeReading: round(late * NANOSECONDS)}
     arrivals = sorted(readings, key=lambda r: r.stamp_ns + delay.get(type(r), 0))
-    found = of(play(new_stream(), arrivals))[1:]
+    found = settled(play(new_stream(), arrivals))
     assert found and all(one.height_known for one in found)
     slopes = [one.steps.climb.sum() / one.distance for one in found]
-    assert slopes == pytest.approx([SLOPE] * len(found), rel=0.05)
+    # An interval of 1.5 s: what a barometer of 2 s puts into the wrong one is more of it.
+    assert slopes == pytest.approx([SLOPE] * len(found), rel=0.06)
 
 
 def test_pitch_and_altitude_go_on_from_each_other_without_a_step(new_stream, play, journey, at):
@@ -138,7 +150,7 @@ def test_a_gap_finishes_what_waits(new_stream, play, journey):
     events = play(stream, journey(60.0, start=75.0))
     first = events[: next(k for k, event in enumerate(events) if isinstance(event, Gap))]
     ended = of(before) + of(first)
-    assert of(first) and (ended[-1].end_ns - ended[0].start_ns) / NANOSECONDS == pytest.approx(54)
+    assert of(first) and (ended[-1].end_ns - ended[0].start_ns) / NANOSECONDS == pytest.approx(57)
     later = of(events)[len(of(first)) :]
     assert min(one.start_ns for one in later) >= ended[-1].end_ns + 15 * NANOSECONDS
 
