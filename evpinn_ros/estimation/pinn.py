@@ -102,11 +102,11 @@ class LearnedCar:
             self.filter.warmth,
             self.filter.constants,
         )
-        self.sums.add(interval, found, self.filter.weights, self.filter.warmth.tyres)
         learned = self.filter.learn(interval)
         self.end_ns, self.measured = interval.end_ns, learned is not None
         if learned is None:
             return
+        self.sums.add(interval, found, self.filter.weights, self.filter.warmth.tyres)
         mean = self.filter.mixture().mean
         weight = GRAVITY * math.exp(mean[State.MASS] - mean[State.ETA])
         self.grade.learn(interval, learned.residual, weight)
