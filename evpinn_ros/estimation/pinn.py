@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.car_filter import STANDING_NOISE, CarFilter
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
@@ -334,7 +334,7 @@ class PinnLearner:
         gradient = found.gradient[0]
         gradient[State.SLOPE] = gradient[State.CLIMB] * abs(sample.speed)
         gradient[State.CLIMB] = 0.0
-        noise = (filter_.force_noise() * sample.speed) ** 2 + 150.0**2
+        noise = (filter_.force_noise() * sample.speed) ** 2 + STANDING_NOISE**2
         variance = float(gradient @ covariance @ gradient) + noise
         return PowerPrediction(float(found.energy[0]), math.sqrt(max(variance, 0.0)))
 
