@@ -93,11 +93,15 @@ def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
     readings = simulate(DriveKind.URBAN, vehicle, 600.0, seed).readings
     dense, thin = (learned(vehicle, each) for each in (readings, list(polled(readings))))
     one, other = (published(car.filter, car.sums).now for car in (dense, thin))
-    for weights in ([-1, 0, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0]):
+    # The thin log may not be surer. It is of C_rr, by a quarter of the variance for one seed.
+    for weights, least in (
+        ([-1, 0, 1, 0, 0, 0], 0.9),
+        ([1, 1, 0, 0, 0, 0], 0.9),
+        ([0, 0, 0, 1, 0, 0], 0.7),
+    ):
         away = abs(np.dot(weights, one.mean - other.mean))
         assert away < 1.5 * math.sqrt(weights @ other.covariance @ weights), weights
-        # Either learns the scale of its own noise, so the thin one may be surer by some of that.
-        assert weights @ other.covariance @ weights >= 0.7 * (weights @ one.covariance @ weights)
+        assert weights @ other.covariance @ weights >= least * (weights @ one.covariance @ weights)
 
 
 @pytest.mark.parametrize("kind", ["slip", "dropouts"])

@@ -96,9 +96,13 @@ def test_a_slow_or_late_barometer_gives_heights_all_the_same(
     arrivals = sorted(readings, key=lambda r: r.stamp_ns + delay.get(type(r), 0))
     found = settled(play(new_stream(), arrivals))
     assert found and all(one.height_known for one in found)
-    slopes = [one.steps.climb.sum() / one.distance for one in found]
-    # An interval of 1.5 s: what a barometer of 2 s puts into the wrong one is more of it.
-    assert slopes == pytest.approx([SLOPE] * len(found), rel=0.06)
+    # Over 6 s each: a barometer of 2 s puts some of a climb into the neighbour.
+    groups = [found[k : k + 4] for k in range(0, len(found) - 3, 4)]
+    slopes = [
+        sum(one.steps.climb.sum() for one in group) / sum(one.distance for one in group)
+        for group in groups
+    ]
+    assert slopes == pytest.approx([SLOPE] * len(groups), rel=0.05)
 
 
 def test_pitch_and_altitude_go_on_from_each_other_without_a_step(new_stream, play, journey, at):
