@@ -40,7 +40,6 @@ class Variant:
     constants: Mapping[str, Any] = field(default_factory=dict)
     priors: Sequence[State] = ()
     drives: Sequence[State] = ()
-    drifts: bool = True
 
 
 ONE_SCALE = {
@@ -54,12 +53,7 @@ VARIANTS = (
     Variant("whole"),
     Variant(
         "one scale of road and load",
-        {
-            "FORCES": (0.002,),
-            "LOADS": (150.0,),
-            "SLOPES": (0.008,) * 3,
-            "HEIGHT_ERRORS": (1.5,) * 3,
-        },
+        ONE_SCALE,
     ),
     Variant("no unseen slope", {"SLOPES": (NOTHING,) * 3, "HEIGHT_ERRORS": (NOTHING,) * 3}),
     Variant("no unseen force", {"FORCES": (NOTHING,)}),
@@ -67,7 +61,8 @@ VARIANTS = (
     Variant("no outliers", {"OUTLIER": 1e3}),
     Variant("noise not scaled", {"SCALE_RANGE": (1.0, 1.0)}),
     Variant("no offsets of a drive", drives=(State.ROLL_DRIVE, State.AUX_DRIVE)),
-    Variant("no drift between drives", drifts=False),
+    Variant("a drive keeps no offset of the last", {"DRIVE_KEPT": 0.0}),
+    Variant("braking as sure as driving", {"BRAKE_NOISE": 0.0}),
     Variant("no loss by turning", priors=(State.NO_LOAD,)),
     Variant("no loss by force squared", priors=(State.COPPER,)),
     Variant(
@@ -113,13 +108,10 @@ def ablate(key: str, vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> 
 def _replaced(variant: Variant) -> Iterator[None]:
     before = {name: getattr(car_filter, name) for name in variant.constants}
     priors, drives = dict(car_state.PRIORS), dict(car_state.DRIVE_STD)
-    drifts = dict(car_state.DRIFTS)
     for name, value in variant.constants.items():
         setattr(car_filter, name, value)
     car_state.PRIORS.update(dict.fromkeys(variant.priors, (0.0, NOTHING)))
     car_state.DRIVE_STD.update(dict.fromkeys(variant.drives, NOTHING))
-    if not variant.drifts:
-        car_state.DRIFTS.update(dict.fromkeys(drifts, 0.0))
     try:
         yield
     finally:
@@ -127,7 +119,6 @@ def _replaced(variant: Variant) -> Iterator[None]:
             setattr(car_filter, name, value)
         car_state.PRIORS.update(priors)
         car_state.DRIVE_STD.update(drives)
-        car_state.DRIFTS.update(drifts)
 
 
 def _score(name: str, key: str, vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> Row:

@@ -24,8 +24,8 @@ import numpy as np
 from evpinn_ros.estimation.car_state import (
     CABIN_TIME,
     CAR,
-    DRIFTS,
     DRIVE_BELIEF,
+    DRIVE_KEPT,
     DRIVE_STD,
     DRIVES_KEPT,
     ROLL_WARM_TIME,
@@ -66,8 +66,9 @@ EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
 STANDING_NOISE = 150.0  # W over `NOISE_TIME`, what no state explains
 FORCE_NOISE = 40.0  # N over `NOISE_TIME`, likewise while moving
-NOISE_TIME = 1.5  # s within which that forgets itself
+NOISE_TIME = 3.0  # s within which that forgets itself
 SHARE_NOISE = 0.03  # of the throughput: efficiency is a map, not a number
+BRAKE_NOISE = 0.2  # of the braking energy: how much of it friction takes, no signal tells
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
 SCALE_RANGE = (0.05, 50.0)
 MOTOR_NOISE = 0.05  # of the motor's energy, 1-sigma of torque times speed against the wheels
@@ -105,13 +106,14 @@ class CarFilter:
         self._drive_variance = {state: std**2 for state, std in DRIVE_STD.items()}
         self._drives = DRIVE_BELIEF
         self.intervals = 0
+        self._seconds = 0.0  # of this drive
+        self.state = replace_states(self.state, self._drive_variance)
         self._begin_road(height_known=False)
-        self._begin_offsets()
 
     # What goes on ----------------------------------------------------------------------------
 
     def begin_drive(self) -> None:
-        """Another drive: its own offsets and roads, and a car that drifted a little.
+        """Another drive: another road, and other offsets, of which some is as it was.
 
         The variance of what is of a drive is learned from the drive that was (expectation
         maximisation with a prior of `DRIVE_BELIEF` drives).
@@ -122,13 +124,11 @@ class CarFilter:
                 found = whole.mean[state] ** 2 + whole.covariance[state, state]
                 self._drive_variance[state] = (self._drives * before + found) / (self._drives + 1)
             self._drives = min(self._drives + 1, DRIVES_KEPT)
-            drift = np.zeros(SIZE)
-            for state, std in DRIFTS.items():
-                drift[state] = std**2
-            mean, covariance = self.state
-            self.state = Gaussian(mean, covariance + np.diag(drift))
-        self.intervals = 0
-        self._begin_offsets()
+            keep, fresh = np.ones(SIZE), np.zeros(SIZE)
+            for state, variance in self._drive_variance.items():
+                keep[state], fresh[state] = DRIVE_KEPT, (1.0 - DRIVE_KEPT**2) * variance
+            self.state = predict(self.state, np.diag(keep), np.diag(fresh))
+        self.intervals, self._seconds = 0, 0.0
         self._begin_road(height_known=self._height_known)
 
     def forget_road(self) -> None:
@@ -276,10 +276,6 @@ class CarFilter:
 
     # How -------------------------------------------------------------------------------------
 
-    def _begin_offsets(self) -> None:
-        self.state = replace_states(self.state, self._drive_variance)
-        self._seconds = 0.0
-
     def _begin_road(self, height_known: bool) -> None:
         self._height_known = height_known
         slopes, forces, loads = self._scales()
@@ -352,7 +348,8 @@ class CarFilter:
         """Variance of an interval's energy that no state explains, J^2, shape (K,)."""
         speed = interval.distance / interval.duration
         base = (STANDING_NOISE**2 + (FORCE_NOISE * speed) ** 2) * interval.duration * NOISE_TIME
-        own = self._scale * (base + (SHARE_NOISE * found.throughput) ** 2)
+        share = (SHARE_NOISE * found.throughput) ** 2 + (BRAKE_NOISE * found.wheel_brake) ** 2
+        own = self._scale * (base + share)
         sampling = 0.0 if math.isnan(interval.sampling_variance) else interval.sampling_variance
         return np.asarray(own + sampling)
 

@@ -1,8 +1,8 @@
 """What is learned of a car and of a drive: the states, their priors and how long each holds.
 
-Two levels. What belongs to the *car* lasts and drifts a little from drive to drive. What belongs
-to the *drive* (wind, tyres, an auxiliary load) has a variance of its own, learned from drive to
-drive, and is forgotten with it. *Fast* states change within minutes or hundreds of metres.
+Two levels. What belongs to the *car* lasts. What belongs to the *drive* (wind, tyres, an auxiliary
+load) has a variance of its own, learned from drive to drive, and fades over the drives that follow.
+*Fast* states change within minutes or hundreds of metres.
 
 eta, mu, mass and C_d are logarithms, so products that data determine are sums and the direction
 that they do not (all scaled together) is one straight line on which the prior stays. C_rr is
@@ -55,9 +55,10 @@ LOGARITHMIC = (State.ETA, State.MU, State.MASS, State.C_D)
 
 # Priors of the states that no vehicle file holds: mean and 1-sigma.
 PRIORS = {
-    # Constant losses of drivetrains on dynamometers: 0.2 to 0.5 kW (Sarrafan 2018; core findings).
-    State.NO_LOAD: (300.0, 250.0),
-    State.COPPER: (0.0, 1500.0),
+    # A drivetrain that turns idly takes 50 to 300 W in town, most of it bearings and oil.
+    State.NO_LOAD: (150.0, 100.0),
+    # Windings lose 1 to 3 kW of the 60 kW of a full launch at 3 m/s^2.
+    State.COPPER: (200.0, 200.0),
     # Rolling resistance rises by some 0.6 % per K of cold (ISO 28580 corrects by 0.8 %).
     State.ROLL_COLD: (0.06, 0.05),
     # and is a sixth higher until tyres are warm, after half an hour (Ejsmont 2018).
@@ -77,17 +78,10 @@ ROLL_WARM_TIME = 1200.0  # s in which tyres warm up
 CABIN_TIME = 600.0  # s in which a cabin gets its temperature
 MILD_CELSIUS = 20.0  # neither heated nor cooled
 
-# 1-sigma by which states of the car drift from one drive to the next.
-DRIFTS = {
-    State.P_AUX: 100.0,
-    State.C_RR: 0.01,
-    State.ETA: 0.003,
-    State.MU: 0.003,
-    State.MASS: 0.003,
-    State.C_D: 0.003,
-}
-# 1-sigma of what is of one drive, and how many drives that belief weighs when it is learned.
-DRIVE_STD = {State.ROLL_DRIVE: 0.08, State.AUX_DRIVE: 200.0}
+# 1-sigma of what is of one drive, how much of it the next drive still has (the season, a roof box),
+# and how many drives that belief weighs when it is learned.
+DRIVE_STD = {State.ROLL_DRIVE: 0.10, State.AUX_DRIVE: 250.0}
+DRIVE_KEPT = 0.8
 DRIVE_BELIEF = 4.0
 DRIVES_KEPT = 30.0
 

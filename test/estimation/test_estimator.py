@@ -38,10 +38,10 @@ def test_before_anything(new_estimator):
 
 
 def test_the_first_predictions_are_the_prior_s(new_estimator, play, powers, vehicle, cruise):
-    """With what a drivetrain loses by turning, 300 W, and tyres a seventh stiffer at first."""
+    """With what a drivetrain loses by turning, 150 W, and tyres a seventh stiffer at first."""
     outputs = play(new_estimator(), cruise(0, 2, battery=False))
     cold = vehicle.initial._replace(c_rr=1.15 * vehicle.initial.c_rr)
-    expected = 300.0 + combined_power(
+    expected = 150.0 + combined_power(
         15.0, 0.0, identifiable(cold, vehicle.frontal_area), air_density=1.17
     )
     found = powers(outputs)

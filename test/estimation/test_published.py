@@ -133,5 +133,6 @@ def test_motor_torque_tells_the_mass_in_kilograms(name, most):
             chain.add_reading(reading)
         mass = chain.parameters().parameters["mass"]
         shares[torque] = mass.prior_share
-    assert shares[True] < most < 2 * most < shares[False] and mass.state.value == "valid"
+    assert shares[True] < most and shares[True] < 0.5 * shares[False]
+    assert mass.state.value == "valid"
     assert abs(mass.value - drive.truth.parameters.mass) < 2.0 * mass.std
