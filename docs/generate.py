@@ -46,7 +46,8 @@ For scripts:
 
 | | |
 |---|---|
-| `--json` of `info`, `recover`, `can inspect`, `vehicles search`, `watch` | JSON in place of tables, on stdout |
+| `--json` of `info`, `recover`, `can inspect`, `vehicles search`, `watch` | JSON in place \
+of tables, on stdout |
 | `--json FILE` of every `bench`, of `demo`, `fleet`, `replay` (also `--metrics`) | JSON beside \
 the tables; `-`: on stdout, tables on stderr |
 | `reproduce` | `results.json` in its folder |

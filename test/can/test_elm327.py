@@ -1,6 +1,7 @@
 """An ELM327 as a bus: against ELM327-emulator, and an adapter whose lines are told here."""
 
 from contextlib import contextmanager
+import math
 import os
 from pathlib import Path
 import pty
@@ -127,7 +128,8 @@ class Adapter:
     Its ids and data are not made by the code under test.
     """
 
-    def __init__(self, answers, banner=b"ELM327 v1.5"):
+    def __init__(self, answers, banner=b"ELM327 v1.5", delay=0.0):
+        self._delay = delay
         self.heard, self.answers = [], {"ATZ": banner, **answers}
         self._own, port = pty.openpty()
         tty.setraw(port)
@@ -151,6 +153,7 @@ class Adapter:
                 word = line.decode().strip()
                 self.heard.append(word)
                 answer = self.answers.get(word, b"OK")
+                time.sleep(self._delay)
                 if answer is not None:
                     self.say(answer + (b"" if word == "ATMA" else b"\r\r>"))
 
@@ -217,6 +220,22 @@ def test_extended_addressing_of_an_i3(adapter):
     assert live.of(BatteryReading)[0].current == pytest.approx(10.0)  # charging
     for word in ("ATSH6F1", "ATCEA60", "ATCEA07", "ATCRA607", "ATFCSD07300000", "ATFCSM1"):
         assert word in car.heard
+
+
+def test_voltage_and_current_behind_a_slow_adapter_keep_their_own_stamps(adapter):
+    """A second from one to the other: no power of one moment, and nothing is thrown away."""
+    answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}
+    answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
+    car = adapter(answers, delay=0.25)
+    with Live(car.place, I3) as live:
+        wait_for(lambda: len(live.of(BatteryReading)) > 5)
+        counters = live.bridge.poller.status().counters
+    volts = [r for r in live.of(BatteryReading) if not math.isnan(r.voltage)]
+    amps = [r for r in live.of(BatteryReading) if not math.isnan(r.current)]
+    assert {r.voltage for r in volts} == {370.0} and {r.current for r in amps} == {10.0}
+    assert {r.stamp_ns for r in volts}.isdisjoint(r.stamp_ns for r in amps)
+    stamps = [reading.stamp_ns for reading in live.of(BatteryReading)]
+    assert stamps == sorted(stamps) and counters["answered"] >= len(stamps)
 
 
 def test_only_the_questions_of_the_profile_leave(adapter):

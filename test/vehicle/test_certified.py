@@ -39,7 +39,7 @@ def test_the_table_is_the_list():
     for car in CARS.values():
         if len(car.loads) == 1:
             udds = energies[tuple(car.loads[0])]["UDDS"]
-            assert not udds or car.udds == pytest.approx(np.mean(udds), abs=0.5), car.name
+            assert not udds or min(udds) - 0.1 < car.udds < max(udds) + 0.1, car.name
 
 
 @pytest.mark.parametrize("key", CARS)
