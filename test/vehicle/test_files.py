@@ -85,8 +85,6 @@ def test_values_of_the_paper():
 @pytest.mark.parametrize(
     ("name", "row"),
     [
-        ("bmw_i4", (0.75, 2125.0, 0.014, 0.24)),
-        ("chevrolet_bolt", (0.72, 1628.0, 0.011, 0.28)),
         ("hyundai_ioniq_6", (0.75, 2086.0, 0.0065, 0.21)),
         ("tesla_model_3_lr", (0.70, 1823.0, 0.0096, 0.23)),
     ],
