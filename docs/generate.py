@@ -21,6 +21,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.nodes.parameter_table import TABLES, Parameter
 from evpinn_ros.nodes.topics import TOPICS, Topic
 from evpinn_ros.replay.metric_table import METRICS
+from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -45,7 +46,8 @@ For scripts:
 
 | | |
 |---|---|
-| `--json` of `info`, `recover`, `can inspect`, `watch` | JSON in place of tables, on stdout |
+| `--json` of `info`, `recover`, `can inspect`, `vehicles search`, `watch` | JSON in place \
+of tables, on stdout |
 | `--json FILE` of every `bench`, of `demo`, `fleet`, `replay` (also `--metrics`) | JSON beside \
 the tables; `-`: on stdout, tables on stderr |
 | `reproduce` | `results.json` in its folder |
@@ -59,6 +61,19 @@ or too short. Every score of power and energy is predict-then-update; `power` is
 there with `--withhold-battery-after` alone, and then `power`, `power_now` and `energy` outside
 of it are of the part before. How to read them: [read the uncertainty](guides/uncertainty.md).
 """
+
+
+CERTIFIED = """\
+## Certified cars
+
+From the US EPA test car list 2022 (`config/certified/epa_2022.csv`): test mass, and the C_rr and
+C_d A that come nearest to the certified road load. Around it 6 % of mass (people and luggage),
+15 % of C_rr (tyres, roads) and 6 % of C_d A, more where a model has several road loads; eta
+0.90 +- 0.06, mu 0.80 +- 0.12 and 400 +- 400 W of every one. `--vehicle` takes the key, or words
+of the name that no other car has: `--vehicle "ioniq 5 rwd"`.
+
+| key | mass kg | C_rr | C_d A m^2 | CAN profile |
+|---|---|---|---|---|"""
 
 
 def topics_page() -> str:
@@ -125,9 +140,11 @@ def vehicles_page() -> str:
     lines = [MADE, "# Vehicles", ""]
     lines += ["What is believed of each car before driving. Copy the nearest file from"]
     lines += ["`config/vehicles/`, change what you know, check it with `evpinn check-params`, and"]
-    lines += ["give its path to `--vehicle`.", ""]
+    lines += ["give its path to `--vehicle`. [Certified cars](#certified-cars) need no file:"]
+    lines += ["`evpinn vehicles` lists all, `evpinn vehicles show NAME` prints one as a file.", ""]
     for name in vehicle_names():
         lines += _vehicle_section(load_vehicle(name))
+    lines += [CERTIFIED, *map(_certified_row, certified_cars()), ""]
     lines += ["## CAN profiles", ""]
     lines += [
         "How the quantities come: *broadcast*, or *asked* for with read requests, which needs"
@@ -136,6 +153,14 @@ def vehicles_page() -> str:
     lines += ["| profile | cars | broadcast | asked | verified by |", "|---|---|---|---|---|"]
     lines += [_profile_row(load_profile(name)) for name in profile_names()]
     return "\n".join([*lines, ""])
+
+
+def _certified_row(key: str) -> str:
+    car = load_vehicle(key)
+    start = car.initial
+    area = start.c_d * car.frontal_area
+    profile = f"`{car.can_profile}`" if car.can_profile else ""
+    return f"| `{key}` | {start.mass:.0f} | {start.c_rr:.4f} | {area:.3f} | {profile} |"
 
 
 def _profile_row(profile: CanProfile) -> str:

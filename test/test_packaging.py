@@ -46,6 +46,7 @@ NAMES = {
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
+    "serial": ("pyserial", "python3-serial"),
     "sumo": ("eclipse-sumo", None),
     "threadpoolctl": ("threadpoolctl", None),
     "torch": ("torch", "python3-torch"),

@@ -52,6 +52,7 @@ class LogRead:
         charge: J over the same time.
         power: by the log's own column of power, J; NaN where it has none.
         same: by voltage times current over the same time, J.
+        speed_by: the column of speed.
     """
 
     name: str
@@ -67,6 +68,7 @@ class LogRead:
     charge: float
     power: float
     same: float
+    speed_by: str
 
 
 def read_log(path: Path) -> LogRead:
@@ -97,6 +99,7 @@ def read_log(path: Path) -> LogRead:
         energy,
         charge,
         *_own_power(readings, drive),
+        next(column.name for column in drive.rules if column.quantity == "speed"),
     )
 
 

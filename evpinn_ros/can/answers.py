@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 import math
 
 from evpinn_ros.can.control_unit import Answer
@@ -11,18 +12,20 @@ from evpinn_ros.can.profile import ONLY_ASKED, CanProfile
 from evpinn_ros.can.request import AnswerField
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
+PARTS = ("voltage", "current")
 JOIN_NS = NANOSECONDS // 5
 """Voltage and current of two answers at most this far apart are of one moment. A pack's current
 can change by 100 A in it, its voltage by 2 %; profiles ask for the voltage first, so that the
-stamp, of the later answer, is the current's."""
+stamp, of the later answer, is the current's. What is farther apart, behind a slow adapter, are two
+readings with stamps of their own."""
 
 
 class AnswerDecoder:
     """Makes readings of the answers of one car; for one thread at a time.
 
     Attributes:
-        dropped: values not used, by reason: `not_available`, `out_of_range`, `not_together` (a
-            voltage without a current, or the other way round).
+        dropped: values not used, by reason: `not_available`, `out_of_range`, `not_together` (the
+            voltage or current beside one that is neither, in one answer).
         auxiliary_voltage: of the 12 V battery in the last answer, V, NaN when not in it.
     """
 
@@ -49,14 +52,16 @@ class AnswerDecoder:
             # A rounded number is off by a uniform error of one step: variance step^2 / 12.
             speed, step = values["speed"]
             readings.append(SpeedReading(stamp_ns, speed, step**2 / 12))
-        for part in ("voltage", "current"):
+        told = {field.signal.name for field in self._fields[answer.request.name]}
+        if told.issuperset(PARTS) and not values.keys() >= {*PARTS}:
+            self.dropped["not_together"] += any(part in values for part in PARTS)
+            return tuple(readings)
+        for part in PARTS:
             if part in values:
-                if part in self._waiting:
-                    self.dropped["not_together"] += 1
+                readings += self._late(stamp_ns, part)
                 self._waiting[part] = stamp_ns, values[part][0]
-        battery = self._battery()
-        if battery is not None:
-            readings.append(battery)
+        if len(self._waiting) == len(PARTS):
+            readings.append(self._battery())
         return tuple(readings)
 
     def _values(self, answer: Answer) -> dict[str, tuple[float, float]]:
@@ -70,16 +75,24 @@ class AnswerDecoder:
                 values[field.signal.name] = field.signal.value(raw), field.signal.resolution
         return values
 
-    def _battery(self) -> BatteryReading | None:
-        if len(self._waiting) < 2:
-            return None
-        (voltage_ns, voltage), (current_ns, current) = (
-            self._waiting["voltage"],
-            self._waiting["current"],
-        )
-        if abs(voltage_ns - current_ns) > JOIN_NS:
-            return None
-        self._waiting.clear()
-        stamp_ns = max(voltage_ns, current_ns)
+    def _late(self, stamp_ns: int, part: str) -> list[BatteryReading]:
+        """What waited for its other half in vain, as a reading of its own."""
+        late = {
+            name: at
+            for name, at in self._waiting.items()
+            if name == part or abs(stamp_ns - at[0]) > JOIN_NS
+        }
+        for name in late:
+            del self._waiting[name]
+        return [self._reading({name: at}) for name, at in late.items()]
+
+    def _battery(self) -> BatteryReading:
+        found, self._waiting = self._waiting, {}
+        return self._reading(found)
+
+    def _reading(self, parts: Mapping[str, tuple[int, float]]) -> BatteryReading:
+        stamp_ns = max(at for at, _ in parts.values())
         fresh = abs(stamp_ns - self._charge_stamp_ns) <= CHARGE_HOLD_NS
-        return BatteryReading(stamp_ns, voltage, current, self._charge if fresh else math.nan)
+        voltage, current = (parts.get(name, (0, math.nan))[1] for name in PARTS)
+        charge = self._charge if fresh else math.nan
+        return BatteryReading(stamp_ns, voltage, current, charge)

@@ -23,6 +23,7 @@ from typing import Any
 
 import can
 
+from evpinn_ros.can import elm327
 from evpinn_ros.can.clock_map import ClockMap
 from evpinn_ros.can.frame import EPOCH_S, CanFrame, nanoseconds
 from evpinn_ros.errors import InputError
@@ -39,6 +40,7 @@ MANY_ERRORS = 100  # error frames in a row: there is no traffic that this adapte
 SOCKETCAN_BUS_OFF = 0x40  # class bit in the id of an error frame (linux/can/error.h)
 
 DRIVERS: Mapping[str, str] = {
+    elm327.NAME: "the Python package pyserial",
     "gs_usb": "the Python package gs_usb",
     "kvaser": "Kvaser's CANlib",
     "pcan": "PEAK's PCAN-Basic",
@@ -49,8 +51,20 @@ DRIVERS: Mapping[str, str] = {
 }
 """What python-can needs beside itself for the adapters people have most."""
 
+INTERFACES = can.VALID_INTERFACES | {elm327.NAME}
+"""Drivers of python-can, and our own."""
+
 OUR_CLOCK = frozenset(
-    ("iscan", "neousys", "seeedstudio", "slcan", "socketcan", "udp_multicast", "virtual")
+    (
+        elm327.NAME,
+        "iscan",
+        "neousys",
+        "seeedstudio",
+        "slcan",
+        "socketcan",
+        "udp_multicast",
+        "virtual",
+    )
 )
 """Drivers of python-can 4.6 that stamp each frame by this computer's clock. Others that tell the
 epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counter: they drift."""
@@ -126,12 +140,15 @@ class BusReader:
             InputError: it cannot be opened; the line says what to do.
         """
         try:
-            self._bus = can.Bus(
-                channel=self._channel,
-                interface=self._interface,
-                ignore_config=True,
-                **self._options,
-            )
+            if self._interface == elm327.NAME:
+                self._bus = elm327.Elm327Bus(str(self._channel), **self._options)
+            else:
+                self._bus = can.Bus(
+                    channel=self._channel,
+                    interface=self._interface,
+                    ignore_config=True,
+                    **self._options,
+                )
         except Exception as error:
             # CanError, OSError, ValueError, NotImplementedError, AttributeError...: each driver
             # has its own way to refuse, and all of them mean that there is no bus now.
@@ -326,9 +343,13 @@ def _explain_bus_off(interface: str, channel: str | int) -> str:
 
 
 def _remedy(error: BaseException, interface: str, channel: str | int) -> str | None:
-    if interface not in can.VALID_INTERFACES:
-        return f"known interfaces are {', '.join(sorted(can.VALID_INTERFACES))}"
+    if interface not in INTERFACES:
+        return f"known interfaces are {', '.join(sorted(INTERFACES))}"
     number = _errno(error)
+    if number in (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT):
+        return "has this computer joined the adapter's Wi-Fi, and are address and port right?"
+    if isinstance(error, can.CanInitializationError) and interface == elm327.NAME:
+        return "is the ignition on, and no other app connected to it?"
     if interface == "socketcan" and number == errno.ENETDOWN:
         return f"try `sudo ip link set {channel} up type can bitrate 500000`"
     if interface == "socketcan" and number == errno.ENODEV:

@@ -21,7 +21,8 @@ FRAMES_PER_S = 2 * QUESTIONS_PER_S
 """Frames that may leave in any second: a question and its flow control. 50 frames are 1.2 % of a
 bus of 500 kbit/s."""
 
-_Frame = tuple[int, bool, bytes]
+FrameKey = tuple[int, bool, bytes]
+"""Id, whether it has 29 bits, and data."""
 
 
 class ReadOnlyGate:
@@ -48,11 +49,11 @@ class ReadOnlyGate:
             PermissionError: a request does more than read, or goes to no diagnostic id.
         """
         self._send, self._clock = send, clock
-        self._flow_controls: dict[_Frame, _Frame] = {}
+        self._flow_controls: dict[FrameKey, FrameKey] = {}
         for request in requests:
-            question, flow_control = _frames(request)
+            question, flow_control = frames_of(request)
             self._flow_controls[question] = flow_control
-        self._awaited: set[_Frame] = set()
+        self._awaited: set[FrameKey] = set()
         self._sent_s: deque[float] = deque(maxlen=FRAMES_PER_S)
 
     def __call__(self, frame: CanFrame) -> bool:
@@ -75,8 +76,12 @@ class ReadOnlyGate:
         return self._send(frame)
 
 
-def _frames(request: RequestRule) -> tuple[_Frame, _Frame]:
-    """The whole frame that asks, and that of its flow control."""
+def frames_of(request: RequestRule) -> tuple[FrameKey, FrameKey]:
+    """The whole frame that asks, and that of its flow control.
+
+    Raises:
+        PermissionError: the request does more than read, or goes to no diagnostic id.
+    """
     address, payload = request.address, request.payload
     reason = refusal(address.tx_id, address.rx_id, address.target, address.source)
     if reason is None and len(payload) != 1 + READ_SERVICES.get(payload[0], -1):

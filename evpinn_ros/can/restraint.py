@@ -129,6 +129,8 @@ class Restraint:
             self._stop(f"the 12 V battery is low: {voltage:.1f} V")
 
     def _observe_current(self, current: float, now_s: float) -> None:
+        if math.isnan(current):
+            return  # a reading of the voltage alone
         if abs(current) > IDLE_CURRENT:
             self._idle_since_s = None
         elif self._idle_since_s is None:

@@ -21,6 +21,7 @@ COMMANDS = (
     "report",
     "recover",
     "logs",
+    "vehicles",
     "faults",
 )  # each a function in `bench_<name>.py`
 

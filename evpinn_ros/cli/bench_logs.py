@@ -64,8 +64,12 @@ def _show(found: list[LogRead], refused: int) -> None:
         f"{len(found)} logs read, {refused} refused; {sum(log.rows for log in found)} rows, "
         f"{lost} of them torn or without a time"
     )
+    ways: dict[str, list[tuple[float, float]]] = {}
+    for log in found:
+        name = f"distance by '{log.speed_by}' against the odometer"
+        ways.setdefault(name, []).append((log.way, log.odometer))
     for name, pairs in (
-        ("distance against the odometer", [(log.way, log.odometer) for log in found]),
+        *ways.items(),
         ("energy against the charge", [(log.energy, log.charge) for log in found]),
         ("energy against the log's own power", [(log.same, log.power) for log in found]),
     ):

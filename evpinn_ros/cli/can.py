@@ -16,7 +16,7 @@ from evpinn_ros.can.inspection import BusReport, Inspection
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.cli.can_tables import as_json, show_report
 from evpinn_ros.cli.console import note, show_json
-from evpinn_ros.cli.options import complete_profile
+from evpinn_ros.cli.options import Elm327Option, complete_profile, elm327_bus
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.parameter_table import bus_options
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -43,13 +43,18 @@ def inspect(
         Path | None, typer.Argument(help="CAN log or bag of raw frames; none for a live bus.")
     ] = None,
     interface: Annotated[
-        str,
-        typer.Option("--interface", "--can-interface", help="Driver of a live bus's adapter."),
-    ] = "socketcan",
+        str | None,
+        typer.Option(
+            "--interface",
+            "--can-interface",
+            help="Driver of a live bus's adapter; socketcan if not given.",
+        ),
+    ] = None,
     channel: Annotated[
         str | None,
         typer.Option("--channel", "--can-channel", help="Of a live bus: can0, /dev/ttyACM0..."),
     ] = None,
+    elm327: Elm327Option = None,
     bitrate: Annotated[
         int | None,
         typer.Option(min=1, help=f"Of the bus, bit/s; {BITRATE} if not given."),
@@ -81,8 +86,10 @@ def inspect(
         own = load_profile(can_profile)
         profiles[own.key] = own
     inspection = Inspection(profiles.values(), bitrate or BITRATE)
+    if elm327 is not None:
+        interface, channel = elm327_bus(elm327, interface, channel)
     if (source is None) == (channel is None):
-        raise typer.BadParameter("give either SOURCE or --channel")
+        raise typer.BadParameter("give either SOURCE, --channel or --elm327")
     if seconds is not None and not 0 < seconds <= LONGEST:
         raise typer.BadParameter(f"--seconds must be above 0 and at most {LONGEST:g}")
     if source is not None:
@@ -91,6 +98,7 @@ def inspect(
         options = bus_options(bus_option)
         if bitrate is not None:
             options["bitrate"] = bitrate
+        interface = interface or "socketcan"
         reader = BusReader(interface, str(channel), inspection.push, time.time_ns, **options)
         name, end_ns, problem = f"{interface} {channel}", *_listen(reader, seconds or LISTEN)
     _print(name, inspection.report(end_ns), bitrate or BITRATE, as_json_text)

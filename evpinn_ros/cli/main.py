@@ -26,6 +26,7 @@ class Commands(LazyCommands):
         *("bench", "demo"),
         *("info", "recover"),
         "can",
+        "vehicles",
         "check_params",
     )
 

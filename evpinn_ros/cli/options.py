@@ -9,12 +9,14 @@ import typer
 
 from evpinn_ros.can.profile import profile_names
 from evpinn_ros.cli.console import STDOUT, tables_beside
+from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import vehicle_names
 
 
 def complete_vehicle(incomplete: str) -> list[str]:
-    """Bundled vehicles that begin so; the shell offers paths where there is none."""
-    return [name for name in vehicle_names() if name.startswith(incomplete)]
+    """Bundled and certified vehicles that begin so; the shell offers paths where there is none."""
+    names = (*vehicle_names(), *certified_cars())
+    return [name for name in names if name.startswith(incomplete)]
 
 
 def complete_profile(incomplete: str) -> list[str]:
@@ -30,12 +32,22 @@ def _tables_beside_json(path: Path | None) -> Path | None:
 VehicleOption = Annotated[
     str,
     typer.Option(
-        help="Vehicle by name, or the path of its file.", autocompletion=complete_vehicle
+        help="Vehicle by name (evpinn vehicles lists them), or the path of its file.",
+        autocompletion=complete_vehicle,
     ),
 ]
 CanProfileOption = Annotated[
     str | None,
     typer.Option(help="CAN profile, if not the vehicle's own.", autocompletion=complete_profile),
+]
+Elm327Option = Annotated[
+    str | None,
+    typer.Option(
+        "--elm327",
+        metavar="PORT",
+        help="An ELM327 or OBDLink adapter in place of a CAN adapter: its serial port, or "
+        "tcp:HOST:PORT.",
+    ),
 ]
 _JSON_HELP = f"Write what was found as JSON; {STDOUT} for stdout, and the tables to stderr."
 JsonOption = Annotated[
@@ -53,3 +65,16 @@ OriginOption = Annotated[
         "may be repeated.",
     ),
 ]
+
+
+def elm327_bus(port: str, interface: str | None, channel: str | None) -> tuple[str, str]:
+    """Interface and channel of an ELM327.
+
+    Raises:
+        typer.BadParameter: another adapter is named too.
+    """
+    from evpinn_ros.can.elm327 import NAME  # here, for python-can takes long to import
+
+    if interface is not None or channel is not None:
+        raise typer.BadParameter("--elm327 names the adapter: leave out interface and channel")
+    return NAME, port

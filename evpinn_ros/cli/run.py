@@ -12,7 +12,13 @@ import typer
 
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.cli.afterwards import reported
-from evpinn_ros.cli.options import CanProfileOption, OriginOption, VehicleOption
+from evpinn_ros.cli.options import (
+    CanProfileOption,
+    Elm327Option,
+    OriginOption,
+    VehicleOption,
+    elm327_bus,
+)
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import Value
@@ -38,6 +44,7 @@ def run(
     can_channel: Annotated[
         str | None, typer.Option(help="can0, /dev/ttyACM0...; can0 if not given.")
     ] = None,
+    elm327: Elm327Option = None,
     bitrate: Annotated[
         int | None, typer.Option(min=0, help="Of the bus, bit/s; 500000 if not given.")
     ] = None,
@@ -98,11 +105,15 @@ def run(
     Listens only: nothing is sent to the car without --poll. On a terminal shows what is learned.
 
     Example: evpinn run --vehicle nissan_leaf --can-channel can0 --record out/today
+
+    Example: evpinn run --vehicle bmw_i3 --elm327 tcp:192.168.0.10:35000 --poll
     """
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.all_in_one import run as run_nodes
     from evpinn_ros.nodes.live_view import live_view
 
+    if elm327 is not None:
+        can_interface, can_channel = elm327_bus(elm327, can_interface, can_channel)
     given: dict[str, Value | None] = {
         "vehicle": vehicle,
         "interface": can_interface,

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+import math
 
-from evpinn_ros.drives.quantities import BY_COLUMN, QUANTITIES, Unit, known_unit, score, unit_of
+from evpinn_ros.drives.quantities import (
+    BY_COLUMN,
+    COLUMNS_OF_APPS,
+    QUANTITIES,
+    Unit,
+    known_unit,
+    score,
+    unit_of,
+)
 from evpinn_ros.errors import InputError
 
 SIGNED = ("current", "power")
@@ -75,12 +84,19 @@ def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column
         if quantity == "power" and {"voltage", "current"} <= known:
             continue
         scores = {i: score(quantity, header[i]) for i in range(len(header)) if i not in taken}
+        scores |= _of_app(quantity, header)
         best = max(scores, key=lambda i: scores[i], default=None)
         if best is not None and scores[best] > 0:
             found.append(_by_name(quantity, header, best))
             known.add(quantity)
             taken.add(best)
     return found
+
+
+def _of_app(quantity: str, header: Sequence[str]) -> dict[int, float]:
+    """The column that an app has for it whatever names say, at a score above all others."""
+    names = [own.get(quantity) for mark, own in COLUMNS_OF_APPS.items() if mark in header]
+    return {header.index(name): math.inf for name in names if name in header}
 
 
 def is_complete(quantities: set[str]) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.drives.column import SIGNED, Column
-from evpinn_ros.drives.quantities import QUANTITIES, UNITS_OF_APPS, Unit
+from evpinn_ros.drives.quantities import QUANTITIES, UNITS_OF_APPS, Unit, known_unit
 from evpinn_ros.signals.readings import NANOSECONDS
 
 FASTEST = 45.0  # m/s: what is larger is hardly a speed of a car in m/s
@@ -85,9 +85,8 @@ def _by_app(column: Column, header: frozenset[str]) -> Column:
     for mark, units in UNITS_OF_APPS.items():
         if mark in header and column.name in units and not column.unit:
             text = units[column.name]
-            return column.measured_in(
-                text, QUANTITIES[column.quantity].units[text], f"as beside {mark!r}"
-            )
+            unit = known_unit(column.quantity, text)
+            return column.measured_in(text, unit, f"as beside {mark!r}") if unit else column
     return column
 
 
@@ -210,7 +209,7 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
 
 
 def at_times(signal: Signal, times: FloatArray) -> FloatArray:
-    """The signal at other times by interpolation; NaN where none of its own is near."""
+    """The signal at other times by interpolation; NaN within a gap of its own."""
     known = np.isfinite(signal.time) & np.isfinite(signal.value)
     time, value = signal.time[known], signal.value[known]
     if time.size < 2:
@@ -219,7 +218,9 @@ def at_times(signal: Signal, times: FloatArray) -> FloatArray:
     time, value = time[order], value[order]
     found = np.interp(times, time, value)
     after = np.clip(np.searchsorted(time, times), 1, time.size - 1)
-    far = (time[after] - time[after - 1] > LONGEST_STEP) | (times < time[0]) | (times > time[-1])
+    inside = (times > time[after - 1]) & (times < time[after])
+    far = inside & (time[after] - time[after - 1] > LONGEST_STEP)
+    far |= (times < time[0]) | (times > time[-1])
     found[far] = np.nan
     return found
 

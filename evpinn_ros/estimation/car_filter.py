@@ -99,7 +99,7 @@ class CarFilter:
         count = len(self._hypotheses)
         self.state = Gaussian(
             np.tile(self.prior.mean, (count, 1)),
-            np.tile(np.diag(self.prior.std**2), (count, 1, 1)),
+            np.tile(self.prior.covariance, (count, 1, 1)),
         )
         self._evidence = np.zeros(count)
         self._scale = np.ones(count)

@@ -87,10 +87,11 @@ DRIVES_KEPT = 30.0
 
 
 class Prior(NamedTuple):
-    """Mean and 1-sigma of every state, shape (SIZE,) each; the fast ones zero."""
+    """Mean and 1-sigma of every state, shape (SIZE,) each, the fast ones zero; covariance."""
 
     mean: np.ndarray
     std: np.ndarray
+    covariance: np.ndarray
 
 
 def prior_of(vehicle: Vehicle) -> Prior:
@@ -105,4 +106,6 @@ def prior_of(vehicle: Vehicle) -> Prior:
             mean[index], std[index] = parameter.value, parameter.std
     for state, (value, sigma) in PRIORS.items():
         mean[state], std[state] = value, sigma
-    return Prior(mean, std)
+    correlation = np.eye(SIZE)
+    correlation[PARAMETERS, PARAMETERS] = vehicle.correlation
+    return Prior(mean, std, correlation * np.outer(std, std))

@@ -112,7 +112,7 @@ def published(car: CarFilter, sums: EnergySums) -> Published:
     """The parameters that the filter stands for."""
     whole = car.mixture()
     matrix, offset = _affine(car, sums, whole.mean)
-    prior = Gaussian(car.prior.mean, np.diag(car.prior.std**2))
+    prior = Gaussian(car.prior.mean, car.prior.covariance)
     now, before = (
         Gaussian(matrix @ each.mean + offset, matrix @ each.covariance @ matrix.T)
         for each in (whole, prior)

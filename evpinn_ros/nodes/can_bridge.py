@@ -8,6 +8,7 @@ from pathlib import Path
 import threading
 from typing import Any
 
+from evpinn_ros.can import elm327
 from evpinn_ros.can.bridge import WAITING, BridgeStatus, CanBridge
 from evpinn_ros.can.bus import BusReader, BusState
 from evpinn_ros.can.current_sign import CurrentSign
@@ -133,9 +134,12 @@ class CanBridgeNode(GuardedNode):
             return LogPlayer(
                 Path(values["log_file"]), values["log_rate"], values["log_delay"], on_frame
             )
-        options = bus_options(values["bus_options"])
+        options: dict[str, Any] = dict(bus_options(values["bus_options"]))
         if values["bitrate"]:
             options.setdefault("bitrate", values["bitrate"])
+        if values["interface"] == elm327.NAME:
+            broadcast = {message.key[0] for message in self._profile.messages.values()}
+            options |= {"requests": self._profile.requests, "broadcast": broadcast}
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
 
     def _say_changes(self) -> None:

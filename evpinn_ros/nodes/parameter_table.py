@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import math
 from typing import TypeAlias
 
-import can
-
+from evpinn_ros.can.bus import INTERFACES
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.errors import InputError
 from evpinn_ros.vehicle.files import load_vehicle
@@ -70,8 +69,8 @@ class Parameter:
 
 
 def _known_interface(name: str) -> None:
-    if name not in can.VALID_INTERFACES:
-        raise InputError(f"known are {', '.join(sorted(can.VALID_INTERFACES))}")
+    if name not in INTERFACES:
+        raise InputError(f"known are {', '.join(sorted(INTERFACES))}")
 
 
 VEHICLE = Parameter(

@@ -1,18 +1,23 @@
-"""Vehicle files: one YAML file per car model, read strictly.
+"""Vehicle files: one YAML file per car model, read strictly; and certified cars, by their names.
 
 A wrong file is refused with its path, the line and the reason; nothing is guessed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from itertools import combinations
 import math
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from evpinn_ros.errors import InputError
 from evpinn_ros.share import share_directory
+from evpinn_ros.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
 from evpinn_ros.yaml_section import Section, compose
 
@@ -35,6 +40,8 @@ CONSTANTS: Mapping[str, Constant] = {
     "motor_ratio": Constant(1.0, 200.0, "rad/m"),
 }
 OPTIONAL_CONSTANTS = ("battery_capacity", "motor_ratio")
+LEAST_EIGENVALUE = 1e-3  # of correlations: with less, one is certain by the others
+FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
 LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
 
 
@@ -55,6 +62,7 @@ class Vehicle:
         motor_ratio: rad that the motor turns per m of road, NaN if unknown; used where a bus
             tells its torque and not its speed.
         priors: one `Prior` for each of `PARAMETER_NAMES`.
+        correlations: of two of them, in their order; 0 where a pair is not given.
     """
 
     key: str
@@ -68,11 +76,17 @@ class Vehicle:
     battery_capacity: float
     motor_ratio: float
     priors: Mapping[str, Prior]
+    correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
     @property
     def initial(self) -> Parameters:
         """The prior values, the start of every estimate (eq. 24, 25)."""
         return Parameters(*(self.priors[name].value for name in PARAMETER_NAMES))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Of all parameters, in the order of `PARAMETER_NAMES`, shape (6, 6)."""
+        return _matrix(self.correlations)
 
 
 def vehicle_names() -> list[str]:
@@ -80,21 +94,77 @@ def vehicle_names() -> list[str]:
     return sorted(path.stem for path in _vehicle_directory().glob("*.yaml"))
 
 
+def find_vehicles(text: str = "") -> dict[str, str]:
+    """Names by keys of the files and certified cars whose name or key has all these words."""
+    words = set(words_of(text))
+    return {key: name for key, name in _names() if words <= {*words_of(key), *words_of(name)}}
+
+
 def load_vehicle(name_or_path: str | Path) -> Vehicle:
-    """Read a vehicle file given by its name (`tesla_model_3_lr`) or by its path.
+    """The car of a vehicle file, given by its name (`tesla_model_3_lr`) or path, or certified.
+
+    Words of its name will do that no other has, or that leave out its make alone.
 
     Raises:
-        InputError: no such file, or the file is wrong; the text has file, line and reason.
+        InputError: no such car, several, or the file is wrong; the text has file, line and reason.
     """
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml"):
-        if str(name_or_path) not in vehicle_names():
-            known = ", ".join(vehicle_names())
-            raise InputError(
-                f"no vehicle named {str(name_or_path)!r}; known are {known}, or give a path"
-            )
-        path = _vehicle_directory() / f"{name_or_path}.yaml"
-    return _parse(path)
+    path, text = Path(name_or_path), str(name_or_path)
+    if path.suffix in (".yaml", ".yml"):
+        return _parse(path)
+    key = text if text in (*vehicle_names(), *certified_cars()) else _key_of(text)
+    return _certified(key) if key in certified_cars() else _parse(_file(key))
+
+
+def _names() -> Iterator[tuple[str, str]]:
+    """Key and name of every vehicle file and certified car."""
+    for key in vehicle_names():
+        yield key, compose(_file(key), "vehicle file").text("name")
+    for key, car in certified_cars().items():
+        yield key, car.name
+
+
+def _key_of(text: str) -> str:
+    words = words_of(text)
+    found = find_vehicles(text) if words else {}
+    close = [key for key, name in found.items() if len(words_of(name)) <= len(words) + 1]
+    for keys in (list(found), close):
+        if len(keys) == 1:
+            return keys[0]
+    if found:
+        raise InputError(
+            f"no vehicle named {text!r} alone; these have such names: {_some([*found])}"
+        )
+    names = [*vehicle_names(), *certified_cars()]
+    near = get_close_matches("_".join(words), names, FEW // 2, LIKENESS)
+    meant = f"did you mean {', '.join(near)}" if near else f"known are {_some(names)}"
+    raise InputError(
+        f"no vehicle named {text!r}; {meant}; `evpinn vehicles` lists all, or give a path"
+    )
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:FEW]) + (", ..." if len(names) > FEW else "")
+
+
+def _certified(key: str) -> Vehicle:
+    car = certified_cars()[key]
+    return Vehicle(
+        key=key,
+        name=car.name,
+        can_profile=car.can_profile,
+        frontal_area=FRONTAL_AREA,
+        air_density=1.2,  # dry air at 20 degC and sea level
+        beta=-0.045,  # EV-PINN paper, eq. 20
+        nominal_voltage=360.0,  # 96 cells of 3.75 V
+        rotating_mass_factor=1.03,  # wheels and rotor, typical of single-speed electric cars
+        battery_capacity=math.nan,
+        motor_ratio=math.nan,
+        priors=car.priors,
+    )
+
+
+def _file(key: str) -> Path:
+    return _vehicle_directory() / f"{key}.yaml"
 
 
 def _vehicle_directory() -> Path:
@@ -107,7 +177,7 @@ def _parse(path: Path) -> Vehicle:
     parameters = root.section("parameters")
     priors = {name: _prior(parameters.section(name), name) for name in PARAMETER_NAMES}
     parameters.refuse_unknown(PARAMETER_NAMES)
-    root.refuse_unknown(("name", "can_profile", "parameters", *CONSTANTS))
+    root.refuse_unknown(("name", "can_profile", "parameters", "correlations", *CONSTANTS))
     for key in CONSTANTS:
         if key not in constants and key not in OPTIONAL_CONSTANTS:
             raise root.error(f"'{key}' is missing")
@@ -118,8 +188,38 @@ def _parse(path: Path) -> Vehicle:
         name=root.text("name"),
         can_profile=_can_profile(root) if root.has("can_profile") else None,
         priors=priors,
+        correlations=_correlations(root.section("correlations"))
+        if root.has("correlations")
+        else {},
         **constants,
     )
+
+
+def _correlations(section: Section) -> dict[tuple[str, str], float]:
+    """Of pairs: under the one that comes first in `PARAMETER_NAMES`, the other and a number."""
+    section.refuse_unknown(("source", *PARAMETER_NAMES))
+    section.text("source")
+    told = {name: section.section(name) for name in PARAMETER_NAMES if section.has(name)}
+    for name, others in told.items():
+        later = PARAMETER_NAMES[PARAMETER_NAMES.index(name) + 1 :]
+        others.refuse_unknown(later)
+    found = {
+        (one, other): told[one].number(other, -1.0, 1.0)
+        for one, other in combinations(PARAMETER_NAMES, 2)
+        if one in told and told[one].has(other)
+    }
+    if np.linalg.eigvalsh(_matrix(found)).min() < LEAST_EIGENVALUE:
+        raise section.error("no quantities can have these correlations together")
+    return found
+
+
+def _matrix(correlations: Mapping[tuple[str, str], float]) -> np.ndarray:
+    """Shape (6, 6), symmetric."""
+    matrix = np.eye(len(PARAMETER_NAMES))
+    for pair, value in correlations.items():
+        one, other = map(PARAMETER_NAMES.index, pair)
+        matrix[one, other] = matrix[other, one] = value
+    return matrix
 
 
 def _can_profile(root: Section) -> str:

@@ -27,8 +27,12 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
     for name in CONSTANTS:
         value = getattr(vehicle, name)
         if math.isfinite(value):
-            document[name] = {"value": value, "source": f"vehicle file {vehicle.key}"}
+            document[name] = {"value": value, "source": f"vehicle {vehicle.key}"}
     document["parameters"] = {name: asdict(vehicle.priors[name]) for name in PARAMETER_NAMES}
+    if vehicle.correlations:
+        document["correlations"] = {"source": f"vehicle {vehicle.key}"}
+        for (one, other), value in vehicle.correlations.items():
+            document["correlations"].setdefault(one, {})[other] = value
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as draft:
         draft.write_text(yaml.safe_dump(document, sort_keys=False, width=99), encoding="utf-8")

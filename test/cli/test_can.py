@@ -129,8 +129,8 @@ def test_frames_left_out_are_told(folder):
 @pytest.mark.parametrize(
     ("arguments", "code", "text"),
     [
-        ((), 2, "give either SOURCE or --channel"),
-        (("x.log", "--channel", "can0"), 2, "give either SOURCE or --channel"),
+        ((), 2, "give either SOURCE, --channel or --elm327"),
+        (("x.log", "--channel", "can0"), 2, "give either SOURCE, --channel or --elm327"),
         (("nowhere.log",), 1, "nowhere.log: No such file"),
         (("--interface", "slcan", "--channel", "/dev/none"), 1, "is the adapter plugged in"),
         (("x.log", "--can-profile", "nope"), 1, "no CAN profile named 'nope'"),

@@ -230,3 +230,19 @@ def test_the_paper_s_mode_has_a_floor_and_a_choice_of_optimizer(folder):
     assert power["floor_w"] is None  # nothing was measured
     done = evpinn("replay", "speed.csv", "--optimizer", "gauss_newton", cwd=folder)
     assert_fails_in_one_line(done, "--optimizer", "--mode paper")
+
+
+def test_vehicles_are_listed_found_and_shown(folder):
+    done = evpinn("vehicles", "search", "model", "3", "--json", cwd=folder)
+    found = {line["vehicle"]: line for line in json.loads(done.stdout)}
+    assert found["tesla_model_3_lr"]["from"] == "file"
+    assert found["tesla_model_3_rwd_2022"]["from"] == "certified"
+    assert found["tesla_model_3_rwd_2022"]["mass_kg"] == 1928
+    listed = evpinn("vehicles", cwd=folder)
+    assert listed.returncode == 0 and len(listed.stdout.splitlines()) > 80
+    shown = evpinn("vehicles", "show", "ioniq 5 rwd", cwd=folder)
+    (folder / "mine.yaml").write_text(shown.stdout)
+    checked = evpinn("check-params", "mine.yaml", cwd=folder)
+    assert checked.stdout == "mine.yaml: a valid vehicle file\n"
+    assert_fails_in_one_line(evpinn("vehicles", "search", "zeppelin", cwd=folder), "zeppelin")
+    assert_fails_in_one_line(evpinn("vehicles", "show", "model 3", cwd=folder), "model_3_rwd_2022")

@@ -12,7 +12,8 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.cli.options import complete_profile, complete_vehicle
 
 ROOT = typer.main.get_command(app)
-FLAG_FOR_STDOUT = {f"evpinn {name}" for name in ("can inspect", "info", "recover", "watch")}
+LOOKS = ("can inspect", "info", "recover", "vehicles search", "watch")
+FLAG_FOR_STDOUT = {f"evpinn {name}" for name in LOOKS}
 
 
 def commands(command=ROOT, path: str = "evpinn") -> Iterator[tuple[str, object]]:

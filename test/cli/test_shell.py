@@ -50,7 +50,8 @@ def test_completion_is_installed_and_completes_in_a_real_bash(evpinn, tmp_path):
         "evpinn bench t": {"training", "truth"},
         "evpinn can ": {"inspect"},
         "evpinn replay --withhold": {"--withhold-battery-after"},
-        "evpinn replay bag --vehicle bmw": {"bmw_i3", "bmw_i4"},
+        "evpinn replay bag --vehicle bmw_i3": {"bmw_i3"},
+        "evpinn replay bag --vehicle rivian": {"rivian_r1s_2022", "rivian_r1t_2022"},
         "evpinn replay bag --mode ": {"hybrid", "paper"},
         "evpinn convert in out --can-profile renault": {"renault_zoe_ph1", "renault_zoe_ph2"},
     }

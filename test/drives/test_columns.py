@@ -8,10 +8,12 @@ from pathlib import Path
 
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 
 from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.column import columns_by_name
+from evpinn_ros.drives.evidence import Signal, at_times
 from evpinn_ros.drives.table_drive import TableDrive
 from evpinn_ros.drives.times import DRIVE_START_NS
 from evpinn_ros.errors import InputError
@@ -49,6 +51,9 @@ def check(drive: TableDrive, start_ns: int = DRIVE_START_NS) -> None:
         assert s.stamp_ns - start_ns == pytest.approx(time * 1e9, abs=1e6)
         assert s.speed == pytest.approx(speed, abs=1e-3)
         assert b.power == pytest.approx(voltage * current, abs=2.0)
+
+
+ROWS = list(enumerate(rows()))
 
 
 def test_semicolons_brackets_decimal_commas_and_a_degree_sign(tmp_path):
@@ -126,6 +131,30 @@ def test_our_names_are_taken_as_they_are():
         ("speed_mps", 1.0, ""),
         ("power_w", 1.0, ""),
     ]
+
+
+def test_the_cars_own_speed_before_that_of_a_phone_in_a_pocket(tmp_path):
+    """LeafSpy names the phone's GPS `Speed`, and the car's own `Speed2`, in 0.01 km/h."""
+    lines = (f"{t:.1f},0.0,{i % 7},{u},{c:.4f},{360 * v:.1f}" for i, (t, v, u, c) in ROWS)
+    drive = drive_of(tmp_path, "t_s,Speed,Gids,Pack Volts,Pack Amps, Speed2", lines)
+    rules = {rule.quantity: rule for rule in drive.rules}
+    assert (rules["speed"].name, rules["speed"].unit) == ("Speed2", "0.01 km/h")
+    check(drive)
+    told = drive_of(
+        tmp_path,
+        "t_s,Speed,Gids,Pack Volts,Pack Amps, Speed2",
+        ["0,1,1,1,1,1"] * 9,
+        columns=["speed=Speed:km/h"],
+    )
+    assert {rule.name for rule in told.rules if rule.quantity == "speed"} == {"Speed"}
+
+
+def test_a_signal_is_known_at_its_own_times_beside_a_gap():
+    signal = Signal(np.array([0.0, 1.0, 100.0, 101.0]), np.array([1.0, 2.0, 3.0, 4.0]))
+    times = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 99.0, 100.0, 101.0, 102.0])
+    nan = math.nan
+    expected = [nan, 1.0, 1.5, 2.0, nan, nan, 3.0, 4.0, nan]
+    assert at_times(signal, times).tolist() == pytest.approx(expected, nan_ok=True)
 
 
 WRONG = [

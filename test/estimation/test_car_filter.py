@@ -270,3 +270,13 @@ def test_a_round_trip_is_exact_and_what_does_not_fit_is_refused(car, vehicle, dr
         with pytest.raises((KeyError, TypeError, ValueError)):
             fresh.restore({**saved, **wrong})
         assert json.dumps(fresh.export()) == before
+
+
+def test_correlations_of_the_vehicle_file_are_the_priors(vehicle):
+    """A car that turns out to be heavy is then believed to be large too."""
+    correlated = replace(vehicle, correlations={("mass", "c_d"): 0.6})
+    for car, expected in ((CarFilter(vehicle), 0.0), (CarFilter(correlated), 0.6)):
+        whole = car.mixture().covariance
+        spread = math.sqrt(whole[State.MASS, State.MASS] * whole[State.C_D, State.C_D])
+        assert whole[State.MASS, State.C_D] / spread == pytest.approx(expected)
+        assert np.linalg.eigvalsh(whole[CAR, CAR]).min() > 0.0

@@ -2,6 +2,7 @@ from pathlib import Path
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 
 from evpinn_ros.errors import InputError
@@ -13,6 +14,7 @@ from evpinn_ros.vehicle.files import (
     vehicle_names,
 )
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+from evpinn_ros.vehicle.written import write_vehicle
 
 NAMES = [
     "bmw_i3",
@@ -83,8 +85,6 @@ def test_values_of_the_paper():
 @pytest.mark.parametrize(
     ("name", "row"),
     [
-        ("bmw_i4", (0.75, 2125.0, 0.014, 0.24)),
-        ("chevrolet_bolt", (0.72, 1628.0, 0.011, 0.28)),
         ("hyundai_ioniq_6", (0.75, 2086.0, 0.0065, 0.21)),
         ("tesla_model_3_lr", (0.70, 1823.0, 0.0096, 0.23)),
     ],
@@ -233,3 +233,32 @@ def test_whatever_is_done_to_a_good_file(tmp_path_factory, start, length, new):
 def test_a_profile_of_ones_own_lies_beside_the_vehicle_file(tmp_path, said, meant):
     (tmp_path / "car.yaml").write_text(f"can_profile: {said}\n" + GOOD)
     assert load_vehicle(tmp_path / "car.yaml").can_profile == (meant or str(tmp_path / said))
+
+
+CORRELATED = GOOD + "correlations: {source: a sheet, mass: {c_rr: 0.2, c_d: -0.5}}\n"
+
+
+def test_correlations_of_parameters(car):
+    vehicle = load_vehicle(car(CORRELATED))
+    assert vehicle.correlations == {("mass", "c_rr"): 0.2, ("mass", "c_d"): -0.5}
+    mass, c_d = PARAMETER_NAMES.index("mass"), PARAMETER_NAMES.index("c_d")
+    assert vehicle.correlation[mass, c_d] == vehicle.correlation[c_d, mass] == -0.5
+    assert (load_vehicle(car(GOOD)).correlation == np.eye(6)).all()
+    write_vehicle(car("").with_name("b.yaml"), vehicle)
+    assert load_vehicle(car("").with_name("b.yaml")).correlations == vehicle.correlations
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("c_rr: 0.2", "c_rr: 0.9", "can have these correlations together"),
+        ("c_rr: 0.2", "c_rr: 1.2", "outside [-1, 1]"),
+        ("c_rr: 0.2", "eta: 0.2", "unknown key 'eta'; known are c_rr, c_d, p_aux"),
+        ("mass: {c", "tyres: {c", "unknown key 'tyres'"),
+        ("source: a sheet, mass", "mass", "'source' is missing"),
+    ],
+)
+def test_correlations_that_cannot_be(car, old, new, reason):
+    with pytest.raises(InputError) as refused:
+        load_vehicle(car(CORRELATED.replace(old, new)))
+    assert ":14: " in str(refused.value) and reason in str(refused.value), str(refused.value)

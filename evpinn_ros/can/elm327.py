@@ -1,0 +1,280 @@
+"""ELM327 and OBDLink adapters as a bus of python-can: frames in and out over AT commands.
+
+The adapter makes and awaits flow control itself (ISO 15765-2) and shows every frame of an answer,
+so that whoever asks over a CAN adapter asks over this one alike. Of what is sent to it only
+questions that read leave it (`request.READ_SERVICES`); it sends no frame that is not one of the
+requests it was given. Between questions it monitors the ids that are broadcast.
+
+The AT commands are of the ELM327 data sheet (Elm Electronics, ELM327DSJ): ATSH and ATCP set the
+id, ATCRA what is received, ATFC.. the flow control, ATCEA the first byte of extended addressing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator
+from functools import reduce
+import re
+import time
+from typing import Any
+
+import can
+
+from evpinn_ros.can.diagnostic_ids import FUNCTIONAL, LAST_11_BIT_ID
+from evpinn_ros.can.read_only import FLOW_CONTROL, frames_of
+from evpinn_ros.can.request import Address, RequestRule
+
+NAME = "elm327"
+BAUD_RATES = (38400, 115200, 9600, 500000)  # of a cable, most usual first; radio takes any
+PROTOCOLS = {500_000: ("6", "7"), 250_000: ("8", "9")}  # of ATSP, with ids of 11 and 29 bits
+PAUSE_S = 0.02  # that one look at the port may take
+WAKE_S, RESET_S, ANSWER_S = 0.5, 3.0, 2.0  # that the adapter may take to speak
+MOST_BYTES = 4096  # without an end of line; 8 bytes of data make 40
+BANNER = re.compile(rb"ELM327|OBDLink|STN\d", re.IGNORECASE)
+FRAME = re.compile(r"(?:[0-9A-F]{3}|[0-9A-F]{8})(?:[0-9A-F]{2}){0,8}")
+SILENT = {"", "OK", "?", "NO DATA", "STOPPED", "BUFFER FULL", "SEARCHING..."}
+"""What the adapter says of itself and no frame: "?" to a command that it does not know."""
+FAULTS = ("ERROR", "UNABLE TO CONNECT", "BUS BUSY", "FB ", "<")
+"""What it says of a bus that it cannot read; the end of a line that is damaged, after "<"."""
+
+START = ("ATE0", "ATL0", "ATS0", "ATH1", "ATCAF1", "ATCFC1", "ATAT1", "ATCSM1")
+NEEDED = frozenset(("ATE0", "ATH1", "ATCAF1"))
+"""Without these nothing can be read; what a clone does not know of the others has its default."""
+
+
+class Elm327Bus(can.BusABC):  # type: ignore[misc]
+    """One adapter; `recv` and `send` as python-can has them, for one thread that receives."""
+
+    def __init__(
+        self,
+        channel: str,
+        bitrate: int = 500_000,
+        requests: Iterable[RequestRule] = (),
+        broadcast: Collection[int] | None = None,
+        tty_baudrate: int | None = None,
+        **_kwargs: Any,
+    ) -> None:
+        """Find the adapter and prepare it.
+
+        Args:
+            channel: a serial port, or `tcp:HOST:PORT`.
+            bitrate: of the car's bus.
+            requests: what may be asked.
+            broadcast: ids to monitor between questions; None for all.
+            tty_baudrate: of the serial port; the usual ones are tried if not given.
+
+        Raises:
+            OSError, can.CanInitializationError, ValueError: there is no adapter, or none that can.
+        """
+        if bitrate not in PROTOCOLS:
+            raise ValueError(f"an ELM327 takes a bitrate of 500000 or 250000, not {bitrate}")
+        self.channel_info = f"{NAME} {channel}"
+        self._short, self._long = PROTOCOLS[bitrate]
+        frames = {request: frames_of(request) for request in requests}
+        self._requests = {question: request for request, (question, _) in frames.items()}
+        self._flow_controls = {flow_control for _, flow_control in frames.values()}
+        self._broadcast = broadcast
+        self._questions: deque[RequestRule] = deque()  # append and popleft are atomic
+        self._commands: deque[str] = deque()
+        self._lines: deque[tuple[float, str]] = deque()
+        self._rest, self._last = b"", ""
+        self._settings = {"ATCEA": "", "ATFCSM": "0"}  # what the adapter has been told
+        self._monitoring = self._extended = False
+        self._deadline_s: float | None = None  # while the adapter's prompt is awaited
+        self._port = self._find(channel, tty_baudrate)
+        self._prepare()
+        super().__init__(channel)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Ask one of the requests, as soon as the adapter is free.
+
+        A flow control is left to the adapter; a question that waits already is not asked twice.
+
+        Raises:
+            PermissionError: the frame is neither.
+        """
+        key = msg.arbitration_id, msg.is_extended_id, bytes(msg.data)
+        if key in self._flow_controls:
+            return
+        if key not in self._requests:
+            raise PermissionError(f"{msg.arbitration_id:X}: no request of the profile")
+        if self._requests[key] not in self._questions:
+            self._questions.append(self._requests[key])
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        end = time.monotonic() + (timeout or 0.0)
+        while True:
+            while self._lines:
+                message = self._read(*self._lines.popleft())
+                if message is not None:
+                    return message, True
+            self._go_on()
+            self._listen(min(PAUSE_S, max(end - time.monotonic(), 0.0)))
+            if not self._lines and time.monotonic() >= end:
+                return None, True
+
+    def shutdown(self) -> None:
+        """Stop monitoring, and close the port."""
+        super().shutdown()
+        try:
+            if self._monitoring:
+                self._port.write(b" ")
+        finally:
+            self._port.close()
+
+    # Lines ---------------------------------------------------------------------------------------
+
+    def _listen(self, seconds: float) -> None:
+        """Take what comes within a time; a prompt frees the adapter for the next command."""
+        self._port.timeout = seconds
+        got = self._port.read(max(1, getattr(self._port, "in_waiting", 0)))
+        now_s = time.time()
+        *whole, self._rest = re.split(rb"[\r\n]+|(?<=>)", self._rest + got.replace(b"\0", b""))
+        for line in whole:
+            if line.endswith(b">"):
+                self._deadline_s = None
+            self._lines.append((now_s, line.decode("latin-1").strip("> ")))
+        if len(self._rest) > MOST_BYTES:
+            self._rest = b""
+            raise ValueError("a line without an end")
+
+    def _read(self, now_s: float, text: str) -> can.Message | None:
+        """The frame of a line; None of what is none.
+
+        Raises:
+            can.CanOperationError: the adapter began anew, and forgot how it was prepared.
+            ValueError: the line is damaged.
+        """
+        word = text.replace(" ", "")
+        if text in SILENT or word == self._last:  # or the echo of what was sent
+            return None
+        if BANNER.search(text.encode()):
+            raise can.CanOperationError("the adapter began anew: is its supply loose?")
+        if any(fault in text for fault in FAULTS):
+            return can.Message(timestamp=now_s, is_error_frame=True)
+        digits = 8 if self._extended else 3
+        if FRAME.fullmatch(word) is None or len(word) < digits or (len(word) - digits) % 2:
+            raise ValueError(f"the adapter said {text[:40]!r}")
+        return can.Message(
+            timestamp=now_s,
+            arbitration_id=int(word[:digits], 16),
+            is_extended_id=self._extended,
+            data=bytes.fromhex(word[digits:]),
+        )
+
+    # What is said to it --------------------------------------------------------------------------
+
+    def _go_on(self) -> None:
+        """Say the next thing, if it is the adapter's turn to listen."""
+        if self._monitoring and self._deadline_s is None:
+            self._monitoring = False  # it stopped by itself: its buffer is full
+        if self._monitoring:
+            if self._questions:
+                self._monitoring = False
+                # Any character ends it and brings the prompt. A space is none to an adapter that
+                # stopped by itself just now, where a line's end would begin the last command anew.
+                self._port.write(b" ")
+                self._deadline_s = time.monotonic() + ANSWER_S
+            return
+        if self._deadline_s is not None:
+            if time.monotonic() > self._deadline_s:
+                raise can.CanOperationError("the adapter says nothing more")
+            return
+        if not self._commands:
+            self._plan()
+        if self._commands:
+            self._say(self._commands.popleft())
+
+    def _plan(self) -> None:
+        """The commands of the next question; where there is none, to monitor."""
+        if self._questions:
+            request = self._questions.popleft()
+            self._commands.extend(self._changed(self._turn_to(request.address)))
+            self._commands.append(request.payload.hex().upper())
+        elif self._broadcast is None or self._broadcast:
+            self._commands.extend(self._changed(self._to_monitor()))
+            self._commands.append("ATMA")
+
+    def _turn_to(self, address: Address) -> Iterator[tuple[str, str]]:
+        """How to ask one control unit, and to hear it alone."""
+        yield "ATSP", self._long if address.extended else self._short
+        width = 8 if address.extended else 3
+        request = f"{address.tx_id:0{width}X}"
+        if address.extended:
+            yield "ATCP", request[:2]
+        yield "ATSH", request[-6:]
+        yield "ATCEA", address.prefix.hex().upper()
+        if address.tx_id in FUNCTIONAL:
+            yield "ATCRA", request.replace("7DF", "7EX").replace("18DB33F1", "18DAF1XX")
+            yield "ATFCSM", "0"
+        else:
+            yield "ATCRA", f"{address.rx_id:0{width}X}"
+            yield "ATFCSH", request
+            yield "ATFCSD", (address.prefix + FLOW_CONTROL).hex().upper()
+            yield "ATFCSM", "1"
+
+    def _to_monitor(self) -> Iterator[tuple[str, str]]:
+        """What to monitor: the bits that all ids have in common."""
+        ids = [each for each in self._broadcast or () if each <= LAST_11_BIT_ID]
+        yield "ATSP", self._short
+        yield "ATCRA", ""
+        if ids:
+            differ = reduce(int.__or__, (each ^ ids[0] for each in ids))
+            yield "ATCF", f"{ids[0] & ~differ:03X}"
+            yield "ATCM", f"{LAST_11_BIT_ID & ~differ:03X}"
+
+    def _changed(self, wanted: Iterable[tuple[str, str]]) -> Iterator[str]:
+        """The commands whose value the adapter does not have: each takes a radio link 50 ms."""
+        for command, value in wanted:
+            if self._settings.get(command) == value:
+                continue
+            if command == "ATCRA":  # is filter and mask at once
+                self._settings.update(ATCF="", ATCM="")
+            self._settings[command] = value
+            yield command + value
+
+    def _say(self, command: str) -> None:
+        self._last = command
+        if command.startswith("ATSP"):
+            self._extended = command[-1] == self._long
+        self._monitoring = command == "ATMA"
+        self._port.write(command.encode() + b"\r")
+        self._deadline_s = time.monotonic() + ANSWER_S
+
+    # The beginning -------------------------------------------------------------------------------
+
+    def _find(self, channel: str, baud_rate: int | None) -> Any:
+        """The open port of an adapter that answers."""
+        import serial  # type: ignore[import-untyped]
+
+        network = channel.startswith("tcp:")
+        url = f"socket://{channel.removeprefix('tcp:')}" if network else channel
+        said = b""
+        for rate in (baud_rate,) if baud_rate else BAUD_RATES[: 1 if network else None]:
+            port = serial.serial_for_url(url, baudrate=rate, timeout=PAUSE_S, write_timeout=1.0)
+            port.write(b"\r")  # ends whatever it was doing
+            self._until_prompt(port, WAKE_S)
+            port.write(b"ATZ\r")
+            said = self._until_prompt(port, RESET_S)
+            if BANNER.search(said):
+                return port
+            port.close()
+        word = f"it said {said[:40]!r}" if said else "it said nothing"
+        raise can.CanInitializationError(f"no ELM327 or OBDLink is there: {word}")
+
+    def _prepare(self) -> None:
+        for command in START:
+            self._port.write(command.encode() + b"\r")
+            said = self._until_prompt(self._port, ANSWER_S)
+            if b"OK" not in said and command in NEEDED:
+                self._port.close()
+                raise can.CanInitializationError(f"the adapter does not know {command}: a clone?")
+
+    @staticmethod
+    def _until_prompt(port: Any, seconds: float) -> bytes:
+        """What the adapter says up to its prompt, or within a time."""
+        end, said = time.monotonic() + seconds, b""
+        port.timeout = PAUSE_S
+        while not said.rstrip().endswith(b">") and time.monotonic() < end:
+            said += port.read(max(1, getattr(port, "in_waiting", 0)))
+        return bytes(said)

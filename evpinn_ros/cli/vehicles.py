@@ -1,0 +1,87 @@
+"""`evpinn vehicles`: the cars of which something is believed before driving."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.cli.console import say, show, show_json
+from evpinn_ros.cli.options import complete_vehicle
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.errors import InputError
+from evpinn_ros.vehicle.certified import certified_cars
+from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
+from evpinn_ros.vehicle.written import write_vehicle
+
+vehicles = typer.Typer(invoke_without_command=True)
+
+
+@vehicles.callback()
+def every(context: typer.Context) -> None:
+    """List the cars that --vehicle knows: vehicle files, and cars of certified road load.
+
+    Example: evpinn vehicles search leaf
+    """
+    if context.invoked_subcommand is None:
+        search([])
+
+
+@vehicles.command()
+def search(
+    words: Annotated[list[str], typer.Argument(help="Words that the name must have.")],
+    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+) -> None:
+    """List the cars whose names have these words.
+
+    Example: evpinn vehicles search model 3
+    """
+    found = [load_vehicle(key) for key in find_vehicles(" ".join(words))]
+    if not found:
+        raise InputError(f"no vehicle's name has {' '.join(words)!r}; evpinn vehicles lists all")
+    if as_json_text:
+        show_json([_line(vehicle) for vehicle in found])
+        return
+    table = titled_table("Vehicles")
+    for name, value in _line(found[0]).items():
+        table.add_column(name, justify="right" if isinstance(value, float) else "left")
+    for vehicle in found:
+        table.add_row(*(_cell(value) for value in _line(vehicle).values()))
+    show(table, at_least=120)
+
+
+@vehicles.command("show")
+def show_vehicle(
+    vehicle: Annotated[
+        str,
+        typer.Argument(help="Name, or words of it, or a path.", autocompletion=complete_vehicle),
+    ],
+) -> None:
+    """Print a vehicle file, with the source of every number: a start for one of your own.
+
+    Example: evpinn vehicles show "ioniq 5 rwd"
+    """
+    car = load_vehicle(vehicle)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{car.key}.yaml"
+        write_vehicle(path, car)
+        for line in path.read_text(encoding="utf-8").splitlines():
+            say(line)
+
+
+def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
+    start = vehicle.initial
+    return {
+        "vehicle": vehicle.key,
+        "mass_kg": start.mass,
+        "c_rr": start.c_rr,
+        "drag_area_m2": start.c_d * vehicle.frontal_area,
+        "can_profile": vehicle.can_profile,
+        "from": "certified" if vehicle.key in certified_cars() else "file",
+    }
+
+
+def _cell(value: str | float | None) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else value or ""

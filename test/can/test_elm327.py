@@ -1,0 +1,303 @@
+"""An ELM327 as a bus: against ELM327-emulator, and an adapter whose lines are told here."""
+
+from contextlib import contextmanager
+import math
+import os
+from pathlib import Path
+import pty
+import select
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tty
+
+import can
+import pytest
+
+from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.elm327 import Elm327Bus
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.errors import InputError
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+pytest.importorskip("elm", reason="ELM327-emulator is not installed")
+EMULATOR = Path(__file__).with_name("elm327_emulator.py")
+KONA, I3 = load_profile("hyundai_kia"), load_profile("bmw_i3")
+
+
+@contextmanager
+def emulated(kind, folder, tcp=False):
+    """The place of an emulated adapter."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = [str(free.getsockname()[1])] if tcp else []
+    process = subprocess.Popen(
+        [sys.executable, EMULATOR, kind, *port],
+        cwd=folder,  # it leaves a log
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    try:
+        said = next(line for line in process.stdout if line.startswith("at "))
+        threading.Thread(target=process.stdout.read, daemon=True).start()
+        yield said.removeprefix("at ").strip()
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Live:
+    """A bridge behind an adapter, which asks."""
+
+    def __init__(self, place, profile=KONA, poll=True):
+        self.readings = []
+        broadcast = {message.key[0] for message in profile.messages.values()}
+        self.reader = BusReader(
+            "elm327",
+            place,
+            self._on_frame,
+            time.time_ns,
+            requests=profile.requests,
+            broadcast=broadcast,
+        )
+        self.bridge = CanBridge(profile, self.reader.send if poll else None)
+        runs = [self.reader.run]
+        runs += [self.bridge.poller.run] if poll else []
+        self.threads = [threading.Thread(target=run) for run in runs]
+
+    def _on_frame(self, frame):
+        self.readings += self.bridge.push(frame)
+
+    def of(self, kind):
+        return [reading for reading in self.readings if isinstance(reading, kind)]
+
+    def __enter__(self):
+        for thread in self.threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_):
+        if self.bridge.poller is not None:
+            self.bridge.poller.stop()
+        self.reader.stop()
+        for thread in self.threads:
+            thread.join(10)
+            assert not thread.is_alive()
+
+
+def wait_for(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("kind", "tcp"), [("good", False), ("good", True), ("slow", False), ("lossy", False)]
+)
+def test_a_car_is_asked_through_an_adapter(tmp_path, kind, tcp):
+    with emulated(kind, tmp_path, tcp) as place, Live(place) as live:
+        wait_for(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
+    for reading in live.of(BatteryReading):
+        assert (reading.voltage, reading.current) == (pytest.approx(404.7), pytest.approx(12.3))
+        assert reading.state_of_charge == pytest.approx(0.64)
+        assert abs(reading.stamp_ns - time.time_ns()) < 120e9
+    for reading in live.of(SpeedReading):
+        assert reading.speed == pytest.approx(88 / 3.6)
+    counters = live.bridge.poller.status().counters
+    assert counters["answered"] <= counters["asked"]
+
+
+def test_a_lying_adapter_adds_nothing(tmp_path):
+    with emulated("lying", tmp_path) as place, Live(place) as live:
+        wait_for(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
+        status = live.reader.status()
+    assert {round(reading.voltage, 1) for reading in live.of(BatteryReading)} == {404.7}
+    assert {round(reading.speed * 3.6) for reading in live.of(SpeedReading)} == {88}
+    assert status.counters["garbled"] and status.counters["error_frames"]
+
+
+class Adapter:
+    """An adapter on a pty that says what it is told to, and keeps what it hears.
+
+    Its ids and data are not made by the code under test.
+    """
+
+    def __init__(self, answers, banner=b"ELM327 v1.5", delay=0.0):
+        self._delay = delay
+        self.heard, self.answers = [], {"ATZ": banner, **answers}
+        self._own, port = pty.openpty()
+        tty.setraw(port)
+        self.place, self._port = os.ttyname(port), port
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self):
+        rest = b""
+        while not self._ends.is_set():
+            if not select.select([self._own], [], [], 0.05)[0]:
+                continue
+            got = os.read(self._own, 100)
+            if got == b" ":  # ends monitoring
+                self.heard.append(" ")
+                self.say(b"STOPPED\r\r>")
+                continue
+            *lines, rest = (rest + got).split(b"\r")
+            for line in lines:
+                word = line.decode().strip()
+                self.heard.append(word)
+                answer = self.answers.get(word, b"OK")
+                time.sleep(self._delay)
+                if answer is not None:
+                    self.say(answer + (b"" if word == "ATMA" else b"\r\r>"))
+
+    def say(self, text):
+        os.write(self._own, text)
+
+    def close(self):
+        self._ends.set()
+        self._thread.join()
+        os.close(self._own)
+        os.close(self._port)
+
+
+@pytest.fixture
+def adapter():
+    made = []
+
+    def make(answers=None, **kwargs):
+        made.append(Adapter(answers or {}, **kwargs))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def test_broadcast_frames_are_monitored_and_nothing_is_sent(adapter):
+    """Frames of a Leaf's bus, `candump` of the shared captures: battery and speed."""
+    frames = b"1DB0037EA4A4F0055F7\r28400000000123456FF\r" * 3  # without spaces, as after ATS0
+    leaf = adapter({"ATMA": frames})
+    seen = []
+    reader = BusReader("elm327", leaf.place, seen.append, time.time_ns, broadcast={0x1DB, 0x284})
+    thread = threading.Thread(target=reader.run)
+    thread.start()
+    wait_for(lambda: len(seen) == 6)
+    reader.stop()
+    thread.join(10)
+    assert (seen[0].can_id, seen[0].data.hex()) == (0x1DB, "0037ea4a4f0055f7")
+    assert (seen[1].can_id, seen[1].data.hex()) == (0x284, "00000000123456ff")
+    # 001 1101 1011 and 010 1000 0100 have these bits in common: 1.. .0.. 1.0. ....
+    assert leaf.heard.index("ATCF080") < leaf.heard.index("ATCM4A0") < leaf.heard.index("ATMA")
+    assert {word[:2] for word in leaf.heard if word.strip()} == {"AT"}
+
+
+def test_monitoring_stops_for_a_question_and_goes_on(adapter):
+    bolt = load_profile("chevrolet_bolt")
+    car = adapter({"ATMA": b"", "222885": b"7E90562288593A0", "222414": b"7E905622414001F"})
+    with Live(car.place, bolt) as live:
+        wait_for(lambda: live.of(BatteryReading))
+        wait_for(lambda: car.heard[-1] == "ATMA")
+    reading = live.of(BatteryReading)[0]
+    assert (reading.voltage, reading.current) == (pytest.approx(377.92), pytest.approx(-1.55))
+    assert " " in car.heard and "ATSH7E1" in car.heard and "ATCRA7E9" in car.heard
+
+
+def test_extended_addressing_of_an_i3(adapter):
+    answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}
+    answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
+    car = adapter(answers)
+    with Live(car.place, I3) as live:
+        wait_for(lambda: live.of(BatteryReading) and live.of(SpeedReading))
+    assert live.of(SpeedReading)[0].speed == pytest.approx(30.0 / 3.6)
+    assert live.of(BatteryReading)[0].voltage == pytest.approx(370.0)
+    assert live.of(BatteryReading)[0].current == pytest.approx(10.0)  # charging
+    for word in ("ATSH6F1", "ATCEA60", "ATCEA07", "ATCRA607", "ATFCSD07300000", "ATFCSM1"):
+        assert word in car.heard
+
+
+def test_voltage_and_current_behind_a_slow_adapter_keep_their_own_stamps(adapter):
+    """A second from one to the other: no power of one moment, and nothing is thrown away."""
+    answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}
+    answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
+    car = adapter(answers, delay=0.25)
+    with Live(car.place, I3) as live:
+        wait_for(lambda: len(live.of(BatteryReading)) > 5)
+        counters = live.bridge.poller.status().counters
+    volts = [r for r in live.of(BatteryReading) if not math.isnan(r.voltage)]
+    amps = [r for r in live.of(BatteryReading) if not math.isnan(r.current)]
+    assert {r.voltage for r in volts} == {370.0} and {r.current for r in amps} == {10.0}
+    assert {r.stamp_ns for r in volts}.isdisjoint(r.stamp_ns for r in amps)
+    stamps = [reading.stamp_ns for reading in live.of(BatteryReading)]
+    assert stamps == sorted(stamps) and counters["answered"] >= len(stamps)
+
+
+def test_only_the_questions_of_the_profile_leave(adapter):
+    car = adapter()
+    made = Elm327Bus(car.place, requests=KONA.requests, broadcast=())
+    for can_id, data in [
+        (0x7E4, "0322f19000000000"),  # reads something else
+        (0x7E4, "0211010000000000"),  # resets
+        (0x7E0, "0322010100000000"),  # another control unit
+        (0x123, "0000000000000000"),
+    ]:
+        message = can.Message(
+            arbitration_id=can_id, data=bytes.fromhex(data), is_extended_id=False
+        )
+        with pytest.raises(PermissionError):
+            made.send(message)
+    question = can.Message(
+        arbitration_id=0x7E4, data=bytes.fromhex("0322010100000000"), is_extended_id=False
+    )
+    for _ in range(3):  # one that waits is not asked again
+        made.send(question)
+    made.recv(1.0)
+    made.shutdown()
+    assert [word for word in car.heard if word.startswith("22")] == ["220101"]
+
+
+def test_an_adapter_that_begins_anew_is_prepared_anew(adapter):
+    car = adapter({"ATMA": b""})
+    reader = BusReader("elm327", car.place, lambda _frame: None, time.time_ns)
+    thread = threading.Thread(target=reader.run)
+    thread.start()
+    wait_for(lambda: "ATMA" in car.heard)
+    car.say(b"\r\rELM327 v1.5\r\r>")
+    wait_for(lambda: car.heard.count("ATH1") == 2)
+    assert "began anew" in reader.status().problem
+    reader.stop()
+    thread.join(10)
+
+
+@pytest.mark.parametrize(
+    ("answers", "banner", "why"),
+    [
+        ({}, b"modem 56k", "no ELM327 or OBDLink is there: it said b'modem 56k"),
+        ({"ATZ": None, "": None}, None, "it said nothing; is the ignition on"),
+        ({"ATH1": b"?"}, b"ELM327 v2.1", "does not know ATH1: a clone?"),
+    ],
+)
+def test_refusals_name_the_fix(adapter, answers, banner, why):
+    car = adapter(answers, banner=banner)
+    reader = BusReader("elm327", car.place, print, time.time_ns, tty_baudrate=38400)
+    with pytest.raises(InputError, match=why.replace("?", r"\?").replace("(", r"\(")):
+        reader.open()
+    assert reader.status().state is BusState.CLOSED
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        ("tcp:127.0.0.1:1", "has this computer joined the adapter's Wi-Fi"),
+        ("/dev/no-such-adapter", "is the adapter plugged in"),
+    ],
+)
+def test_an_adapter_that_is_not_there(place, why):
+    with pytest.raises(InputError, match=why):
+        BusReader("elm327", place, print, time.time_ns).open()
