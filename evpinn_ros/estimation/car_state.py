@@ -1,8 +1,8 @@
 """What is learned of a car and of a drive: the states, their priors and how long each holds.
 
-Two levels. What belongs to the *car* lasts. What belongs to the *drive* (wind, tyres, an auxiliary
-load) has a variance of its own, learned from drive to drive, and fades over the drives that follow.
-*Fast* states change within minutes or hundreds of metres.
+Two levels. What belongs to the *car* lasts. What belongs to the *drive* (wind, tyres, an
+auxiliary load) has a variance of its own, learned from drive to drive, and fades over the drives
+that follow. *Fast* states change within minutes or hundreds of metres.
 
 eta, mu, mass and C_d are logarithms, so products that data determine are sums and the direction
 that they do not (all scaled together) is one straight line on which the prior stays. C_rr is
@@ -78,8 +78,8 @@ ROLL_WARM_TIME = 1200.0  # s in which tyres warm up
 CABIN_TIME = 600.0  # s in which a cabin gets its temperature
 MILD_CELSIUS = 20.0  # neither heated nor cooled
 
-# 1-sigma of what is of one drive, how much of it the next drive still has (the season, a roof box),
-# and how many drives that belief weighs when it is learned.
+# 1-sigma of what is of one drive, how much of it the next drive still has (the season, a roof
+# box), and how many drives that belief weighs when it is learned.
 DRIVE_STD = {State.ROLL_DRIVE: 0.10, State.AUX_DRIVE: 250.0}
 DRIVE_KEPT = 0.8
 DRIVE_BELIEF = 4.0
