@@ -183,7 +183,10 @@ class EnergyNode(GuardedNode):
             Identifiable(*(numbers[name] for name in IDENTIFIABLE_NAMES))
             for numbers in (vector.values, vector.sigmas)
         )
-        self.forecaster.hear_identifiable(values, sigmas)
+        try:
+            self.forecaster.hear_identifiable(values, sigmas)
+        except ValueError as error:
+            raise BadMessage(str(error)) from error
 
     def _on_speed(self, message: Any) -> None:
         """Speed has a guard of its own: in a fast replay it is seconds ahead of power."""
@@ -216,15 +219,22 @@ class EnergyNode(GuardedNode):
         return path_plan(data, self.values["nominal_speed"])
 
     def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
+        """Answer a plan or refuse it with the reason, whatever happens."""
         try:
-            plan, header = read(data), request_header(new_message, data)
+            answer = list(self._forecast(request_header(new_message, data), read(data)))
         except (CdrError, PlanError) as error:
-            self._refused += 1
-            self._plan_problem = str(error)
+            self._refuse(str(error))
             return
-        self.publish(self._forecast(header, plan))
+        except Exception as error:
+            self._refuse(f"internal fault: {type(error).__name__}")
+            raise
+        self.publish(answer)
         self._answered += 1
         self._plan_problem = None
+
+    def _refuse(self, reason: str) -> None:
+        self._refused += 1
+        self._plan_problem = reason
 
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""

@@ -1,5 +1,6 @@
 """The energy node: counting, and answering planners."""
 
+import dataclasses
 import math
 
 import pytest
@@ -15,11 +16,14 @@ from evpinn_ros.energy.plan import (
     plan_from_speed_profile,
 )
 from evpinn_ros.energy.power_model import PowerModel, vehicle_model
+from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.diagnosis import LATELY
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import Level, battery_message, header, named_vector
+from evpinn_ros.nodes.model_messages import model_message
 from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -238,6 +242,55 @@ def test_the_model_of_another_car_is_refused(bench):
     assert bench.diagnosis(node)["plan"][2]["forecasts_from"] == "vehicle file"
 
 
+def unbelievable(model):
+    """Finite models and combinations that leave no plan a finite answer, each on its topic."""
+    for change in ({"mass": 1e-300}, {"mean": model.mean * 1e300}, {"standing_noise": 1e200}):
+        wrong = dataclasses.replace(model, **change)
+        yield topics.MODEL, model_message(new_message, VEHICLE.key, wrong)
+    for values, sigmas in (
+        ([0.0] * 5, [0.0] * 5),
+        ([1e308] * 5, [1.0] * 5),
+        ([1.0] * 5, [1e308] * 5),
+    ):
+        yield (
+            topics.IDENTIFIABLE,
+            named_vector(new_message, NOW, IDENTIFIABLE_NAMES, values, sigmas),
+        )
+
+
+def test_no_finite_model_leaves_a_plan_unanswered(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    good = PinnLearner(VEHICLE).linear_power(None)
+    (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    for topic, message in unbelievable(good):
+        bench.deliver(node, topic, message)
+        (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+        assert answer == before
+    values = bench.diagnosis(node)["meter"][2]
+    assert values["bad.estimate/model: out_of_range"] == "3"
+    assert values["bad.estimate/identifiable: out_of_range"] == "3"
+
+
+def test_a_plan_that_we_fail_at_is_refused_with_the_reason_and_the_error_goes_away(
+    bench, monkeypatch
+):
+    node = bench.start(EnergyNode)
+    monkeypatch.setattr(node.forecaster, "answer", lambda *_: 1 / 0)
+    bench.deliver(node, topics.SPEED_PROFILE, profile(*TRIP))
+    said = bench.diagnosis(node)
+    reason = "plan refused: internal fault: ZeroDivisionError"
+    assert said["plan"][:2] == (Level.WARN, reason)
+    assert said["meter"][0] is Level.ERROR and "ZeroDivisionError" in said["meter"][1]
+    monkeypatch.undo()
+    now = node.steady_s()
+    monkeypatch.setattr(node, "steady_s", lambda: now + LATELY)
+    said = bench.diagnosis(node)
+    assert said["meter"][:2] == (Level.WARN, "waiting for power/smoothed")
+    assert [v for k, v in said["meter"][2].items() if k.startswith("fault")] == ["1"]
+    node._faults.clear()  # the bench demands that there are none
+
+
 def test_a_plan_of_a_million_points_is_refused_unread(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
@@ -288,6 +341,7 @@ def no_speed():
         (topics.SPEED_PROFILE, profile(), "needs at least two points"),
         (topics.SPEED_PROFILE, profile((0, 0, 0), (0, 9, 0)), "time does not rise at point 0"),
         (topics.SPEED_PROFILE, profile((0, 0, 0), (9, math.nan, 0)), "distance is not finite"),
+        (topics.SPEED_PROFILE, profile((0, 0, 0), (2**31 - 1, 9, 0)), "later than 14 days"),
         (topics.PLAN, path(), "needs at least two points"),
         (topics.PLAN, path((0.0, 0.0, 0.0), (math.inf, 0.0, 0.0)), "x is not finite"),
         (topics.PLAN, path((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), stamps=[9, 1]), "time goes back"),
