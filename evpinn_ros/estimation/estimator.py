@@ -38,7 +38,6 @@ from evpinn_ros.signals.sample import (
     Sample,
     SmoothedSample,
     StreamEvent,
-    TimeJump,
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckSuspicion
@@ -295,10 +294,6 @@ class OnlineEstimator:
                     self._news |= self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
-            case TimeJump():
-                self._worker.cancel()
-                self._learner.forget_window()
-                self._begin_time()
 
     def _predict(self, kind: PowerKind, sample: Sample) -> Iterator[PowerEstimate]:
         prediction = self._learner.predict(sample)
