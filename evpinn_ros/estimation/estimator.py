@@ -28,6 +28,7 @@ from evpinn_ros.estimation.learner import (
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.pinn import PinnLearner
+from evpinn_ros.estimation.state_schema import check_state
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -245,7 +246,7 @@ class OnlineEstimator:
             "vehicle": self._vehicle.key,
             "mode": self._settings.mode.value,
             "learner": self._learner.export(),
-            "bands": {kind.value: band.export() for kind, band in self._bands.items()},
+            "bands": _exported(self._bands),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -262,6 +263,8 @@ class OnlineEstimator:
         learner = _learner(self._vehicle, self._settings)
         learner.gated = self._learner.gated
         bands = {kind: BandCalibration() for kind in self._bands}
+        unlearned = {"learner": learner.export(), "bands": _exported(bands), "mode": found[2]}
+        check_state(state, unlearned)
         try:
             learner.restore(state["learner"])
             for kind, band in bands.items():
@@ -369,6 +372,10 @@ class OnlineEstimator:
         if self._silent_for(max(BATTERY_TIMEOUT_NS, self._stream.battery_gap_ns)):
             return Activity.PREDICTING
         return Activity.LEARNING if self.enabled else Activity.PAUSED
+
+
+def _exported(bands: Mapping[PowerKind, BandCalibration]) -> dict[str, list[float]]:
+    return {kind.value: band.export() for kind, band in bands.items()}
 
 
 def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
