@@ -282,7 +282,8 @@ class OnlineEstimator:
                 self._learner.advance(event.sample)
                 yield from self._predict(PowerKind.SMOOTHED, event.sample)
             case MeasuredSample():
-                if (stuck := self._stuck.suspected) is not None:
+                stamp_ns = event.sample.stamp_ns
+                if (stuck := self._stuck.why_not(stamp_ns, stamp_ns)) is not None:
                     self._learner.gated[stuck] += 1
                     return
                 if gate(event.sample, event.power) is None:
@@ -293,7 +294,7 @@ class OnlineEstimator:
                     self._learner.observe(event.sample, event.power)
                     self._news = True
             case Interval():
-                if self.enabled and self._stuck.suspected is None:
+                if self.enabled and self._stuck.why_not(event.start_ns, event.end_ns) is None:
                     self._news |= self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
