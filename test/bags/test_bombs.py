@@ -9,12 +9,12 @@ import zlib
 import can
 from lz4.frame import compress as lz4
 from mcap.opcode import Opcode
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 import numpy as np
 import pytest
 import zstandard
 
-from evpinn_ros.bags import mcap_file
+from evpinn_ros.bags import mcap_file, mcap_summary, salvage
 from evpinn_ros.bags.limits import FREE_BYTES, most_messages, most_unpacked
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 from evpinn_ros.bags.reader import BagReader
@@ -112,6 +112,48 @@ def test_messages_packed_into_nothing_are_bounded(tmp_path):
     (report,) = recover(path, tmp_path / "new")
     assert report.messages == read
     assert "over 200 times its size" in report.losses[0].reason
+
+
+def unsummed(path):
+    message = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(20))
+    chunks = (chunk(message * count, count * len(message), "", 5) for count in (1, *9 * [11]))
+    return few_types(path, b"".join(chunks))
+
+
+def summed(path):
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=10 * 51, compression=CompressionType.NONE)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for stamp in range(1, 101):
+            writer.add_message(channel, stamp, bytes(20), stamp)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("write", [unsummed, summed])
+@pytest.mark.parametrize(
+    ("name", "limit", "most", "reason"),
+    [
+        ("most_messages", lambda size: 35, 35, "too many messages"),
+        ("most_unpacked", lambda size: 35 * 51, 35, "over 200 times its size"),
+        ("LONGEST_CHUNK", 9 * 51, 9, "above the limit"),
+    ],
+)
+def test_each_limit_holds_with_and_without_a_summary(
+    tmp_path, monkeypatch, write, name, limit, most, reason
+):
+    """Chunks of some ten messages and one of one; a sound summary is no leave to go beyond."""
+    for module in (salvage, mcap_summary):
+        monkeypatch.setattr(module, name, limit)
+    path = write(tmp_path / "a.mcap")
+    with BagReader(path) as reader:
+        read = sum(1 for _ in reader.raw_records())
+        assert 0 < read <= most
+        assert "chunks are damaged" in reader.problem
+    (report,) = recover(path, tmp_path / "new")
+    assert report.messages == read and reason in report.losses[0].reason
 
 
 def test_messages_packed_one_by_one_are_bounded_together(tmp_path):
