@@ -41,7 +41,7 @@ vehicles, CAN profiles and modes. Progress is shown on a terminal alone; `NO_COL
 colours. Results are on stdout, all else on stderr; exit codes: 0 done, 1 failed, 2 wrong usage,
 130 Ctrl-C. Ctrl-C leaves what there is so far: metrics, state and a whole bag of `replay`, the
 bag of `convert`, the rows of a benchmark, the trainings of `reproduce`, which goes on there;
-`recover` leaves nothing, `simulate` a whole drive or nothing.
+`recover` leaves nothing, `simulate` a whole drive or nothing, also on a full disk.
 For scripts:
 
 | | |

@@ -15,7 +15,16 @@ PACKAGE = ROOT / "evpinn_ros"
 # From the ground up. A part may import what lies below it, and nothing beside or above it.
 LAYERS = [
     {"", "errors"},
-    {"share", "yaml_section", "one_thread", "text_lines", "npz", "durable", "plain_table"},
+    {
+        "share",
+        "yaml_section",
+        "one_thread",
+        "text_lines",
+        "npz",
+        "durable",
+        "plain_table",
+        "unpacking",
+    },
     {"vehicle"},
     {"signals"},
     {"can", "energy", "estimation"},

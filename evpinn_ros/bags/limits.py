@@ -17,15 +17,7 @@ LONGEST_MESSAGE = 16 * MEBIBYTE
 MOST_HELD = 512 * MEBIBYTE
 """Bytes of messages held back to put them in order. Chunks of a recorder overlap by seconds."""
 
-RATIO, FREE_BYTES, FREE_MESSAGES = 200, MEBIBYTE, 100_000
-
-
-def most_unpacked(size: int) -> int:
-    """Bytes that so many packed bytes may unpack to.
-
-    Drives of real cars shrink to a fifth, a bag in which nothing ever changes to a hundredth.
-    """
-    return FREE_BYTES + RATIO * size
+FREE_MESSAGES = 100_000
 
 
 def most_messages(size: int) -> int:

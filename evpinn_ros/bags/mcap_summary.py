@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
 
-from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE, most_messages, most_unpacked
+from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE, most_messages
 from evpinn_ros.bags.mcap_content import (
     FOOTER,
     HEAD,
@@ -26,6 +26,7 @@ from evpinn_ros.bags.mcap_content import (
 )
 from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
 from evpinn_ros.errors import InputError
+from evpinn_ros.unpacking import most_unpacked
 
 LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the file is searched
 

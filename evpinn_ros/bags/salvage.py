@@ -14,13 +14,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
-from evpinn_ros.bags.limits import (
-    LONGEST_CHUNK,
-    MEBIBYTE,
-    RATIO,
-    most_messages,
-    most_unpacked,
-)
+from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE, most_messages
 from evpinn_ros.bags.mcap_content import (
     INDEX_ENTRY,
     MAGIC,
@@ -39,6 +33,7 @@ from evpinn_ros.bags.mcap_content import (
 from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
 from evpinn_ros.bags.mcap_summary import summary_of
 from evpinn_ros.errors import InputError
+from evpinn_ros.unpacking import RATIO, most_unpacked
 
 STRETCH = MEBIBYTE  # messages outside of chunks that are handled together
 LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 from pathlib import Path
+from shutil import rmtree
 import time
 from typing import Any
 
@@ -55,19 +56,23 @@ class BagWriter:
             split: when to begin another file; None for never.
 
         Raises:
-            InputError: the folder is in use, or can not be made.
+            InputError: the folder is in use, or can not be made; nothing is left of it then.
         """
         self.folder = Path(folder)
         _refuse_used(self.folder)
         self._live, self._split = live, split or Split()
         self._topics: dict[str, WrittenTopic] = {}
         self._files: list[WrittenFile] = []
+        there = self.folder.is_dir()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._part = self._begin_part()
+            self._describe()
         except OSError as error:
+            rmtree(self.folder, ignore_errors=True)
+            if there:
+                self.folder.mkdir(exist_ok=True)
             raise InputError(f"{self.folder}: {error.strerror}") from error
-        self._describe()
         if live:
             for parent in self.folder.resolve().parents:  # of which some may be new
                 sync(parent)

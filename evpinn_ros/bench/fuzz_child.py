@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from random import Random
 import sys
 from tempfile import TemporaryDirectory
 import time
@@ -38,7 +39,14 @@ def main() -> None:
                 slowest = took
                 result.write_text(json.dumps({"slowest_s": slowest}))
 
-        atheris.Setup([sys.argv[0], *sys.argv[3:]], one)
+        def damaged(data: bytes, most: int, seed: int) -> bytes:
+            """Half of the inputs keep their structure; no input is longer than `most`."""
+            chance = Random(seed)
+            if target.mutate is None or chance.randrange(2):
+                return bytes(atheris.Mutate(data, most))
+            return target.mutate(data, chance)[:most]
+
+        atheris.Setup([sys.argv[0], *sys.argv[3:]], one, custom_mutator=damaged)
         atheris.Fuzz()
 
 

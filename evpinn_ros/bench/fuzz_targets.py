@@ -24,6 +24,13 @@ from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import decode
 from evpinn_ros.bench import fuzz_seeds as seeds
 from evpinn_ros.bench.fuzz_seeds import READINGS, VEHICLE
+from evpinn_ros.bench.fuzz_structures import (
+    Mutate,
+    mutate_json,
+    mutate_mcap,
+    mutate_table,
+    mutate_yaml,
+)
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
@@ -67,6 +74,7 @@ class Target:
         parse: reads the file; it may raise InputError and nothing else.
         beside: makes what the parser needs in the folder of the file.
         weight: its part of all inputs; less where one input takes longer.
+        mutate: damages an input and keeps its structure, where it has one to keep.
     """
 
     name: str
@@ -75,6 +83,7 @@ class Target:
     parse: Callable[[Path], object]
     beside: Callable[[Path], object] = lambda folder: None
     weight: float = 1.0
+    mutate: Mutate | None = None
 
     def run(self, folder: Path, data: bytes) -> None:
         """Parse one input in a folder that was made ready by `beside`.
@@ -228,19 +237,27 @@ def _cut(data: bytes) -> Iterator[CanFrame]:
 
 
 TARGETS = (
-    Target("mcap", "drive.mcap", seeds.mcap_files, _bag),
-    Target("recover", "drive.mcap", seeds.mcap_files, _recovered, weight=SLOW),
+    Target("mcap", "drive.mcap", seeds.mcap_files, _bag, mutate=mutate_mcap),
+    Target("recover", "drive.mcap", seeds.mcap_files, _recovered, weight=SLOW, mutate=mutate_mcap),
     Target("sqlite3", "drive.db3", seeds.database, _bag),
     Target(
         "packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside, weight=SLOW
     ),
-    Target("metadata", METADATA, seeds.metadata, _bag_folder, _mcap_beside, weight=SLOW),
+    Target(
+        "metadata",
+        METADATA,
+        seeds.metadata,
+        _bag_folder,
+        _mcap_beside,
+        weight=SLOW,
+        mutate=mutate_yaml,
+    ),
     *(
         Target(suffix.strip("."), f"drive{suffix}", partial(seeds.can_log, suffix), _log)
         for suffix in (".log", ".asc", ".trc", ".csv", ".blf")
     ),
     Target("log.gz", "drive.log.gz", seeds.zipped_log, _log),
-    Target("drive", "drive.csv", seeds.csv_drive, _csv_drive),
+    Target("drive", "drive.csv", seeds.csv_drive, _csv_drive, mutate=mutate_table),
     Target(
         "dbc",
         "input.dbc",
@@ -256,9 +273,15 @@ TARGETS = (
         load_profile,
         _dbc_beside,
         weight=SLOW,
+        mutate=mutate_yaml,
     ),
     Target(
-        "vehicle", "car.yaml", partial(seeds.bundled, "vehicles/*.yaml"), load_vehicle, weight=SLOW
+        "vehicle",
+        "car.yaml",
+        partial(seeds.bundled, "vehicles/*.yaml"),
+        load_vehicle,
+        weight=SLOW,
+        mutate=mutate_yaml,
     ),
     Target(
         "params",
@@ -266,10 +289,30 @@ TARGETS = (
         partial(seeds.bundled, "*.param.yaml"),
         check_parameter_file,
         weight=SLOW,
+        mutate=mutate_yaml,
     ),
-    Target("truth", TRUTH_FILE, seeds.truth, lambda path: read_truth(path.parent)),
-    Target("state", "s.json", lambda: seeds.as_json(_estimator().export()), _estimator_state),
-    Target("energy", "e.json", lambda: seeds.as_json(_account().export()), _energy_state),
+    Target(
+        "truth",
+        TRUTH_FILE,
+        seeds.truth,
+        lambda path: read_truth(path.parent),
+        mutate=mutate_yaml,
+    ),
+    Target(
+        "state",
+        "s.json",
+        lambda: seeds.as_json(_estimator().export()),
+        _estimator_state,
+        weight=SLOW,
+        mutate=mutate_json,
+    ),
+    Target(
+        "energy",
+        "e.json",
+        lambda: seeds.as_json(_account().export()),
+        _energy_state,
+        mutate=mutate_json,
+    ),
     Target("rknn", "w.npz", lambda: [SHIPPED_WEIGHTS.read_bytes()], load_rknn),
     Target("message", "m", seeds.messages, partial(_refused, _reading)),
     Target("model", "m", seeds.model, partial(_refused, _model)),

@@ -9,6 +9,7 @@ from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.sample import MeasuredSample
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.suspicion import CURRENT_SIGN, ChargeSuspicion, SignSuspicion
+from evpinn_ros.signals.time_jump import Jump, StampGuard
 
 PERIOD_NS = NANOSECONDS // 11
 """Readings that follow sooner are left out: ten a second tell accelerations."""
@@ -22,7 +23,7 @@ class CurrentSign:
     def __init__(self) -> None:
         """Nothing seen, nothing suspected."""
         settings = StreamSettings(grade_source=GradeSource.NONE)
-        self._stream = SampleStream(settings, AIR_DENSITY)
+        self._stream, self._time = SampleStream(settings, AIR_DENSITY), StampGuard(SpeedReading)
         self._driving, self._charging = SignSuspicion(), ChargeSuspicion()
         self._newest: dict[type[Reading], int] = {}
         self._sampled_ns = 0
@@ -45,7 +46,15 @@ class CurrentSign:
         return f"{CURRENT_SIGN}: {why}; flip positive_means in the profile"
 
     def push(self, reading: Reading) -> None:
-        """Learn from a reading."""
+        """Learn from a reading; where time jumps nothing is joined."""
+        for item in self._time.follow(reading):
+            if isinstance(item, Jump):
+                self._stream.reset()
+                self._newest.clear()
+            else:
+                self._push(item)
+
+    def _push(self, reading: Reading) -> None:
         newest = self._newest.get(type(reading))
         if newest is not None and 0 <= reading.stamp_ns - newest < PERIOD_NS:
             return

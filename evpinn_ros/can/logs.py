@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-import gzip
+import io
 from pathlib import Path
 import resource
 import subprocess
@@ -25,6 +25,7 @@ from evpinn_ros.can.gvret import HEADER, GvretReader
 from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError
 from evpinn_ros.text_lines import bounded_lines
+from evpinn_ros.unpacking import open_gzipped
 
 _READERS: dict[str, Callable[..., Any]] = {
     ".log": can.CanutilsLogReader,
@@ -129,11 +130,11 @@ class LogFile:
             raise InputError(self.problem or f"{self.path}: no CAN frame in it")
 
     def _open(self) -> IO[Any]:
-        opener: Callable[..., IO[Any]] = gzip.open if self._gzipped else open
         try:
+            file = open_gzipped(self.path) if self._gzipped else self.path.open("rb")
             if self._suffix == ".blf":
-                return opener(self.path, "rb")
-            return opener(self.path, "rt", encoding="utf-8", errors="replace")
+                return file
+            return io.TextIOWrapper(file, encoding="utf-8", errors="replace")
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}") from error
 

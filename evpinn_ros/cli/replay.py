@@ -28,7 +28,7 @@ from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import TABLES, Value
-from evpinn_ros.nodes.settings import estimator_settings
+from evpinn_ros.nodes.settings import estimator_settings, jump_rule
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import (
@@ -105,7 +105,8 @@ def replay(
     # One thread, so that the same bag gives the same bits and other cores stay free.
     one_thread()
     car = load_vehicle(vehicle)
-    settings = estimator_settings(_parameters(params, mode, optimizer))
+    values = _parameters(params, mode, optimizer)
+    settings = estimator_settings(values)
     open_input = partial(
         open_source,
         vehicle=car,
@@ -117,7 +118,7 @@ def replay(
     for source in first:
         explain_columns(source)
     again = (open_input(path) for _ in range(loop - 1) for path in inputs)
-    chain = Chain(car, settings, InlineWorker(time.perf_counter))
+    chain = Chain(car, settings, InlineWorker(time.perf_counter), jump_rule(values))
     _restore(chain, state)
     options = ReplayOptions(withhold_battery_after, warm_up, rate, start, duration)
     done: list[Replayed] = []

@@ -85,7 +85,7 @@ def long_form(head: Head) -> tuple[int, int, int | None] | None:
 def _names_some(row: Sequence[str]) -> bool:
     """Whether two cells of a row or more are names of quantities."""
     names = [cell.strip() for cell in row if 0 < len(cell) < 100]
-    names = [name for name in names if not name[0].isdigit()][:1000]
+    names = [name for name in names if not name[:1].isdigit()][:1000]
     found = {
         quantity
         for quantity, known in QUANTITIES.items()

@@ -6,7 +6,6 @@ import codecs
 from collections import Counter
 from collections.abc import Iterator
 import csv
-import gzip
 from itertools import islice
 from pathlib import Path
 from typing import IO, Any
@@ -14,6 +13,7 @@ import zlib
 
 from evpinn_ros.errors import InputError
 from evpinn_ros.text_lines import LONGEST_LINE
+from evpinn_ros.unpacking import open_gzipped
 
 MOST_COLUMNS = 10_000
 MOST_BLANK = 100_000  # lines in a row
@@ -103,9 +103,8 @@ class TextTable:
         return max(SEPARATORS, key=merit) if lines else ","
 
     def _open(self) -> IO[bytes]:
-        opener: Any = gzip.open if self.path.suffix.lower() == ".gz" else Path.open
-        file: IO[bytes] = opener(self.path, "rb")
-        return file
+        packed = self.path.suffix.lower() == ".gz"
+        return open_gzipped(self.path) if packed else self.path.open("rb")
 
     def _texts(self, file: Any) -> Iterator[str]:
         """The text of the file, piece by piece; what comes before a damage is not lost."""

@@ -162,6 +162,12 @@ class EnergyAccount:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
         self.restore(self.export())
 
+    def begin_readings_anew(self) -> None:
+        """Join no speed and no battery reading to those before: their time jumped."""
+        self.trip.begin_anew()
+        self.battery.begin_anew()
+        self.gauge.begin_anew()
+
     def begin_next_trip(self) -> None:
         """Likewise, and count the trip from zero; the lifetime goes on."""
         self.begin_next_stretch()

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.energy.saved import number, numbers
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -22,6 +23,7 @@ FIRST_STEP = 0.01  # of the readings, before one was seen
 SMALLEST_STEP, LARGEST_STEP = 0.005, 0.05  # finer ones are drawn between readings
 CAPACITY_PRIOR = 0.2  # relative 1-sigma of the vehicle file: usable or gross, new or aged
 CAPACITY_SPREAD = 0.05  # relative 1-sigma of one reading beside rounding; see docs/benchmarks.md
+MOST_LEARNED = 1e9  # changes that a saved capacity rests on
 CAPACITY_LIMITS = (1e6, 5e9)  # J
 OUTLIER = 3.0  # sigma
 
@@ -206,17 +208,16 @@ class ChargeGauge:
         Raises:
             InputError: something is missing or wrong; nothing is changed then.
         """
-        try:
-            learned, step = int(saved["learned"]), saved["step"]
-            found = saved["capacity"]
-            capacity = self._prior if found is None else Uncertain(*map(float, found))
-            seen = FIRST_STEP if step is None else float(step)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"saved energy: charge: {error}") from error
+        learned = number(saved, "learned", most=MOST_LEARNED)
+        step = number(saved, "step", may_be_unknown=True, most=LARGEST_STEP)
         low, high = self._limits
-        fits = found is None or (low <= capacity.value <= high and 0 < capacity.sigma < math.inf)
-        if not fits or learned < 0 or not SMALLEST_STEP <= seen <= LARGEST_STEP:
+        capacity, fits = self._prior, True
+        if saved.get("capacity", 0) is not None:
+            capacity = Uncertain(*numbers(saved, "capacity", [high, high]))
+            fits = low <= capacity.value and capacity.sigma > 0
+        seen = FIRST_STEP if math.isnan(step) else step
+        if not fits or learned < 0 or not seen >= SMALLEST_STEP:
             raise InputError("saved energy: charge: a number is out of range")
-        self.capacity, self.learned = capacity, learned
-        self._step, self._step_seen = seen, step is not None
+        self.capacity, self.learned = capacity, int(learned)
+        self._step, self._step_seen = seen, not math.isnan(step)
         self.begin_anew()

@@ -117,6 +117,9 @@ def forecast_plan(
         head_wind: against the car at the start, m/s over ground. Few plans say where they lead,
             so less and less of it is expected along the way; what else the wind may do is in the
             sigma of slopes and winds.
+
+    Raises:
+        PlanError: the model gives no finite energy.
     """
     legs = _Legs.of(plan)
     along = plan.distance[..., :-1, None] - plan.distance[..., :1, None]
@@ -128,12 +131,11 @@ def forecast_plan(
     squares = _accumulated((legs.speed**2) @ SIMPSON * legs.duration, axis=-1)
     square_speed = squares / np.where(elapsed > 0, elapsed, 1.0)
     beside = model.variance_beside(elapsed, plan.distance - plan.distance[..., :1], square_speed)
-    return Forecast(
-        time=plan.time,
-        energy=energies[..., 0],
-        power=np.concatenate((powers[..., 0, 0], powers[..., -1:, 2, 0]), axis=-1),
-        sigma=np.sqrt((energies[..., 1:] ** 2).sum(axis=-1) + beside),
-    )
+    power = np.concatenate((powers[..., 0, 0], powers[..., -1:, 2, 0]), axis=-1)
+    sigma = np.sqrt((energies[..., 1:] ** 2).sum(axis=-1) + beside)
+    if not np.isfinite(energies[..., 0] + power + sigma).all():
+        raise PlanError("by what is told of the car its energy is not finite")
+    return Forecast(time=plan.time, energy=energies[..., 0], power=power, sigma=sigma)
 
 
 def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> Uncertain:

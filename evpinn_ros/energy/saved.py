@@ -29,7 +29,7 @@ def number(
     value = saved.get(name)
     if value is None and may_be_unknown and name in saved:
         return math.nan
-    if not isinstance(value, (int, float)) or not abs(value) <= most:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= most:
         bound = "" if most == sys.float_info.max else f" of at most {most:g}"
         raise InputError(f"saved energy: '{name}' is {_shown(value)}, expected a number{bound}")
     return float(value)

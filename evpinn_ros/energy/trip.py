@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from evpinn_ros.energy.plausible import MOST_DISTANCE, MOST_ENERGY
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
-from evpinn_ros.energy.saved import number, section
+from evpinn_ros.energy.saved import number, numbers, section
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.stream import MAX_SPEED
 
@@ -76,15 +76,11 @@ class DistanceWindow:
         """
         if not isinstance(saved, list) or not 0 < len(saved) <= BUCKETS + 1:
             raise InputError(f"saved energy: no window of {self.length:g} m")
-        try:
-            buckets = [Stretch(*(float(number) for number in each)) for each in saved]
-        except (TypeError, ValueError) as error:
-            raise InputError(f"saved energy: window of {self.length:g} m: {error}") from error
-        if not all(
-            0 <= b.distance <= MOST_DISTANCE and abs(b.energy) <= MOST_ENERGY for b in buckets
-        ):
+        most = [MOST_DISTANCE, MOST_ENERGY]
+        *full, last = (Stretch(*numbers({"window": each}, "window", most)) for each in saved)
+        least = self.length / BUCKETS
+        if not (0 <= last.distance < least and all(each.distance >= least for each in full)):
             raise InputError(f"saved energy: window of {self.length:g} m: out of range")
-        *full, last = buckets
         self._full = deque(full)
         self._distance, self._energy = CompensatedSum(last.distance), CompensatedSum(last.energy)
 

@@ -28,6 +28,7 @@ from evpinn_ros.estimation.learner import (
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.pinn import PinnLearner
+from evpinn_ros.estimation.state_schema import check_state
 from evpinn_ros.estimation.worker import Worker
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -38,7 +39,6 @@ from evpinn_ros.signals.sample import (
     Sample,
     SmoothedSample,
     StreamEvent,
-    TimeJump,
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckSuspicion
@@ -246,7 +246,7 @@ class OnlineEstimator:
             "vehicle": self._vehicle.key,
             "mode": self._settings.mode.value,
             "learner": self._learner.export(),
-            "bands": {kind.value: band.export() for kind, band in self._bands.items()},
+            "bands": _exported(self._bands),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -263,6 +263,8 @@ class OnlineEstimator:
         learner = _learner(self._vehicle, self._settings)
         learner.gated = self._learner.gated
         bands = {kind: BandCalibration() for kind in self._bands}
+        unlearned = {"learner": learner.export(), "bands": _exported(bands), "mode": found[2]}
+        check_state(state, unlearned)
         try:
             learner.restore(state["learner"])
             for kind, band in bands.items():
@@ -280,7 +282,8 @@ class OnlineEstimator:
                 self._learner.advance(event.sample)
                 yield from self._predict(PowerKind.SMOOTHED, event.sample)
             case MeasuredSample():
-                if (stuck := self._stuck.suspected) is not None:
+                stamp_ns = event.sample.stamp_ns
+                if (stuck := self._stuck.why_not(stamp_ns, stamp_ns)) is not None:
                     self._learner.gated[stuck] += 1
                     return
                 if gate(event.sample, event.power) is None:
@@ -291,14 +294,10 @@ class OnlineEstimator:
                     self._learner.observe(event.sample, event.power)
                     self._news = True
             case Interval():
-                if self.enabled and self._stuck.suspected is None:
+                if self.enabled and self._stuck.why_not(event.start_ns, event.end_ns) is None:
                     self._news |= self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
-            case TimeJump():
-                self._worker.cancel()
-                self._learner.forget_window()
-                self._begin_time()
 
     def _predict(self, kind: PowerKind, sample: Sample) -> Iterator[PowerEstimate]:
         prediction = self._learner.predict(sample)
@@ -374,6 +373,10 @@ class OnlineEstimator:
         if self._silent_for(max(BATTERY_TIMEOUT_NS, self._stream.battery_gap_ns)):
             return Activity.PREDICTING
         return Activity.LEARNING if self.enabled else Activity.PAUSED
+
+
+def _exported(bands: Mapping[PowerKind, BandCalibration]) -> dict[str, list[float]]:
+    return {kind.value: band.export() for kind, band in bands.items()}
 
 
 def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:

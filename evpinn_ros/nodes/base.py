@@ -52,6 +52,7 @@ class GuardedNode(Node):
         self._usual: set[str] = set()  # of them, those that nobody need be told of
         self._lasting: dict[str, float] = {}  # of them, those told when they begin; newest, s
         self._faults: Counter[str] = Counter()
+        self._newest_fault = "", -math.inf  # and when, s
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, float] = {}
         self._inputs: dict[Topic, str] = {}
@@ -168,7 +169,9 @@ class GuardedNode(Node):
         bad = {**self.bad, **(dropped or {})}
         lately = self._lately.push(self.steady_s(), {**bad, **(told_elsewhere or {})})
         told = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
-        return Health(bad, dict(self._faults), tuple(self._noticed(told)))
+        fault, at = self._newest_fault
+        recent = fault if at > self.steady_s() - LATELY else None
+        return Health(bad, dict(self._faults), tuple(self._noticed(told)), recent)
 
     def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
@@ -239,3 +242,4 @@ class GuardedNode(Node):
         if text not in self._faults:
             self.get_logger().error(printable(f"{text} {detail}".strip()))
         self._faults[text] += 1
+        self._newest_fault = text, self.steady_s()

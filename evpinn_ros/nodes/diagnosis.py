@@ -35,11 +35,13 @@ class Health:
         bad: messages not used, by reason.
         faults: of our own, by text.
         notices: what a person should know now, a few words each.
+        fault: the newest of our own, None when it is longer ago than `LATELY`.
     """
 
     bad: Mapping[str, int]
     faults: Mapping[str, int]
     notices: tuple[str, ...] = ()
+    fault: str | None = None
 
 
 class Lately:
@@ -69,12 +71,12 @@ def unused_notice(lately: Mapping[str, int]) -> str | None:
 def with_health(status: Status, health: Health) -> Status:
     """A status with counters and notices of its node; a fault of our own outweighs all else."""
     values = {**status.values, **flat("bad", health.bad), **flat("fault", health.faults)}
-    if not health.faults:
+    if health.fault is None:
         text = "; ".join((status.text, *health.notices))
         level = max(status.level, Level.WARN) if health.notices else status.level
         return status._replace(level=level, text=text, values=values)
-    newest = list(health.faults)[-1]
-    return status._replace(level=Level.ERROR, text=f"internal fault: {newest}", values=values)
+    text = f"internal fault: {health.fault}"
+    return status._replace(level=Level.ERROR, text=text, values=values)
 
 
 def flat(name: str, values: Mapping[str, object]) -> dict[str, object]:

@@ -43,11 +43,12 @@ from evpinn_ros.nodes.plan_messages import (
 )
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
+from evpinn_ros.nodes.settings import jump_rule
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
-from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.signals.road import why_impossible
+from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 
@@ -76,7 +77,7 @@ class EnergyNode(GuardedNode):
         self._keeper = StateKeeper(state_path(self.values["energy_file"]), self.account)
         self._load()
         self._guard = StampGuard(topics.POWER_SMOOTHED)
-        self._speed_guard = StampGuard(topics.SPEED)
+        self._reading_guard = StampGuard(topics.SPEED)
         self._answered = self._refused = 0
         self._plan_problem: str | None = None
         self._charge_after = UNKNOWN
@@ -105,7 +106,7 @@ class EnergyNode(GuardedNode):
             learned_capacity=self.account.gauge.learned,
             file_problem=self._keeper.problem,
             health=self.health(
-                self._guard.dropped + self._speed_guard.dropped + self.account.refused
+                self._guard.dropped + self._reading_guard.dropped + self.account.refused
             ),
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
@@ -138,11 +139,7 @@ class EnergyNode(GuardedNode):
         power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
         energy_sigma = vector.sigmas.get(UNMEASURED_ENERGY, math.nan)
         item = topic, vector.stamp_ns, power, sigma, energy_sigma
-        if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
-            self._push(*item)
-            return
-        threshold = self.values["time_jump_threshold"]
-        for passed in self._guard.push(topic, vector.stamp_ns, item, threshold):
+        for passed in self._guard.push(topic, vector.stamp_ns, item, jump_rule(self.values)):
             if isinstance(passed, Jump):
                 self._on_jump(passed)
             else:
@@ -164,7 +161,7 @@ class EnergyNode(GuardedNode):
 
     def _on_clock_going_back(self) -> None:
         self._guard.clock_went_back()
-        self._speed_guard.clock_went_back()
+        self._reading_guard.clock_went_back()
 
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]
@@ -183,24 +180,27 @@ class EnergyNode(GuardedNode):
             Identifiable(*(numbers[name] for name in IDENTIFIABLE_NAMES))
             for numbers in (vector.values, vector.sigmas)
         )
-        self.forecaster.hear_identifiable(values, sigmas)
+        try:
+            self.forecaster.hear_identifiable(values, sigmas)
+        except ValueError as error:
+            raise BadMessage(str(error)) from error
 
     def _on_speed(self, message: Any) -> None:
-        """Speed has a guard of its own: in a fast replay it is seconds ahead of power."""
-        reading = speed_reading(message)
-        if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
-            self.account.push_speed(reading.stamp_ns, reading.speed)
-            return
-        threshold = self.values["time_jump_threshold"]
-        for passed in self._speed_guard.push(topics.SPEED, reading.stamp_ns, reading, threshold):
-            if isinstance(passed, Jump):
-                self.account.trip.begin_anew()
-            else:
-                self.account.push_speed(passed.stamp_ns, passed.speed)
+        self._take_reading(topics.SPEED, speed_reading(message))
 
     def _on_battery(self, message: Any) -> None:
-        reading = battery_reading(message)
-        self.account.push_battery(reading)
+        self._take_reading(topics.BATTERY, battery_reading(message))
+
+    def _take_reading(self, topic: Topic, reading: SpeedReading | BatteryReading) -> None:
+        """Readings have a guard of their own: in a fast replay they are seconds ahead of power."""
+        rule = jump_rule(self.values)
+        for passed in self._reading_guard.push(topic, reading.stamp_ns, reading, rule):
+            if isinstance(passed, Jump):
+                self.account.begin_readings_anew()
+            elif isinstance(passed, SpeedReading):
+                self.account.push_speed(passed.stamp_ns, passed.speed)
+            else:
+                self.account.push_battery(passed)
 
     def _on_model(self, message: Any) -> None:
         self.forecaster.hear_model(read_model(message, self._vehicle.key))
@@ -216,15 +216,22 @@ class EnergyNode(GuardedNode):
         return path_plan(data, self.values["nominal_speed"])
 
     def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
+        """Answer a plan or refuse it with the reason, whatever happens."""
         try:
-            plan, header = read(data), request_header(new_message, data)
+            answer = list(self._forecast(request_header(new_message, data), read(data)))
         except (CdrError, PlanError) as error:
-            self._refused += 1
-            self._plan_problem = str(error)
+            self._refuse(str(error))
             return
-        self.publish(self._forecast(header, plan))
+        except Exception as error:
+            self._refuse(f"internal fault: {type(error).__name__}")
+            raise
+        self.publish(answer)
         self._answered += 1
         self._plan_problem = None
+
+    def _refuse(self, reason: str) -> None:
+        self._refused += 1
+        self._plan_problem = reason
 
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""

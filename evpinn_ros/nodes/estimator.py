@@ -20,12 +20,12 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.model_messages import model_message
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.settings import estimator_settings
+from evpinn_ros.nodes.settings import estimator_settings, jump_rule
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
-from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.signals.readings import Reading
+from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.vehicle.files import load_vehicle
 
 MODEL_PERIOD = 10.0  # s
@@ -114,11 +114,8 @@ class EstimatorNode(GuardedNode):
             wrong = self._stamps.push(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
                 self.notice("stamps", f"{topic.name}: {wrong}")
-        if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
-            self._push(reading)
-            return
-        threshold = self.values["time_jump_threshold"]
-        for item in self._guard.push(topic, reading.stamp_ns, reading, threshold):
+        rule = jump_rule(self.values)
+        for item in self._guard.push(topic, reading.stamp_ns, reading, rule):
             if isinstance(item, Jump):
                 self._on_jump(item)
             else:

@@ -11,6 +11,7 @@ from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_after, forecast_plan
 from evpinn_ros.energy.plan import Plan
+from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.energy.power_model import PowerModel, combined_model, prior_identifiable
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -85,7 +86,13 @@ class Forecaster:
         self._heard: dict[type, tuple[object, int]] = {}
 
     def hear_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
-        """Take an estimate of the car and its 1-sigma."""
+        """Take an estimate of the car and its 1-sigma.
+
+        Raises:
+            ValueError: there is no such car; what was heard before stays.
+        """
+        if not car_is_possible(combined_model(combined, sigmas, self._vehicle, 0.0).linear):
+            raise ValueError("out_of_range")
         self._combined, self._sigmas = combined, sigmas
         if self._model is None:
             self.basis = Basis.COMBINATIONS
@@ -132,6 +139,9 @@ class Forecaster:
             capacity: energy of the full battery, J.
             now_ns: by the clock of `hear_air`.
             battery: tells its end better than capacity once enough is known of it.
+
+        Raises:
+            PlanError: there is no finite answer.
         """
         air = self.air(now_ns)
         density = density_of_air(self._vehicle.air_density, air.celsius, air.pascal)

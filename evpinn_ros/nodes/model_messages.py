@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import BadMessage, NewMessage, finite
 from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower
@@ -15,7 +16,6 @@ MODEL_VERSION = 2  # of what `estimate/model` holds
 MOST_NUMBERS = 100_000  # of a model: thirty times what an estimator tells
 _ARRAYS = ("mean", "directions")
 _NUMBERS = [f.name for f in fields(LinearPower) if f.name not in _ARRAYS]
-_POSITIVE = ("mass", "rotating_mass_factor", "drift_time", "slope_length")
 
 
 def model_message(new: NewMessage, vehicle: str, model: LinearPower) -> Any:
@@ -59,6 +59,7 @@ def read_model(message: Any, vehicle: str) -> LinearPower:
     if mean.size != wanted or directions.size % wanted:
         raise BadMessage("lengths_differ")
     named = dict(zip(_NUMBERS, numbers.tolist(), strict=True))
-    if min(named[name] for name in _POSITIVE) <= 0:
+    car = LinearPower(**named, mean=mean, directions=directions.reshape(-1, wanted))
+    if not car_is_possible(car):
         raise BadMessage("out_of_range")
-    return LinearPower(**named, mean=mean, directions=directions.reshape(-1, wanted))
+    return car

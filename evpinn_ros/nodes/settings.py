@@ -9,6 +9,7 @@ from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.stream import StreamSettings
+from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
 from evpinn_ros.vehicle.physics import RegenForm
 
 
@@ -26,3 +27,8 @@ def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
             grade_source=GradeSource(values["grade_source"]),
         ),
     )
+
+
+def jump_rule(values: Mapping[str, Any]) -> JumpRule:
+    """What to do when time jumps, from all parameters of a node."""
+    return JumpRule(JumpPolicy(values["time_jump_policy"]), values["time_jump_threshold"])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TypeAlias
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeAlias
 
 from evpinn_ros.energy.account import AccountSummary, EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState
@@ -11,10 +12,15 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
 from evpinn_ros.estimation.worker import Worker
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.time_jump import (
+    DEFAULT_RULE,
+    Jump,
+    JumpPolicy,
+    JumpRule,
+    StampGuard,
+)
 from evpinn_ros.vehicle.files import Vehicle
-
-JUMP_NS = 10 * NANOSECONDS  # stamps that go back further are no stragglers
 
 ChainOutput: TypeAlias = Output | EnergyState | AccountSummary
 
@@ -22,9 +28,24 @@ ChainOutput: TypeAlias = Output | EnergyState | AccountSummary
 class Chain:
     """Estimator and energy account, the one behind the other."""
 
-    def __init__(self, vehicle: Vehicle, settings: EstimatorSettings, worker: Worker) -> None:
-        """Start at the vehicle's priors and at zero energy."""
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        settings: EstimatorSettings,
+        worker: Worker,
+        rule: JumpRule = DEFAULT_RULE,
+    ) -> None:
+        """Start at the vehicle's priors and at zero energy.
+
+        Args:
+            vehicle: the car.
+            settings: of the estimator.
+            worker: computes its updates.
+            rule: for time that jumps.
+        """
         self.estimator = OnlineEstimator(vehicle, settings, worker)
+        self._rule, self._guard = rule, StampGuard(SpeedReading)
+        self._start: Mapping[str, Any] | None = None  # what was known when the drive began
         self.account = EnergyAccount(
             EnergyMeter(load_rknn()), vehicle.key, vehicle.battery_capacity
         )
@@ -34,8 +55,25 @@ class Chain:
         """Of the account."""
         return self.account.meter
 
+    @property
+    def dropped(self) -> Counter[str]:
+        """Readings of this drive that did not pass the guard of time, by reason."""
+        return self._guard.dropped + Counter(stamp_leaps=self._guard.held)
+
     def push(self, reading: Reading) -> Iterator[ChainOutput]:
         """Take one reading; give all that the estimator and then the account say of it."""
+        for item in self.follow(reading):
+            yield from self.take(item)
+
+    def follow(self, reading: Reading) -> Iterator[Reading | Jump]:
+        """Take one reading; give what `take` shall have now: none while its stamp is in doubt."""
+        return self._guard.follow(reading, self._rule)
+
+    def take(self, reading: Reading | Jump) -> Iterator[ChainOutput]:
+        """Take a reading that may be believed, or a jump of time."""
+        if isinstance(reading, Jump):
+            self._jump()
+            return
         if isinstance(reading, SpeedReading):
             self.account.push_speed(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
@@ -45,7 +83,6 @@ class Chain:
             if not isinstance(output, PowerEstimate):
                 continue
             if output.kind is PowerKind.SMOOTHED:
-                self._follow_time(output.stamp_ns)
                 self.account.push_predicted(
                     output.stamp_ns, output.power, output.sigma, output.energy_sigma
                 )
@@ -56,14 +93,20 @@ class Chain:
             elif output.kind is PowerKind.MEASURED:
                 self.account.push_measured(output.stamp_ns, output.power, output.sigma)
 
-    def _follow_time(self, stamp_ns: int) -> None:
-        """When stamps go back, as in a recording that starts over, count on from there."""
-        if self.meter.state.stamp_ns - stamp_ns > JUMP_NS:
+    def _jump(self) -> None:
+        if self._rule.policy is not JumpPolicy.RESET:
+            self.estimator.handle_time_jump()
             self.account.begin_next_stretch()
+            return
+        self.estimator.reset()
+        if self._start is not None:
+            self.estimator.restore(self._start)
+        self.account.begin_next_trip()
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car; time and energy start anew."""
         self.estimator.begin_next_drive()
         self.estimator.clear_counters()
+        self._guard, self._start = StampGuard(SpeedReading), self.estimator.export()
         self.account.begin_next_stretch()
         self.account.reset_trip()

@@ -13,8 +13,9 @@ from evpinn_ros.replay.history import Drive, Noticed
 from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.suspicion import CURRENT_SIGN
+from evpinn_ros.signals.time_jump import DEFAULT_RULE
 
-CLOCK_STEP = 10.0  # s that stamps must go back to be no stragglers
+CLOCK_STEP = DEFAULT_RULE.threshold
 SUSPICIONS = {
     CURRENT_SIGN: "Accelerating charges the battery: is the sign of current wrong?",
     GRADE_SIGN: "Climbing gives power back: is the sign of grade or pitch wrong?",
@@ -62,11 +63,12 @@ def _gaps(drive: Drive) -> Iterator[Event]:
 
 
 def _resets(drive: Drive) -> Iterator[Event]:
-    times = drive.speed[:, 0]
-    for index in np.flatnonzero(np.diff(times) < -CLOCK_STEP):
-        back = times[index] - times[index + 1]
+    times = drive.speed[:, 0]  # of a recording of the nodes they still go back
+    steps = np.diff(times)
+    recorded = ((times[i + 1], -steps[i]) for i in np.flatnonzero(steps < -CLOCK_STEP))
+    for time, back in (*drive.jumps, *recorded):
         text = f"Stamps went back by {back:.0f} s; what is joined over time began anew."
-        yield Event(float(times[index + 1]), EventKind.RESET, text)
+        yield Event(float(time), EventKind.RESET, text)
 
 
 def _payloads(drive: Drive) -> Iterator[Event]:

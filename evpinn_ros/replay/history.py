@@ -22,10 +22,12 @@ from evpinn_ros.signals.readings import (
     Reading,
     SpeedReading,
 )
+from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
+JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
 MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then
 
 
@@ -72,6 +74,8 @@ class KnownModel(NamedTuple):
 class Drive:
     """The series of one replayed drive; times in s since its first reading.
 
+    Where time jumped back the series go on `JUMP_GAP` later.
+
     Attributes:
         duration: s.
         speed: time and m/s, shape (n, 2).
@@ -87,6 +91,7 @@ class Drive:
         combinations: for each identifiable combination time, value, 1-sigma, shape (n, 3).
         noticed: what the learner noticed, whenever that changed.
         models: the car as known at the start and about every `MODEL_STEP`; empty without replay.
+        jumps: time, and s by which it went back there, shape (n, 2).
     """
 
     duration: float
@@ -102,6 +107,7 @@ class Drive:
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
     noticed: tuple[Noticed, ...] = ()
     models: tuple[KnownModel, ...] = ()
+    jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
 
 class History:
@@ -109,7 +115,9 @@ class History:
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
-        self._last_ns = 0
+        self._last_ns = self._offset_ns = 0
+        self._jumped: Jump | None = None
+        self._jumps = Columns(2)
         self._speed, self._energy = Columns(2), Columns(4)
         self._voltage, self._current = Columns(2), Columns(2)
         self._altitude = Columns(2)
@@ -122,14 +130,26 @@ class History:
 
     def seconds(self, stamp_ns: int) -> float:
         """Time since the first reading, s."""
-        start = stamp_ns if self._start_ns is None else self._start_ns
-        return (stamp_ns - start) / NANOSECONDS
+        moment = self.moment(stamp_ns)
+        return (moment - (moment if self._start_ns is None else self._start_ns)) / NANOSECONDS
+
+    def moment(self, stamp_ns: int) -> int:
+        """A stamp of after the last jump of time on the one axis of time of all series."""
+        return stamp_ns + self._offset_ns
+
+    def add_jump(self, jump: Jump) -> None:
+        """Time went back before the next reading."""
+        self._jumped = jump
 
     def add_reading(self, reading: Reading) -> None:
         """Take a reading as the car told it."""
         if self._start_ns is None:
             self._start_ns = self._last_ns = reading.stamp_ns
-        self._last_ns = max(self._last_ns, reading.stamp_ns)
+        if self._jumped is not None:
+            self._offset_ns = self._last_ns + JUMP_GAP - reading.stamp_ns
+            self._jumps.add(self.seconds(reading.stamp_ns), self._jumped.seconds)
+            self._jumped = None
+        self._last_ns = max(self._last_ns, self.moment(reading.stamp_ns))
         time = self.seconds(reading.stamp_ns)
         if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
             self._speed.add(time, reading.speed)
@@ -152,7 +172,7 @@ class History:
                 self._energy.add(time, predicted, rknn, output.predicted.sigma)
         elif isinstance(output, PowerEstimate):
             if output.kind in self._power:
-                lag = (self._last_ns - output.stamp_ns) / NANOSECONDS
+                lag = (self._last_ns - self.moment(output.stamp_ns)) / NANOSECONDS
                 self._power[output.kind].add(time, output.power, output.sigma, lag)
         else:
             self._final = output
@@ -182,7 +202,7 @@ class History:
 
     @property
     def _now(self) -> float:
-        return self.seconds(self._last_ns)
+        return 0.0 if self._start_ns is None else (self._last_ns - self._start_ns) / NANOSECONDS
 
     def _measured(self) -> np.ndarray:
         """Power at each reading of the current, the voltage interpolated, shape (n, 2)."""
@@ -195,7 +215,7 @@ class History:
     def drive(self) -> Drive:
         """The series so far."""
         return Drive(
-            duration=self.seconds(self._last_ns),
+            duration=self._now,
             speed=self._speed.values(),
             measured=self._measured(),
             smoothed=PowerSeries(*self._power[PowerKind.SMOOTHED].values().T),
@@ -208,6 +228,7 @@ class History:
             combinations={name: rows.values() for name, rows in self._combinations.items()},
             noticed=tuple(self._noticed),
             models=tuple(self._models),
+            jumps=self._jumps.values(),
         )
 
 

@@ -27,6 +27,7 @@ from evpinn_ros.replay.history import Drive, History
 from evpinn_ros.replay.scoring import metrics
 from evpinn_ros.replay.sources import Source
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
+from evpinn_ros.signals.time_jump import Jump
 
 WARM_UP = 120.0  # s at the start that are not scored
 STRAGGLING = 10.0  # s by which readings may come in another order than their stamps
@@ -87,10 +88,11 @@ def replay(
     started = time.perf_counter()
     whole = takewhile(lambda _: not stopped(), source.readings())
     readings = span(whole, options.start, options.duration)
-    for reading in _paced(readings, history, options.rate, progress):
-        outputs = _outputs(reading, history, chain, options)
-        if writer is not None:
-            not_recorded.update(_record(writer, reading, outputs))
+    items = (item for reading in readings for item in chain.follow(reading))
+    for item in _paced(items, history, options.rate, progress):
+        outputs = _outputs(item, history, chain, options)
+        if writer is not None and not isinstance(item, Jump):
+            not_recorded.update(_record(writer, item, outputs, history.moment(item.stamp_ns)))
     wall = time.perf_counter() - started
     drive = history.drive()
     where = "" if options.start == 0 and options.duration is None else " in that span"
@@ -108,7 +110,7 @@ def replay(
         mode=mode,
         drive=drive,
         status=status,
-        dropped=Counter(status.dropped) + source.dropped + not_recorded,
+        dropped=Counter(status.dropped) + chain.dropped + source.dropped + not_recorded,
         warm_up=options.warm_up,
         withheld_from=options.withhold_battery_after,
         wall=wall,
@@ -144,16 +146,18 @@ def span(readings: Iterator[Reading], start: float, duration: float | None) -> I
 
 
 def _outputs(
-    reading: Reading, history: History, chain: Chain, options: ReplayOptions
+    reading: Reading | Jump, history: History, chain: Chain, options: ReplayOptions
 ) -> list[ChainOutput]:
-    """What the chain says of a reading, unless it is withheld from it."""
+    """What the chain says of a reading, unless it is withheld from it; nothing of a jump."""
+    if isinstance(reading, Jump):
+        return list(chain.take(reading))
     after = options.withhold_battery_after
     withholding = after is not None and history.seconds(reading.stamp_ns) > after
     if withholding and isinstance(reading, BatteryReading):
         return []
     if history.wants_model:
         history.add_model(chain.estimator.linear_power())
-    outputs = list(chain.push(reading))
+    outputs = list(chain.take(reading))
     for output in outputs:
         history.add_output(output)
         if isinstance(output, ParameterSet):
@@ -162,25 +166,31 @@ def _outputs(
 
 
 def _paced(
-    readings: Iterator[Reading],
+    items: Iterator[Reading | Jump],
     history: History,
     rate: float | None,
     progress: Progress | None,
-) -> Iterator[Reading]:
-    """The readings, each noted, held back to the rate, with reports of progress."""
+) -> Iterator[Reading | Jump]:
+    """Readings and jumps, each noted, held back to the rate, with reports of progress."""
     started, reported = time.perf_counter(), 0.0
-    for reading in readings:
-        history.add_reading(reading)
-        done = history.seconds(reading.stamp_ns)
+    for item in items:
+        if isinstance(item, Jump):
+            history.add_jump(item)
+            yield item
+            continue
+        history.add_reading(item)
+        done = history.seconds(item.stamp_ns)
         if rate is not None:
             time.sleep(max(0.0, started + done / rate - time.perf_counter()))
         if progress is not None and done - reported >= PROGRESS_STEP:
             progress(done)
             reported = done
-        yield reading
+        yield item
 
 
-def _record(writer: BagWriter, reading: Reading, outputs: list[ChainOutput]) -> Iterator[str]:
+def _record(
+    writer: BagWriter, reading: Reading, outputs: list[ChainOutput], log_time_ns: int
+) -> Iterator[str]:
     """Write a reading and what was said of it; gives a reason for each that no message holds."""
     try:
         messages = list(reading_messages(reading))
@@ -195,7 +205,7 @@ def _record(writer: BagWriter, reading: Reading, outputs: list[ChainOutput]) -> 
         else:
             messages += output_messages(new_message, output)
     for topic, message in messages:
-        writer.write(topic.under(NAMESPACE), message, reading.stamp_ns)
+        writer.write(topic.under(NAMESPACE), message, log_time_ns)
 
 
 def has_battery(drive: Drive) -> bool:

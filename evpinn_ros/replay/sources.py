@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-import gzip
 from pathlib import Path
 from typing import Protocol
 import zlib
@@ -22,6 +21,7 @@ from evpinn_ros.drives.formats import MEASUREMENT_SUFFIX, is_table, suffix_of
 from evpinn_ros.drives.measurement import holds_signals
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import Reading
+from evpinn_ros.unpacking import open_gzipped
 from evpinn_ros.vehicle.files import Vehicle
 
 FRAME_COLUMN = "arbitration_id"  # tells a CAN log's CSV from a drive's
@@ -178,9 +178,8 @@ def is_drive_table(path: Path) -> bool:
         return holds_signals(path)
     if suffix_of(path) != ".csv":
         return True
-    opener = gzip.open if path.suffix == ".gz" else Path.open
     try:
-        with opener(path, "rb") as file:
+        with open_gzipped(path) if path.suffix == ".gz" else path.open("rb") as file:
             header = file.readline(10_000)
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: {error}") from error

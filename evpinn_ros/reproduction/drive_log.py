@@ -13,8 +13,9 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.signals.road import GradeSource
-from evpinn_ros.signals.sample import MeasuredSample, TimeJump
+from evpinn_ros.signals.sample import MeasuredSample
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.signals.time_jump import Jump, StampGuard
 from evpinn_ros.vehicle.files import Vehicle
 
 MIN_SAMPLES = 100
@@ -114,18 +115,19 @@ def _read(
     path: Path, vehicle: Vehicle, can_profile: str | None, delay: float
 ) -> tuple[DriveLog, dict[str, int]]:
     settings = StreamSettings(smoothing_lag=SMOOTHING_AHEAD, grade_source=GradeSource.NONE)
-    stream = SampleStream(settings, vehicle.air_density)
+    stream, guard = SampleStream(settings, vehicle.air_density), StampGuard(SpeedReading)
     source = open_source(path, vehicle, can_profile)
     earlier_ns = round(delay * NANOSECONDS)
     rows = []
     for reading in source.readings():
-        for event in stream.push(_earlier(reading, earlier_ns)):
-            if isinstance(event, TimeJump):
+        for item in guard.follow(reading):
+            if isinstance(item, Jump):
                 raise InputError(f"{path}: time goes back within the log; cut it there")
-            if isinstance(event, MeasuredSample):
-                sample = event.sample
-                rows.append((sample.stamp_ns, sample.speed, sample.acceleration, event.power))
-    dropped = {**source.dropped, **stream.dropped}
+            for event in stream.push(_earlier(item, earlier_ns)):
+                if isinstance(event, MeasuredSample):
+                    sample = event.sample
+                    rows.append((sample.stamp_ns, sample.speed, sample.acceleration, event.power))
+    dropped = {**source.dropped, **guard.dropped, **stream.dropped}
     if len(rows) < MIN_SAMPLES:
         why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
         raise InputError(

@@ -71,11 +71,4 @@ class Gap:
     duration: float
 
 
-@dataclass(frozen=True, slots=True)
-class TimeJump:
-    """Time went back to this stamp; nothing may be joined across, as for a `Gap`."""
-
-    stamp_ns: int
-
-
-StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Interval | Gap | TimeJump
+StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Interval | Gap

@@ -8,8 +8,8 @@ after, and not before `allowed_lateness` has passed since the later one, so that
 the same in whatever order battery readings come until then. Voltage and current may come apart.
 Beside the samples, which predict and follow power, stand the intervals that the car is learned
 from (`signals.interval`). What is late, doubled or impossible is
-dropped and counted by reason. When nothing but late readings come, time itself went back and the
-stream starts anew.
+dropped and counted by reason. Time that jumps is not this module's: whoever feeds a stream puts a
+`signals.time_jump.StampGuard` before it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from evpinn_ros.signals.sample import (
     Sample,
     SmoothedSample,
     StreamEvent,
-    TimeJump,
 )
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
@@ -47,7 +46,6 @@ MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
 MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and no power is told
 MAX_VOLTAGE = 2000.0  # V
 MAX_CURRENT = 5000.0  # A
-JUMP_AFTER = 10  # readings late in a row are no stragglers: time went back
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +98,6 @@ class SampleStream:
         self._moments: deque[int] = deque()
         self._unmeasured: deque[Sample] = deque()
         self._last_moment_ns: int | None = None
-        self._speeds_late = self._batteries_late = 0
         self._begin_stretch()
 
     def _begin_stretch(self) -> None:
@@ -166,14 +163,8 @@ class SampleStream:
             return
         newest = self.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
-            self._speeds_late += 1
-            if self._speeds_late < JUMP_AFTER:
-                self.dropped["speed_late"] += 1
-                return
-            self.reset()
-            newest = None
-            yield TimeJump(reading.stamp_ns)
-        self._speeds_late = 0
+            self.dropped["speed_late"] += 1
+            return
         if newest is not None and reading.stamp_ns <= newest:
             if not self._speed.add(reading.stamp_ns, reading.speed):
                 self.dropped["speed_doubled"] += 1
@@ -252,12 +243,8 @@ class SampleStream:
             return
         newest = self._battery.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
-            self._batteries_late += 1
-            if self._batteries_late < JUMP_AFTER:
-                self.dropped["battery_late"] += 1
-                return
-            self._battery.restart()
-        self._batteries_late = 0
+            self.dropped["battery_late"] += 1
+            return
         if not self._battery.add(reading.stamp_ns, reading.voltage, reading.current):
             self.dropped["battery_doubled"] += 1
 

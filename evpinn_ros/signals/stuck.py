@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Hashable
 import math
 from typing import Any
 
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
-SPEED_STUCK, BATTERY_STUCK = "speed_stuck", "battery_stuck"
+SPEED_STUCK, BATTERY_STUCK, SPEED_REPEATS = "speed_stuck", "battery_stuck", "speed_repeats"
 LONG = 2.0  # s of one value
 OFTEN = 10  # readings of it
 WINDOW_NS = 15 * NANOSECONDS  # beyond, a hilly road under cruise control would look the same
@@ -16,6 +17,11 @@ POWER_SWING = 30e3  # W that a car at one speed does not go through in that time
 # A speed in whole km/h or mph repeats by itself: for 3.9 s and 66 kW in 13 real drives so rounded.
 FINE = 0.1  # m/s, a step of finer speeds
 COARSE_LONG, COARSE_SWING = 5.0, 60e3
+# Before that is long enough, a speed that repeats is in doubt: nothing is learned until it moves.
+DOUBTED_AFTER, COARSE_DOUBTED_AFTER = 0.35, 2.0  # s
+COARSE_DOUBT_SWING = 20e3  # W
+SETTLES_NS = NANOSECONDS // 2  # before and after, which smoothing reaches and in which it leaps
+SPOILT_KEPT = 20
 SPEED_SWING = 5.0  # m/s that no car goes through at one voltage and one current
 IDLE_POWER = 5e3  # W; a full battery takes no more while friction stops the car, or none at all
 MOVING = 2.0  # m/s
@@ -27,6 +33,8 @@ class StuckSuspicion:
     def __init__(self) -> None:
         """Nothing seen, nothing suspected."""
         self._speed, self._battery = _Repeats(), _Repeats()
+        # Why, since when and until when a signal repeated: what lies behind is learned from later.
+        self._spoilt: deque[tuple[str, int, int]] = deque(maxlen=SPOILT_KEPT)
         self._step = math.inf  # smallest change of speed seen, m/s
 
     def push(self, reading: Reading) -> None:
@@ -40,6 +48,7 @@ class StuckSuspicion:
         elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
             self._battery.push(reading.stamp_ns, (reading.voltage, reading.current), LONG)
             self._speed.witness(reading.stamp_ns, reading.power)
+        self._note()
 
     @property
     def suspected(self) -> str | None:
@@ -51,6 +60,32 @@ class StuckSuspicion:
         speed = self._speed.value
         moving = isinstance(speed, float) and abs(speed) > MOVING
         return SPEED_STUCK if moving and self._speed.swing > self._speed_limits[1] else None
+
+    def why_not(self, begin_ns: int, end_ns: int) -> str | None:
+        """Why nothing may be learned of a time that lies behind, or None."""
+        for reason, first_ns, last_ns in self._spoilt:
+            if begin_ns <= last_ns + SETTLES_NS and end_ns >= first_ns - SETTLES_NS:
+                return reason
+        return None
+
+    def _note(self) -> None:
+        """Keep since when a signal repeats that is suspected or in doubt."""
+        reason = self.suspected or (SPEED_REPEATS if self._in_doubt() else None)
+        if reason is None:
+            return
+        found = self._battery if reason == BATTERY_STUCK else self._speed
+        if self._spoilt and self._spoilt[-1][:2] == (reason, found.since_ns):
+            self._spoilt.pop()
+        self._spoilt.append((reason, found.since_ns, found.newest_ns))
+
+    def _in_doubt(self) -> bool:
+        """Whether the speed repeats in motion, if not long enough to be suspected."""
+        speed, fine = self._speed.value, self._step < FINE
+        if not (isinstance(speed, float) and abs(speed) > MOVING):
+            return False
+        long = DOUBTED_AFTER if fine else COARSE_DOUBTED_AFTER
+        seconds = (self._speed.newest_ns - self._speed.since_ns) / NANOSECONDS
+        return seconds >= long and (fine or self._speed.range > COARSE_DOUBT_SWING)
 
     @property
     def _speed_limits(self) -> tuple[float, float]:
@@ -66,7 +101,8 @@ class _Repeats:
         self._begin(0)
 
     def _begin(self, stamp_ns: int) -> None:
-        self._since_ns, self._count, self._found, self._risen = stamp_ns, 0, 0.0, 0.0
+        self.since_ns = self.newest_ns = stamp_ns
+        self._count, self._found, self._risen = 0, 0.0, 0.0
         self._begin_window(stamp_ns)
 
     def _begin_window(self, stamp_ns: int) -> None:
@@ -83,12 +119,18 @@ class _Repeats:
         """The same, upwards alone."""
         return self._risen
 
+    @property
+    def range(self) -> float:
+        """Of the other value in the present window."""
+        return self._high - self._low
+
     def push(self, stamp_ns: int, value: Hashable, long: float) -> None:
-        if value != self.value or stamp_ns < self._since_ns:
+        if value != self.value or stamp_ns < self.since_ns:
             self.value = value
             self._begin(stamp_ns)
         self._count += 1
-        if self._count >= OFTEN and stamp_ns - self._since_ns >= long * NANOSECONDS:
+        self.newest_ns = stamp_ns
+        if self._count >= OFTEN and stamp_ns - self.since_ns >= long * NANOSECONDS:
             self._found = max(self._found, self._high - self._low)
             self._risen = max(self._risen, self._climb)
 

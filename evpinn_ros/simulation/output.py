@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import yaml
 from evpinn_ros.bags.convert import reported, write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
+from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import MotorReading
 from evpinn_ros.simulation.simulate import SimulatedDrive
 from evpinn_ros.simulation.truth import DEFINITIONS
@@ -24,7 +26,7 @@ def write(
     can_log: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Write a drive as the bag `folder` with `truth.yaml` in it.
+    """Write a drive as the bag `folder` with `truth.yaml` in it, whole or not at all.
 
     Args:
         drive: what to write.
@@ -35,10 +37,15 @@ def write(
     Raises:
         InputError: a file cannot be written.
     """
-    with BagWriter(folder) as bag:
-        write_readings(reported(drive.readings, progress), bag)
-    text = yaml.safe_dump(truth_document(drive), sort_keys=False, width=99)
-    (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
+    bag = BagWriter(folder)
+    try:
+        with bag:
+            write_readings(reported(drive.readings, progress), bag)
+        text = yaml.safe_dump(truth_document(drive), sort_keys=False, width=99)
+        (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
+    except OSError as error:
+        rmtree(folder, ignore_errors=True)
+        raise InputError(f"{folder}: {error.strerror or error}; nothing is left of it") from error
     if can_log is not None:
         write_log(can_log, drive.frames)
 

@@ -9,13 +9,13 @@ import zlib
 import can
 from lz4.frame import compress as lz4
 from mcap.opcode import Opcode
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 import numpy as np
 import pytest
 import zstandard
 
-from evpinn_ros.bags import mcap_file
-from evpinn_ros.bags.limits import FREE_BYTES, most_messages, most_unpacked
+from evpinn_ros.bags import mcap_file, mcap_summary, salvage
+from evpinn_ros.bags.limits import most_messages
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
@@ -25,6 +25,7 @@ from evpinn_ros.drives import open_drive
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.errors import InputError
 from evpinn_ros.text_lines import LONGEST_LINE
+from evpinn_ros.unpacking import FREE_BYTES, most_unpacked
 
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then data
 ZEROS = bytes(64 * FREE_BYTES)
@@ -114,6 +115,48 @@ def test_messages_packed_into_nothing_are_bounded(tmp_path):
     assert "over 200 times its size" in report.losses[0].reason
 
 
+def unsummed(path):
+    message = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(20))
+    chunks = (chunk(message * count, count * len(message), "", 5) for count in (1, *9 * [11]))
+    return few_types(path, b"".join(chunks))
+
+
+def summed(path):
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=10 * 51, compression=CompressionType.NONE)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for stamp in range(1, 101):
+            writer.add_message(channel, stamp, bytes(20), stamp)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("write", [unsummed, summed])
+@pytest.mark.parametrize(
+    ("name", "limit", "most", "reason"),
+    [
+        ("most_messages", lambda size: 35, 35, "too many messages"),
+        ("most_unpacked", lambda size: 35 * 51, 35, "over 200 times its size"),
+        ("LONGEST_CHUNK", 9 * 51, 9, "above the limit"),
+    ],
+)
+def test_each_limit_holds_with_and_without_a_summary(
+    tmp_path, monkeypatch, write, name, limit, most, reason
+):
+    """Chunks of some ten messages and one of one; a sound summary is no leave to go beyond."""
+    for module in (salvage, mcap_summary):
+        monkeypatch.setattr(module, name, limit)
+    path = write(tmp_path / "a.mcap")
+    with BagReader(path) as reader:
+        read = sum(1 for _ in reader.raw_records())
+        assert 0 < read <= most
+        assert "chunks are damaged" in reader.problem
+    (report,) = recover(path, tmp_path / "new")
+    assert report.messages == read and reason in report.losses[0].reason
+
+
 def test_messages_packed_one_by_one_are_bounded_together(tmp_path):
     """Each may unpack to a megabyte by itself."""
     one = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + zstd(bytes(FREE_BYTES)))
@@ -195,6 +238,23 @@ def test_a_line_without_an_end_is_not_read(tmp_path, name):
     path.write_bytes(gzip.compress(head + b"1" * (LONGEST_LINE + 1)))
     with pytest.raises(InputError, match="a line is longer than 1000000 characters"):
         list(open_drive(path, 350.0).readings() if head else LogFile(path).frames())
+
+
+def test_gzipped_text_that_unpacks_to_too_much_is_cut_there(tmp_path):
+    """70 kB of gzip were 8 million rows, and a minute and a half."""
+    rows = b"t_s,speed_mps,power_w\n" + b"0,1,2\n" * 2_000_000
+    (tmp_path / "drive.csv.gz").write_bytes(gzip.compress(rows))
+    drive = open_drive(tmp_path / "drive.csv.gz", 350.0)
+    size = (tmp_path / "drive.csv.gz").stat().st_size
+    read = sum(1 for _ in drive.readings()) + drive.dropped.total()
+    assert 0 < 6 * read <= 2 * most_unpacked(size) < 6 * 2_000_000
+    assert "unpacks to over 200 times its size" in drive.problem
+    (tmp_path / "a.log.gz").write_bytes(gzip.compress(b"(1.000000) can0 001#00\n" * 500_000))
+    log = LogFile(tmp_path / "a.log.gz")
+    read = sum(1 for _ in log.frames())
+    size = (tmp_path / "a.log.gz").stat().st_size
+    assert 0 < 23 * read <= most_unpacked(size) < 23 * 500_000
+    assert "unpacks to over 200 times its size" in log.problem
 
 
 def blf(path, objects):

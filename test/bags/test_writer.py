@@ -1,5 +1,6 @@
 import os
 from pathlib import Path
+import resource
 import signal
 import subprocess
 import sys
@@ -269,3 +270,20 @@ def test_a_kill_between_two_files_keeps_both(tmp_path):
     writer.flush()  # and never closed, as when the process is killed
     with BagReader(folder) as reader:
         assert [record.message.data for record in reader.records()] == list(range(100))
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_where_nothing_fits_nothing_is_left(tmp_path, there):
+    """The limit of a file's size fails as a full disk does; what is left would be in the way."""
+    folder = tmp_path / "bag"
+    if there:
+        folder.mkdir()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        with pytest.raises(InputError, match="bag: File too large"):
+            BagWriter(folder)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [*tmp_path.rglob("*")] == ([folder] if there else [])
+    BagWriter(folder).close()

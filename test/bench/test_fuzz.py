@@ -1,5 +1,7 @@
 """The table of parsers under hypothesis, for seconds; `evpinn bench fuzz` is the long run."""
 
+from random import Random
+
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 import pytest
@@ -69,6 +71,21 @@ def test_a_seed_is_sound(target, seeds, folder):
 )
 def test_damage_is_refused_in_one_line(target, seeds, folder, data):
     target.run(folder, data.draw(damage(seeds)))
+
+
+@pytest.mark.parametrize(
+    "target", [target for target in TARGETS if target.mutate], ids=lambda t: t.name, indirect=True
+)
+@given(seed=st.integers(0, 2**32), turns=st.integers(1, 3))
+@settings(max_examples=EXAMPLES, deadline=10_000, suppress_health_check=[*HealthCheck])
+def test_damage_that_keeps_the_structure_is_refused_in_one_line(
+    target, seeds, folder, seed, turns
+):
+    chance = Random(seed)
+    data = chance.choice(seeds)
+    for _ in range(turns):
+        data = target.mutate(data, chance)
+    target.run(folder, data)
 
 
 def test_what_is_no_refusal_is_a_crash(tmp_path):

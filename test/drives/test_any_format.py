@@ -157,3 +157,11 @@ def test_any_text_is_refused_or_read(tmp_path, data):
     path = tmp_path / "drive.csv"
     path.write_text("time,speed,voltage,current\n" + data)
     assert_honest(path)
+
+
+def test_a_cell_of_a_space_that_does_not_break_is_no_name(tmp_path):
+    """Found by the fuzzer: such a cell is empty once it is stripped."""
+    path = tmp_path / "drive.csv"
+    path.write_bytes("inf,\u00a0\n??,\u00a01\n??,\u00a0\n".encode())
+    with pytest.raises(InputError, match="no column of time and speed"):
+        open_drive(path, 350.0)

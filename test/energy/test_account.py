@@ -156,7 +156,7 @@ def test_without_a_sigma_of_power_totals_are_kept_all_the_same():
         ({"version": 99}, "not for"),
         ({"meter": None}, "'meter' is missing"),
         ({"trip": []}, "'trip' is missing"),
-        ({"charge": {}}, "charge"),
+        ({"charge": {}}, "learned"),
         ({"correction": [1.0]}, "correction"),
         ({"before_reset": [1.0] * 6 + ["x"]}, "before_reset"),
         ({"before_reset": [-1.0] * 7}, "negative"),
@@ -223,6 +223,17 @@ def changed(saved, path, value):
         (["before_reset", 3], 1e11),
         (["before_reset", 6], 1e300),
         (["correction", 0], 1e300),
+        (["trip", "windows", 0, 0, 0], 10**400),
+        (["trip", "windows", 0, 0, 0], "50"),
+        (["trip", "windows", 0, 0, 0], 1.0),  # a bucket of another size
+        (["charge", "learned"], math.inf),
+        (["charge", "learned"], 1e300),
+        (["charge", "learned"], "1"),
+        (["charge", "step"], 10**400),
+        (["charge", "capacity"], [1e308, 1.0]),
+        (["charge", "capacity"], [CAPACITY, 10**400]),
+        (["battery", "samples"], 1e300),
+        (["trip", "energy"], True),
     ],
 )
 def test_a_saved_account_of_what_no_car_can_do_is_refused(path, value):

@@ -227,31 +227,6 @@ def test_a_time_jump_keeps_what_was_learned(new_estimator, play, powers, drive):
     assert len(outputs) > 180 and not estimator.status().dropped
 
 
-def test_a_clock_set_back_is_noticed(new_estimator, play, powers, drive):
-    """Without a word: the same drive begins anew, a minute earlier by its stamps."""
-    readings = drive(1, 240.0).readings
-    estimator = new_estimator()
-    play(estimator, up_to(readings, 60.0))
-    outputs = play(estimator, up_to(readings, 30.0))
-    assert len(powers(outputs)) > 500
-    assert sum(isinstance(output, ParameterSet) for output in outputs) >= 27
-    assert estimator.status().activity is Activity.LEARNING
-
-
-def test_a_stray_stamp_stops_nothing_for_long(new_estimator, play, drive):
-    """One speed and one battery from the far future, and one impossible speed from there too."""
-    readings = drive(1, 240.0).readings
-    estimator = new_estimator()
-    play(estimator, up_to(readings, 20.0))
-    future = 2**62
-    play(estimator, [SpeedReading(future, math.nan)])
-    assert estimator.status().newest_ns < future
-    play(estimator, [SpeedReading(future, 5.0), BatteryReading(future, 350.0, -10.0)])
-    outputs = play(estimator, up_to(from_on(readings, 20.0), 20.0))
-    assert sum(isinstance(output, ParameterSet) for output in outputs) >= 17
-    assert estimator.status().activity is Activity.LEARNING
-
-
 def test_a_gap_is_not_joined(new_estimator, play, powers, cruise):
     """Two cruises at different speeds with ten seconds between: no acceleration is seen."""
     estimator = new_estimator()

@@ -90,8 +90,13 @@ def test_bad_messages_are_counted_and_faults_outweigh_all():
     bad = Health({"vehicle/speed: not_finite": 3}, {})
     assert estimator(health=bad).values["bad.vehicle/speed: not_finite"] == 3
     assert estimator(health=bad).level is Level.OK
-    fault = estimator(health=Health({}, {"vehicle/speed: KeyError('x')": 1}))
+    counted = {"vehicle/speed: KeyError('x')": 1}
+    fault = estimator(health=Health({}, counted, fault="vehicle/speed: KeyError('x')"))
     assert fault.level is Level.ERROR and "KeyError" in fault.text
+    long_ago = estimator(health=Health({}, counted))
+    assert (
+        long_ago.level is Level.OK and long_ago.values["fault.vehicle/speed: KeyError('x')"] == 1
+    )
 
 
 def test_states_of_the_meter():

@@ -1,10 +1,10 @@
-"""The energy node: counting, and answering planners."""
+"""The energy node answers planners."""
 
+import dataclasses
 import math
 
 import pytest
 from rclpy.serialization import serialize_message
-from std_srvs.srv import Trigger
 
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
@@ -15,11 +15,14 @@ from evpinn_ros.energy.plan import (
     plan_from_speed_profile,
 )
 from evpinn_ros.energy.power_model import PowerModel, vehicle_model
+from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.diagnosis import LATELY
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.messages import Level, battery_message, header, named_vector
+from evpinn_ros.nodes.model_messages import model_message
 from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -34,11 +37,6 @@ from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 NOW = 1_700_000_000 * NANOSECONDS
 VEHICLE = load_vehicle("tesla_model_3_lr")
 ANSWERS = (topics.FORECAST, topics.FORECAST_BATTERY)
-
-
-def power(seconds, watts, sigma=200.0):
-    stamp = NOW + round(seconds * NANOSECONDS)
-    return named_vector(new_message, stamp, ["power"], [watts], [sigma])
 
 
 def profile(*points, frame="plan 7"):
@@ -238,6 +236,55 @@ def test_the_model_of_another_car_is_refused(bench):
     assert bench.diagnosis(node)["plan"][2]["forecasts_from"] == "vehicle file"
 
 
+def unbelievable(model):
+    """Finite models and combinations that leave no plan a finite answer, each on its topic."""
+    for change in ({"mass": 1e-300}, {"mean": model.mean * 1e300}, {"standing_noise": 1e200}):
+        wrong = dataclasses.replace(model, **change)
+        yield topics.MODEL, model_message(new_message, VEHICLE.key, wrong)
+    for values, sigmas in (
+        ([0.0] * 5, [0.0] * 5),
+        ([1e308] * 5, [1.0] * 5),
+        ([1.0] * 5, [1e308] * 5),
+    ):
+        yield (
+            topics.IDENTIFIABLE,
+            named_vector(new_message, NOW, IDENTIFIABLE_NAMES, values, sigmas),
+        )
+
+
+def test_no_finite_model_leaves_a_plan_unanswered(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS)
+    good = PinnLearner(VEHICLE).linear_power(None)
+    (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    for topic, message in unbelievable(good):
+        bench.deliver(node, topic, message)
+        (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+        assert answer == before
+    values = bench.diagnosis(node)["meter"][2]
+    assert values["bad.estimate/model: out_of_range"] == "3"
+    assert values["bad.estimate/identifiable: out_of_range"] == "3"
+
+
+def test_a_plan_that_we_fail_at_is_refused_with_the_reason_and_the_error_goes_away(
+    bench, monkeypatch
+):
+    node = bench.start(EnergyNode)
+    monkeypatch.setattr(node.forecaster, "answer", lambda *_: 1 / 0)
+    bench.deliver(node, topics.SPEED_PROFILE, profile(*TRIP))
+    said = bench.diagnosis(node)
+    reason = "plan refused: internal fault: ZeroDivisionError"
+    assert said["plan"][:2] == (Level.WARN, reason)
+    assert said["meter"][0] is Level.ERROR and "ZeroDivisionError" in said["meter"][1]
+    monkeypatch.undo()
+    now = node.steady_s()
+    monkeypatch.setattr(node, "steady_s", lambda: now + LATELY)
+    said = bench.diagnosis(node)
+    assert said["meter"][:2] == (Level.WARN, "waiting for power/smoothed")
+    assert [v for k, v in said["meter"][2].items() if k.startswith("fault")] == ["1"]
+    node._faults.clear()  # the bench demands that there are none
+
+
 def test_a_plan_of_a_million_points_is_refused_unread(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
@@ -288,6 +335,7 @@ def no_speed():
         (topics.SPEED_PROFILE, profile(), "needs at least two points"),
         (topics.SPEED_PROFILE, profile((0, 0, 0), (0, 9, 0)), "time does not rise at point 0"),
         (topics.SPEED_PROFILE, profile((0, 0, 0), (9, math.nan, 0)), "distance is not finite"),
+        (topics.SPEED_PROFILE, profile((0, 0, 0), (2**31 - 1, 9, 0)), "later than 14 days"),
         (topics.PLAN, path(), "needs at least two points"),
         (topics.PLAN, path((0.0, 0.0, 0.0), (math.inf, 0.0, 0.0)), "x is not finite"),
         (topics.PLAN, path((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), stamps=[9, 1]), "time goes back"),
@@ -302,61 +350,3 @@ def test_a_plan_that_cannot_be_driven_is_refused_with_the_reason(bench, topic, m
     assert level is Level.WARN and reason in text and values["refused"] == "1"
     assert len(ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))[0]) == 1
     assert bench.diagnosis(node)["plan"][0] is Level.OK
-
-
-def test_energy_is_counted_and_reset(bench):
-    node = bench.start(EnergyNode)
-    bench.listen(topics.ENERGY_STATE, topics.ENERGY_CONSUMED)
-    for second in range(11):
-        bench.deliver(node, topics.POWER_MEASURED, power(second, 2000.0))
-        bench.deliver(node, topics.POWER_SMOOTHED, power(second, 2100.0))
-    bench.settle()
-    assert bench.heard[topics.ENERGY_CONSUMED][-1].data == 20_000.0
-    state = bench.heard[topics.ENERGY_STATE][-1]
-    energies = dict(zip(state.name, state.position, strict=True))
-    assert energies["measured"] == 20_000.0 and energies["predicted"] == 21_000.0
-    assert energies["rknn"] == pytest.approx(21_000.0, rel=1e-3)
-    assert state.header.stamp.sec == 1_700_000_010
-    assert bench.call(Trigger, "/ev/energy/reset").success
-    bench.deliver(node, topics.POWER_SMOOTHED, power(11, 2100.0))
-    bench.settle()
-    assert bench.heard[topics.ENERGY_CONSUMED][-1].data == 0.0
-
-
-def test_energy_goes_on_while_the_battery_is_silent(bench):
-    node = bench.start(EnergyNode)
-    for second in range(21):
-        if second <= 10:
-            bench.deliver(node, topics.POWER_MEASURED, power(second, 2000.0))
-        bench.deliver(node, topics.POWER_SMOOTHED, power(second, 2100.0))
-    # Where the two join, one sample may count twice.
-    assert node.meter.state.consumed == pytest.approx(20_000.0 + 21_000.0, abs=2100.0)
-    level, text, _ = bench.diagnosis(node)["meter"]
-    assert level is Level.WARN and "predicting" in text
-
-
-def test_bad_messages_are_counted(bench):
-    node = bench.start(EnergyNode)
-    other = named_vector(new_message, NOW, ["torque"], [1.0])
-    bench.deliver(node, topics.POWER_SMOOTHED, other)
-    bench.deliver(node, topics.IDENTIFIABLE, other)
-    bench.deliver(node, topics.POWER_MEASURED, new_message(topics.NAMED_VECTOR_TYPE))
-    values = bench.diagnosis(node)["meter"][2]
-    assert values["bad.power/smoothed: no_power"] == "1"
-    assert values["bad.estimate/identifiable: incomplete"] == "1"
-    assert values["bad.power/measured: no_stamp"] == "1"
-
-
-@pytest.mark.parametrize(("integrator", "flow"), [("trapezoid", "predicted"), ("rknn", "rknn")])
-def test_both_integrals_are_published_and_the_chosen_one_bridges_a_silence(
-    bench, integrator, flow
-):
-    node = bench.start(EnergyNode, integrator=integrator)
-    bench.listen(topics.ENERGY_STATE)
-    for tick in range(5):
-        bench.deliver(node, topics.POWER_SMOOTHED, power(tick, 9e3 * (-1) ** tick + 2e3))
-    bench.pump(lambda: len(bench.heard[topics.ENERGY_STATE]) == 5)
-    last = bench.heard[topics.ENERGY_STATE][-1]
-    values = dict(zip(last.name, last.position, strict=True))
-    assert values["predicted"] != values["rknn"]
-    assert values["consumed"] == values[flow]

@@ -2,15 +2,21 @@
 
 import dataclasses
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message
+from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
+from evpinn_ros.energy.plan import LONGEST, plan_from_speed_profile
+from evpinn_ros.energy.plausible import car_is_possible
+from evpinn_ros.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.messages import BadMessage
 from evpinn_ros.nodes.model_messages import MOST_NUMBERS, model_message, read_model
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 CAR = load_vehicle("bmw_i3")
 MODEL = PinnLearner(CAR).linear_power(None)
@@ -66,12 +72,50 @@ def far_too_long():
         (not_finite, "not_finite"),
         (lambda: changed(mass=-1.0), "out_of_range"),
         (lambda: changed(drift_time=0.0), "out_of_range"),
+        (lambda: changed(mass=1e-300), "out_of_range"),
+        (lambda: changed(moving_noise=1e308), "out_of_range"),
+        (lambda: changed(mean=MODEL.mean * 1e300), "out_of_range"),
+        (lambda: changed(directions=MODEL.directions * 1e300), "out_of_range"),
+        (lambda: changed(directions=np.tile(MODEL.directions, (300, 1)) * 1e3), "out_of_range"),
     ],
 )
 def test_what_is_no_model_of_this_car_is_refused(make, reason):
     with pytest.raises(BadMessage) as error:
         read_model(make(), "bmw_i3")
     assert error.value.reason == reason
+
+
+hostile = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from([0.0, -1.0, 1e-308])
+PLANS = [
+    plan_from_speed_profile(*np.array(points).T)
+    for points in (
+        ((0, 0, 0), (20, 150, 15), (120, 1650, 15), (140, 1800, 0)),
+        ((0, 0, 100, 0), (1e-9, 0, 0, 0), (LONGEST, 99 * LONGEST, 100, 50 * LONGEST)),
+    )
+]
+
+
+@given(st.dictionaries(st.integers(0, 10**4), hostile, min_size=1, max_size=4), st.data())
+@settings(max_examples=200, deadline=None)
+def test_whatever_a_model_says_a_plan_has_a_finite_answer(changes, data):
+    """A few numbers of a good model are replaced: it is refused, or good for any plan."""
+    message = model_message(new_message, "bmw_i3", MODEL)
+    for place, value in changes.items():
+        message.data[place % len(message.data)] = value
+    try:
+        model = PowerModel(read_model(message, "bmw_i3"))
+    except BadMessage:
+        return
+    found = forecast_plan(data.draw(st.sampled_from(PLANS)), model, 1.2, 60.0)
+    columns = found.time, found.energy, found.power, found.sigma
+    assert np.isfinite(columns).all() and (found.sigma >= 0).all()
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_every_car_of_ours_is_possible(name):
+    vehicle = load_vehicle(name)
+    assert car_is_possible(vehicle_model(vehicle, FIRST_RESIDUAL).linear)
+    assert car_is_possible(PinnLearner(vehicle).linear_power(-30.0))
 
 
 def test_a_number_that_is_not_finite_is_not_sent():

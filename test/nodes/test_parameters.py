@@ -19,9 +19,9 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameter_file import check_parameter_file, read_parameter_file
 from evpinn_ros.nodes.parameter_table import TABLES, bus_options, refuse_wrong
-from evpinn_ros.nodes.time_jump import JumpPolicy
 from evpinn_ros.share import share_directory
 from evpinn_ros.signals.road import GradeSource
+from evpinn_ros.signals.time_jump import JumpPolicy
 from evpinn_ros.vehicle.physics import RegenForm
 
 FILE = share_directory() / "config" / "evpinn.param.yaml"

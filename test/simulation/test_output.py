@@ -2,6 +2,7 @@
 
 from dataclasses import astuple
 from pathlib import Path
+import resource
 
 import pytest
 import typer
@@ -65,6 +66,17 @@ def test_the_can_log_decodes_to_the_same_readings(urban, tmp_path):
     frames = LogFile(tmp_path / "drive.log").frames()
     decoded = [reading for frame in frames for reading in decoder.push(frame)]
     assert repr(decoded) == repr(list(urban.readings))
+
+
+def test_a_full_disk_leaves_no_part_of_a_drive(urban, tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(InputError, match="File too large; nothing is left of it"):
+            write(urban, tmp_path / "drive")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_command(tmp_path):

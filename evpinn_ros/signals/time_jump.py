@@ -1,5 +1,8 @@
 """Tells time that jumped back, as when a bag starts over, from stamps that are merely wrong.
 
+The one rule for it: nodes, replays and whoever feeds a stream of samples put a `StampGuard` before
+it and do at a `Jump` what their `JumpPolicy` says; behind it time does not go back.
+
 Stamps decide, because only they say where in the stream the jump is. One stamp that leaps proves
 nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
 the estimator forget a car. When the node's own clock went back as well, one is enough.
@@ -12,15 +15,17 @@ dropped and counted, until nothing else has come for a while.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Hashable, Iterator
+from collections import Counter, deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
-AGREE_NS = 60 * NANOSECONDS  # stamps of one stretch of time lie this close together
+AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
+LEFT_NS = 60 * NANOSECONDS  # a time that was left goes on within this
+USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
 MOST_LEFT = 8  # times that were left and may speak on
 TAKES_OVER = 20  # stamps of a left time in a row, after which the present one counts as ended
@@ -28,11 +33,21 @@ SECOND_PUBLISHER = "stamps_of_a_second_publisher"
 
 
 class JumpPolicy(str, Enum):
-    """What to do when time jumps back."""
+    """What to do when time jumps back; to ignore it is to drop what is late."""
 
     RESET = "reset"
     HOLD = "hold"
     IGNORE = "ignore"
+
+
+class JumpRule(NamedTuple):
+    """What to do when time jumps, and the s by which a stamp may differ without being a leap."""
+
+    policy: JumpPolicy = JumpPolicy.RESET
+    threshold: float = 2.0
+
+
+DEFAULT_RULE = JumpRule()
 
 
 class Jump(NamedTuple):
@@ -42,7 +57,7 @@ class Jump(NamedTuple):
 
 
 class _Held(NamedTuple):
-    source: Hashable
+    source: object
     stamp_ns: int
     item: Any
 
@@ -65,7 +80,7 @@ class _Left:
 
     def continued_by(self, stamp_ns: int, leap_ns: int) -> bool:
         """Whether a stamp that leaps by this much goes on where this time was left."""
-        return (leap_ns > 0) == self.ahead and 0 <= stamp_ns - self.newest_ns <= AGREE_NS
+        return (leap_ns > 0) == self.ahead and 0 <= stamp_ns - self.newest_ns <= LEFT_NS
 
 
 class StampGuard:
@@ -77,12 +92,14 @@ class StampGuard:
             `stamps_of_a_second_publisher`.
     """
 
-    def __init__(self, leader: Hashable) -> None:
+    def __init__(self, leader: object) -> None:
         """Let the source `leader`, without which nothing works, decide on leaps back."""
         self.jumps = 0
         self.dropped: Counter[str] = Counter()
         self._leader = leader
         self._newest_ns: int | None = None
+        self._leader_ns: int | None = None  # its newest stamp since the last leap
+        self._steps: deque[int] = deque(maxlen=2)
         self._held: list[_Held] = []
         self._left: list[_Left] = []
         self._came_back = False  # to a time that was left: it had not ended
@@ -93,8 +110,17 @@ class StampGuard:
         self._clock_went_back = True
         self._left.clear()
 
+    @property
+    def held(self) -> int:
+        """Items held back in doubt."""
+        return len(self._held)
+
+    def follow(self, reading: Reading, rule: JumpRule = DEFAULT_RULE) -> Iterator[Reading | Jump]:
+        """`push` for readings, each kind of which is a source."""
+        return self.push(type(reading), reading.stamp_ns, reading, rule)
+
     def push(
-        self, source: Hashable, stamp_ns: int, item: Any, threshold: float
+        self, source: object, stamp_ns: int, item: Any, rule: JumpRule = DEFAULT_RULE
     ) -> Iterator[Any | Jump]:
         """Take one item; give it, or nothing while in doubt, or a jump and all that was held.
 
@@ -102,24 +128,27 @@ class StampGuard:
             source: who stamped the item.
             stamp_ns: of the item.
             item: what to pass on.
-            threshold: s by which a stamp may differ from the newest of all without being a leap.
+            rule: its threshold is against the newest stamp of all; `ignore` gives no jump.
         """
+        threshold_ns = round(rule.threshold * NANOSECONDS)
         newest_ns = stamp_ns if self._newest_ns is None else self._newest_ns
         leap_ns = stamp_ns - newest_ns
-        if abs(leap_ns) <= threshold * NANOSECONDS:
+        if -threshold_ns <= leap_ns <= max(threshold_ns, self._usual_ns):
             self._newest_ns = max(stamp_ns, newest_ns)
             if source == self._leader:
-                self._go_on()
+                self._go_on(stamp_ns)
             yield item
+        elif leap_ns < 0 and rule.policy is JumpPolicy.IGNORE:
+            self._drop(1)
         elif self._of_a_second_publisher(source, stamp_ns, leap_ns):
             self.dropped[SECOND_PUBLISHER] += 1
         else:
-            confirmed = self._confirmed(source, stamp_ns, leap_ns, threshold)
+            confirmed = self._confirmed(source, stamp_ns, leap_ns, threshold_ns)
             self._hold(_Held(source, stamp_ns, item))
             if confirmed:
                 yield from self._leap(stamp_ns, leap_ns)
 
-    def _of_a_second_publisher(self, source: Hashable, stamp_ns: int, leap_ns: int) -> bool:
+    def _of_a_second_publisher(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
         """Whether a stamp belongs to a time that was left and is not to be followed again."""
         left = self._continued(stamp_ns, leap_ns)
         if left is None or not self._came_back:
@@ -134,11 +163,16 @@ class StampGuard:
     def _continued(self, stamp_ns: int, leap_ns: int) -> _Left | None:
         """The time left lately that a leaping stamp continues."""
         now_ns = stamp_ns - leap_ns
-        self._left = [each for each in self._left if now_ns - each.heard_ns <= AGREE_NS]
+        self._left = [each for each in self._left if now_ns - each.heard_ns <= LEFT_NS]
         self._came_back &= bool(self._left)
         return next((x for x in self._left if x.continued_by(stamp_ns, leap_ns)), None)
 
-    def _confirmed(self, source: Hashable, stamp_ns: int, leap_ns: int, threshold: float) -> bool:
+    @property
+    def _usual_ns(self) -> int:
+        """How far a stamp may be ahead by the last two steps of the leader."""
+        return USUAL_STEPS * min(self._steps, default=0)
+
+    def _confirmed(self, source: object, stamp_ns: int, leap_ns: int, threshold_ns: int) -> bool:
         if leap_ns < 0 and self._clock_went_back:
             return True
         before = [held.stamp_ns for held in self._held if held.source == source]
@@ -147,7 +181,7 @@ class StampGuard:
         if source == self._leader:
             return 0 <= stamp_ns - before[-1] <= AGREE_NS
         # A leader that speaks clears what is held, so this one has gone on without it for long.
-        return leap_ns > 0 and stamp_ns - before[0] >= threshold * NANOSECONDS
+        return leap_ns > 0 and stamp_ns - before[0] >= threshold_ns
 
     def _hold(self, held: _Held) -> None:
         self._held.append(held)
@@ -169,10 +203,21 @@ class StampGuard:
         if leap_ns < 0:
             self.jumps += 1
             yield Jump(-leap_ns / NANOSECONDS)
+        self._leader_ns = None
+        for each in kept:
+            if each.source == self._leader:
+                self._step_to(each.stamp_ns)
         yield from (each.item for each in kept)
 
-    def _go_on(self) -> None:
+    def _step_to(self, stamp_ns: int) -> None:
+        """The leader came to this stamp."""
+        if self._leader_ns is not None and stamp_ns > self._leader_ns:
+            self._steps.append(stamp_ns - self._leader_ns)
+        self._leader_ns = max(stamp_ns, self._leader_ns or stamp_ns)
+
+    def _go_on(self, stamp_ns: int) -> None:
         """The leader goes on as before, so what was held had a wrong stamp."""
+        self._step_to(stamp_ns)
         self._clock_went_back = False
         for left in self._left:
             left.in_a_row = 0

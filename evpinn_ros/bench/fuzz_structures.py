@@ -1,0 +1,246 @@
+"""Damage that keeps a file's structure, so that it comes behind the first check.
+
+Each function takes a sound or damaged input and a source of chance and gives another input. What
+does not parse as it should comes back cut or with a byte changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from random import Random
+import struct
+from typing import Any, TypeAlias
+
+from lz4.frame import compress as lz4  # type: ignore[import-untyped]
+from mcap.opcode import Opcode
+import yaml
+import zstandard
+
+from evpinn_ros.bags.mcap_content import HEAD, MAGIC
+
+Mutate: TypeAlias = Callable[[bytes, Random], bytes]
+
+MOST_GROWTH = 64
+"""Times that a part is said again: limits and ratios lie beyond what single bytes reach."""
+
+CHUNK = struct.Struct("<QQQI")  # start, end, size unpacked, checksum; then compression, data
+COMPRESSIONS: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    "zstd": zstandard.ZstdCompressor().compress,
+    "lz4": lz4,
+}
+SIZES = (
+    0,
+    1,
+    0xFF,
+    0xFFFF,
+    1 << 20,
+    (1 << 27) + 1,
+    (1 << 31) - 1,
+    1 << 32,
+    1 << 63,
+    (1 << 64) - 1,
+)
+VALUES: tuple[Any, ...] = (
+    *(0, -1, 1, 2**31, 2**63, 2**64, 10**400, -(10**400), 0.0, 1e-320, 1e300, -1e300, 1.7e308),
+    *(True, None, "", "x" * 2000, "\x1b[31m", "\ud7ff\u202e", "nan", "190:20:30", "0x10", "1e3"),
+    *([], {}, [[]], [[1.0], [2.0, 3.0]], {"a": {"b": {}}}),
+)
+CELLS = (
+    *("", '"', '""', '"a', "nan", "inf", "-inf", "1e308", "-1e308", "1,5", "1.234,5", "9" * 400),
+    *("0x10", "2025-02-30", "31.12.2024 23:59:60", "1700000000000", "1e18", "=1+1", "\x1b[2J"),
+    *(
+        "km/h",
+        "mph",
+        "sep=;",
+        "\ufeff",
+        "\u221212",
+        "\u0661\u0662",
+        "\u00a01",
+        "1\u202f000",
+        "TRUE",
+        "-",
+        "n/a",
+    ),
+)
+
+LINES = (
+    *("a: &a [*a]", "a: &a [x]\nb: *a", "<<: {a: 1}", "x: !!python/name:os.system", "--- a"),
+    *("a: 190:20:30:15", "t: 2001-12-14t21:59:43.10-05:00", "? [a, b]\n: c", "%YAML 9.9"),
+    *("a: " + "[" * 50, "a: " + "9" * 3000, "\t- x", "a: |\n  x", "a: {b: 1, b: 2}", "..."),
+)
+
+
+def mutate_mcap(data: bytes, chance: Random) -> bytes:
+    """Another order, number or content of records, in and outside of chunks."""
+    records = _records(data[len(MAGIC) :])
+    if not records:
+        return _any(data, chance)
+    for _ in range(chance.randint(1, 4)):
+        _change_records(records, chance)
+    return MAGIC + b"".join(HEAD.pack(op, size) + body for op, size, body in records)
+
+
+def _records(data: bytes) -> list[tuple[int, int, bytes]]:
+    """Opcode, length as told and body of each record; of the last what is there."""
+    found, at = [], 0
+    while at + HEAD.size <= len(data) and data[at : at + len(MAGIC)] != MAGIC:
+        opcode, size = HEAD.unpack_from(data, at)
+        at += HEAD.size
+        found.append((opcode, size, data[at : at + size]))
+        at += min(size, len(data))
+    return found
+
+
+def _change_records(records: list[tuple[int, int, bytes]], chance: Random) -> None:
+    at = chance.randrange(len(records))
+    opcode, size, body = records[at]
+    what = chance.randrange(8)
+    if what == 0 and len(records) > 1:
+        del records[at]
+    elif what == 1:
+        records[at:at] = [records[at]] * chance.choice((1, 2, MOST_GROWTH))
+    elif what == 2:
+        other = chance.randrange(len(records))
+        records[at], records[other] = records[other], records[at]
+    elif what == 3:
+        records[at] = chance.randrange(256), size, body
+    elif what == 4:
+        records[at] = opcode, chance.choice((*SIZES, size + 1, max(size - 1, 0))), body
+    elif what == 5 and opcode == Opcode.CHUNK and len(body) >= CHUNK.size + 12:
+        changed = _chunk(body, chance)
+        records[at] = opcode, len(changed), changed
+    else:
+        changed = _field(body, chance)
+        records[at] = opcode, len(changed), changed
+
+
+def _chunk(body: bytes, chance: Random) -> bytes:
+    """A chunk with other records in it, packed anew; its head may claim something else."""
+    start, end, size, checksum = CHUNK.unpack_from(body)
+    (length,) = struct.unpack_from("<I", body, CHUNK.size)
+    first = CHUNK.size + 4 + min(length, len(body))
+    content = body[first + 8 :]
+    try:
+        if body[CHUNK.size + 4 : first] == b"zstd":
+            content = zstandard.ZstdDecompressor().decompress(content, 1 << 20)
+    except zstandard.ZstdError:
+        pass
+    records = _records(content)
+    for _ in range(chance.randint(0, 2) if records else 0):
+        _change_records(records, chance)
+    inside = b"".join(HEAD.pack(op, told) + each for op, told, each in records) or content
+    inside *= chance.choice((1, 1, 1, MOST_GROWTH))
+    name = chance.choice((*COMPRESSIONS, "none"))
+    packed = COMPRESSIONS.get(name, bytes)(inside)
+    told = chance.choice((len(inside), len(inside), size, *SIZES))
+    times = [chance.choice((value, value, *SIZES)) for value in (start, end)]
+    head = CHUNK.pack(*times, told, chance.choice((0, checksum)))
+    text = struct.pack("<I", len(name)) + name.encode()
+    return head + text + struct.pack("<Q", chance.choice((len(packed), *SIZES))) + packed
+
+
+def _field(body: bytes, chance: Random) -> bytes:
+    """A number of two, four or eight bytes replaced by one at the ends of its range."""
+    width = chance.choice((2, 4, 8))
+    if len(body) < width:
+        return body + bytes(width)
+    at = chance.randrange(len(body) - width + 1)
+    number = (chance.choice(SIZES) & ((1 << 8 * width) - 1)).to_bytes(width, "little")
+    return body[:at] + number + body[at + width :]
+
+
+def mutate_json(data: bytes, chance: Random) -> bytes:
+    """A state with other values, keys or shapes."""
+    try:
+        value = json.loads(data)
+    except (ValueError, RecursionError):
+        return _any(data, chance)
+    for _ in range(chance.randint(1, 3)):
+        value = _changed(value, chance)
+    text = json.dumps(value)
+    if not chance.randrange(20):
+        text = "[" * 5000 + text
+    return text.replace("1.7e+308", chance.choice(("1e999", "NaN", "9" * 5000))).encode()
+
+
+def mutate_yaml(data: bytes, chance: Random) -> bytes:
+    """A settings file with other values, keys or shapes; or lines that YAML alone knows."""
+    try:
+        value = yaml.safe_load(data)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return _any(data, chance)
+    if chance.randrange(3):
+        return yaml.safe_dump(_changed(value, chance), sort_keys=False).encode("utf-8", "replace")
+    lines = data.decode("utf-8", "replace").splitlines()
+    line = chance.choice(LINES)
+    lines.insert(chance.randint(0, len(lines)), " " * chance.choice((0, 0, 2, 4)) + line)
+    return "\n".join(lines).encode()
+
+
+def _changed(value: Any, chance: Random) -> Any:
+    """The value with one place in it, chosen level by level, replaced, removed or said again."""
+    if isinstance(value, dict) and value and chance.randrange(8):
+        key = chance.choice(list(value))
+        what = chance.randrange(8)
+        if what == 0:
+            return {name: inner for name, inner in value.items() if name != key}
+        if what == 1:
+            return {**value, str(chance.choice(CELLS)): value[key]}
+        return {**value, key: _changed(value[key], chance)}
+    if isinstance(value, list) and value and chance.randrange(8):
+        at = chance.randrange(len(value))
+        what = chance.randrange(8)
+        if what == 0:
+            return [*value[:at], *value[at + 1 :]]
+        if what == 1:
+            return [*value[:at], *[value[at]] * chance.choice((2, MOST_GROWTH)), *value[at:]]
+        return [*value[:at], _changed(value[at], chance), *value[at + 1 :]]
+    if isinstance(value, float) and chance.randrange(2):
+        return value * chance.choice((-1.0, 0.0, 1e6, 1e-6))
+    return chance.choice(VALUES)
+
+
+def mutate_table(data: bytes, chance: Random) -> bytes:
+    """A table with other cells, columns, separators or encoding."""
+    text = data.decode("utf-8", "replace")
+    separator = max(",;\t", key=text.count)
+    rows = [line.split(separator) for line in text.splitlines()] or [[""]]
+    for _ in range(chance.randint(1, 4)):
+        _change_table(rows, chance)
+    separator = chance.choice((separator, separator, ",", ";", "\t", "|"))
+    ending = chance.choice(("\n", "\n", "\r\n", "\r"))
+    written = ending.join(separator.join(row) for row in rows)
+    encoding = chance.choice(("utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16", "cp1252"))
+    return written.encode(encoding, "replace")
+
+
+def _change_table(rows: list[list[str]], chance: Random) -> None:
+    row = chance.choice(rows)
+    what = chance.randrange(8)
+    if what == 0:
+        rows.insert(0, [chance.choice(CELLS)] * chance.choice((0, 1, len(row))))
+    elif what == 1:
+        rows.remove(row)
+    elif what == 2:
+        rows[:] = rows * chance.choice((2, 8))
+    elif what == 3:
+        rows.reverse()
+    elif what == 4:
+        column = chance.randrange(max(map(len, rows), default=0) + 1)
+        cell = chance.choice(CELLS)
+        for each in rows[chance.randint(0, 1) :]:
+            each[column : column + 1] = [cell]
+    elif what == 5:
+        rows[0][:] = [chance.choice((*rows[0], *CELLS)) for _ in rows[0]]
+    elif row:
+        row[chance.randrange(len(row))] = chance.choice(CELLS)
+    if not rows:
+        rows.append([""])
+
+
+def _any(data: bytes, chance: Random) -> bytes:
+    """A byte changed, or the end missing."""
+    at = chance.randrange(len(data) + 1)
+    return data[:at] + bytes((chance.randrange(256),)) * chance.randint(0, 1) + data[at + 1 :]

@@ -1,0 +1,140 @@
+"""Every number of a saved state has a declared range, and nothing else gets in."""
+
+from copy import deepcopy
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
+from evpinn_ros.estimation.state_schema import HYBRID, PAPER, Maybe, Range
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.signals.readings import NANOSECONDS
+
+WRONG = (1e300, -1e300, 10**400, math.nan, math.inf, "1", None, [], {}, [[1.0], [2.0, 3.0]], True)
+CHANGE = {"stamp_ns": 1_700_000_000 * NANOSECONDS, "delta_mass": 150.0, "std": 30.0}
+FOUND = {
+    "stamp_ns": 1_700_000_000 * NANOSECONDS,
+    "before": 7.7,
+    "before_std": 0.01,
+    "mass": 2000.0,
+    "motion": 300.0,
+    "change": 0.07,
+    "significance": 6.0,
+    "rival": False,
+}
+
+
+def leaves(declared, prefix=()):
+    """Every place that is declared, with what is declared there and whether it may be None."""
+    for name, inner in declared.items():
+        maybe = isinstance(inner, Maybe)
+        inner = inner.declared if maybe else inner
+        if isinstance(inner, dict):
+            yield from leaves(inner, (*prefix, name))
+        else:
+            yield (*prefix, name), inner, maybe
+
+
+PLACES = [
+    (mode, ("learner", *path), inner, maybe)
+    for mode, declared in ((Mode.HYBRID, HYBRID), (Mode.PAPER, PAPER))
+    for path, inner, maybe in leaves(declared)
+]
+
+
+@pytest.fixture(scope="module")
+def new(vehicle):
+    return lambda mode: OnlineEstimator(
+        vehicle, EstimatorSettings(mode=mode), InlineWorker(lambda: 0.0)
+    )
+
+
+@pytest.fixture(scope="module")
+def states(new):
+    """A full state of each mode: also with what is there only at times."""
+    found = {mode: deepcopy(new(mode).export()) for mode in Mode}
+    found[Mode.HYBRID]["learner"]["payload"].update(change=CHANGE, found=FOUND)
+    found[Mode.HYBRID]["learner"]["seen_ns"] = 1_700_000_000 * NANOSECONDS
+    found[Mode.HYBRID]["learner"]["energies"]["celsius"] = 21.0
+    return found
+
+
+def spoilt(state, path, value):
+    changed = deepcopy(state)
+    target = changed
+    for name in path[:-1]:
+        target = target[name]
+    old = target[path[-1]]
+    target[path[-1]] = value(old) if callable(value) else value
+    return changed
+
+
+def one_of(value):
+    """The same list with one number in its middle replaced, a plain number replaced."""
+
+    def change(old):
+        if not isinstance(old, list):
+            return value
+        flat = np.array(old, dtype=object)
+        flat.reshape(-1)[flat.size // 2] = value
+        return flat.tolist()
+
+    return change
+
+
+@pytest.mark.parametrize("place", PLACES, ids=lambda p: ".".join(p[1]))
+def test_no_place_takes_what_is_not_declared(new, states, place):
+    mode, path, declared, maybe = place
+    estimator = new(mode)
+    estimator.restore(states[mode])
+    before = repr(estimator.export())
+    wrongs = [value for value in WRONG if not (value is None and maybe)]
+    if declared is bool:
+        wrongs.remove(True)
+    if declared is str:
+        wrongs = [value for value in WRONG if not isinstance(value, str)]
+    for value in wrongs:
+        for change in (value, one_of(value)):
+            if value is True and isinstance(declared, Range) and change is not True:
+                continue  # numpy makes it one among numbers
+            with pytest.raises(ValueError, match=path[-1]):
+                estimator.restore(spoilt(states[mode], path, change))
+    for key in ("missing", "new"):
+        other = spoilt(states[mode], path[:-1], lambda old, key=key: altered(old, path[-1], key))
+        with pytest.raises(ValueError, match=path[-2]):
+            estimator.restore(other)
+    assert repr(estimator.export()) == before
+
+
+def altered(section, name, key):
+    rest = {k: v for k, v in section.items() if k != name}
+    return rest if key == "missing" else {**section, "else": 1.0}
+
+
+@pytest.mark.parametrize(
+    "place",
+    [each for each in PLACES if isinstance(each[2], Range) and each[0] is Mode.HYBRID],
+    ids=lambda p: ".".join(p[1]),
+)
+def test_the_ends_of_a_range_are_refused_or_good_for_finite_predictions(new, states, place, drive):
+    mode, path, (least, most, whole), _ = place
+    readings = drive(1, 240.0).readings[1200:1260]
+    for end in (least, most):
+        number = int(end) if whole else end
+        for change in (lambda old, n=number: filled(old, n), one_of(number)):
+            estimator = new(mode)
+            try:
+                estimator.restore(spoilt(states[mode], path, change))
+            except ValueError:
+                continue
+            for reading in readings:
+                for output in estimator.push(reading):
+                    if hasattr(output, "power"):
+                        assert math.isfinite(output.power) and math.isfinite(output.sigma)
+            again = new(mode)
+            again.restore(estimator.export())
+
+
+def filled(old, number):
+    return np.full(np.shape(old), number).tolist() if isinstance(old, list) else number
