@@ -315,6 +315,8 @@ def main() -> int:
         # The shutdown came in the middle of a callback.
     finally:
         rclpy.try_shutdown()
+        # Launch repeats the terminal's signal, which would kill Python while it ends.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return 0
 
 

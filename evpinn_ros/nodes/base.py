@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 import math
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
@@ -17,7 +18,7 @@ from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import BadMessage, diagnostics
+from evpinn_ros.nodes.messages import BadMessage, Level, diagnostics
 from evpinn_ros.nodes.parameter_table import TABLES
 from evpinn_ros.nodes.parameters import declare
 from evpinn_ros.nodes.topics import Topic
@@ -46,6 +47,8 @@ class GuardedNode(Node):
         """
         super().__init__(name, **kwargs)
         self.values = declare(self, TABLES.get(name, ()))
+        # A vehicle may be named by the path of its file.
+        self._car = Path(str(self.values.get("vehicle", ""))).stem
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
@@ -62,12 +65,36 @@ class GuardedNode(Node):
         self._notices: dict[str, tuple[str, float]] = {}
         # Timers of the node's clock stand still when that clock does, and so would the report.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._phases: dict[str, str] = {}  # text of each at the last look
+        self._logged: dict[str, str] = {}
         self.advertise(topics.DIAGNOSTICS)
         self.every(REPORT_PERIOD, self.report)
+        self.every(REPORT_PERIOD, self._log_changes)
 
     def statuses(self) -> Iterable[Status]:
         """The health of the node's parts, for `/diagnostics`."""
         raise NotImplementedError
+
+    def phases(self) -> Iterable[Status]:
+        """What is logged when it changes; nothing in it may count or grow old."""
+        return ()
+
+    def begun(self, text: str, known: Iterable[Status] = ()) -> None:
+        """Log one line, once the node is made; these phases of it are then no news.
+
+        Raises:
+            InputError: it was given a quality of service that none of its endpoints takes.
+        """
+        factory.refuse_unheard_overrides(self)
+        self._logged = {phase.name: phase.text for phase in known}
+        self.get_logger().info(printable(text))
+
+    def done(self, response: Any, text: str, problem: str | None = None) -> Any:
+        """The response of a service, logged."""
+        response.success, response.message = problem is None, problem or text
+        log = self.get_logger().info if problem is None else self.get_logger().warning
+        log(printable(response.message))
+        return response
 
     def close(self) -> str | None:
         """Let go of threads and files; called once, when the node has stopped spinning.
@@ -202,11 +229,35 @@ class GuardedNode(Node):
         self.publish(self._diagnostics())
 
     def _diagnostics(self) -> Iterator[tuple[Topic, Any]]:
+        node = self.get_fully_qualified_name()
         statuses: Sequence[tuple[Any, ...]] = [
-            (f"{self.get_name()}: {status.name}", status.level, status.text, status.values)
+            (f"{node}: {status.name}", status.level, status.text, status.values)
             for status in self.statuses()
         ]
-        yield topics.DIAGNOSTICS, diagnostics(new_message, self.now_ns(), statuses)
+        hardware = f"{self._car} {self.get_namespace()}".strip()
+        yield topics.DIAGNOSTICS, diagnostics(new_message, self.now_ns(), statuses, hardware)
+
+    def _log_changes(self) -> None:
+        """Log a phase, once, when it is new and has lasted since the last look.
+
+        Who starts the nodes without ROS around them sees nothing else.
+        """
+        for phase in self.phases():
+            lasts = self._phases.get(phase.name) == phase.text
+            self._phases[phase.name] = phase.text
+            if lasts and phase.text != self._logged.get(phase.name):
+                self._logged[phase.name] = phase.text
+                self._log(phase)
+
+    def _log(self, phase: Status) -> None:
+        # Each call has a line of its own: rclpy ties the severity to the place.
+        logger, text = self.get_logger(), printable(phase.text)
+        if phase.level is Level.ERROR:
+            logger.error(text)
+        elif phase.level is Level.WARN:
+            logger.warning(text)
+        else:
+            logger.info(text)
 
     def guarded(self, callback: Callable[..., object], name: str) -> Callable[..., None]:
         """The callback, such that a bad message or a fault of ours cannot end the node."""

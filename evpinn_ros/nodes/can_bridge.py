@@ -14,14 +14,14 @@ from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
-from evpinn_ros.errors import InputError, printable
+from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.base import REPORT_PERIOD, GuardedNode
+from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
-from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
-from evpinn_ros.nodes.messages import Level, scalar
+from evpinn_ros.nodes.messages import scalar
 from evpinn_ros.nodes.parameter_table import bus_options
 from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.nodes.recorder import RawFrames
@@ -65,16 +65,17 @@ class CanBridgeNode(GuardedNode):
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source = self._open_source()
-        self._seen: dict[str, str] = {}  # text of each status at the last look
-        self._said: dict[str, str] = {}
-        self.every(REPORT_PERIOD, self._say_changes)
+        self.begun(f"decoding {self._profile.key}; {self._where()}; waiting for frames")
         self._threads = [self._start(self.guarded(self._read, "source"), "can")]
         if self._bridge.poller is not None and self.values["poll"]:
             self._threads.append(self._start(self._bridge.poller.run, "can poll"))
 
     def statuses(self) -> list[Status]:
         """The health of the bus or of the replay of the log."""
-        source, health = self._source, self.health()
+        return self._statuses(self.health())
+
+    def _statuses(self, health: Health) -> list[Status]:
+        source = self._source
         if isinstance(source, LogPlayer):
             bridge = self._bridge_status(source.newest_ns)
             return [log_status(source.text, source.problem, bridge, health)]
@@ -83,6 +84,10 @@ class CanBridgeNode(GuardedNode):
             poll = self._bridge.poller.status()
             statuses.append(poll_status(poll, self._profile.experimental))
         return statuses
+
+    def phases(self) -> list[Status]:
+        """What /diagnostics tell, but how every bus begins."""
+        return [each for each in self._statuses(WELL) if each.text not in BEGINNINGS]
 
     def close(self) -> None:
         """Stop asking and reading."""
@@ -104,6 +109,10 @@ class CanBridgeNode(GuardedNode):
         if vehicle.can_profile is None:
             raise InputError(f"vehicle '{vehicle.key}' names no CAN profile; set can_profile")
         return load_profile(vehicle.can_profile)
+
+    def _where(self) -> str:
+        values = self.values
+        return values["log_file"] or f"{values['interface']} {values['channel']}"
 
     def _refuse_idle_poll(self) -> None:
         """Raise InputError when `poll` is set where nothing could come of it."""
@@ -137,28 +146,6 @@ class CanBridgeNode(GuardedNode):
         if values["bitrate"]:
             options.setdefault("bitrate", values["bitrate"])
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
-
-    def _say_changes(self) -> None:
-        """Log what /diagnostics tells, once, when it is new and has lasted since the last look.
-
-        Who starts the nodes without ROS around them sees nothing else.
-        """
-        for status in self.statuses():
-            lasts = self._seen.get(status.name) == status.text
-            self._seen[status.name] = status.text
-            if lasts and status.text not in (self._said.get(status.name), *BEGINNINGS):
-                self._said[status.name] = status.text
-                self._say(status)
-
-    def _say(self, status: Status) -> None:
-        # Each call has a line of its own: rclpy ties the severity to the place.
-        logger, text = self.get_logger(), printable(status.text)
-        if status.level is Level.ERROR:
-            logger.error(text)
-        elif status.level is Level.WARN:
-            logger.warning(text)
-        else:
-            logger.info(text)
 
     def _read(self) -> None:
         """Read the source until it ends; a log that is shorter than a judgement is judged then."""

@@ -42,6 +42,9 @@ class Health:
     notices: tuple[str, ...] = ()
 
 
+WELL = Health({}, {})
+
+
 class Lately:
     """Counters of the last seconds, from counters since the start."""
 

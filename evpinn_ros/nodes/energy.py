@@ -17,10 +17,11 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.cdr import CdrError
-from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     EnergyReport,
     charge_status,
+    energy_phases,
     meter_status,
     plan_status,
 )
@@ -95,18 +96,27 @@ class EnergyNode(GuardedNode):
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
         self.on_clock_going_back(self._on_clock_going_back)
+        start = self._keeper.start or "counts from zero"
+        self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
-        report = EnergyReport(
+        dropped = self._guard.dropped + self._speed_guard.dropped + self.account.refused
+        report = self._report(self.health(dropped))
+        return [meter_status(report), charge_status(report), plan_status(report)]
+
+    def phases(self) -> list[Status]:
+        """What is metered, and what forecasts rest on."""
+        return energy_phases(self._report(WELL))
+
+    def _report(self, health: Health) -> EnergyReport:
+        return EnergyReport(
             state=self.account.state,
             account=self.account.summary(),
             reconciled=self.account.reconciled,
             learned_capacity=self.account.gauge.learned,
             file_problem=self._keeper.problem,
-            health=self.health(
-                self._guard.dropped + self._speed_guard.dropped + self.account.refused
-            ),
+            health=health,
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
             basis=self.forecaster.basis,
@@ -116,7 +126,6 @@ class EnergyNode(GuardedNode):
             refused=self._refused,
             plan_problem=self._plan_problem,
         )
-        return [meter_status(report), charge_status(report), plan_status(report)]
 
     def save(self) -> str | None:
         """Write what was counted, if there is a file for it; gives the reason when that fails."""
@@ -244,15 +253,11 @@ class EnergyNode(GuardedNode):
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self.account.reset_trip()
-        response.success = True
-        response.message = "energy counts from zero; the lifetime's goes on"
-        return response
+        return self.done(response, "energy counts from zero; the lifetime's goes on")
 
     def _on_save(self, _: Any, response: Any) -> Any:
         reason = self._keeper.save()
-        response.success = reason is None
-        response.message = reason or f"written to {self.values['energy_file']}"
-        return response
+        return self.done(response, f"written to {self.values['energy_file']}", reason)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -84,8 +84,9 @@ class LiveState:
         unusable: messages that held no usable value, by topic.
     """
 
-    def __init__(self) -> None:
-        """Nothing heard yet."""
+    def __init__(self, namespace: str = topics.NAMESPACE) -> None:
+        """Nothing heard yet of the car under a namespace."""
+        self._namespace = namespace.strip("/")
         self.speed = math.nan
         self.battery: BatteryReading | None = None
         self.line = PowerLine()
@@ -120,14 +121,16 @@ class LiveState:
                 self.line.add(POWERS[topic], vector.stamp_ns, vector.values["power"])
 
     def _take_status(self, status: Any, now: float) -> None:
-        if status.name.partition(":")[0] not in NODES:
+        node, _, part = status.name.partition(":")
+        namespace, _, node = node.strip("/").rpartition("/")
+        if node not in NODES or namespace != self._namespace:
             return  # of somebody else: everybody shares this topic
         # rclpy holds a byte as bytes, rosbags as int.
         level = status.level if isinstance(status.level, int) else status.level[0]
         values = {pair.key: printable(pair.value) for pair in status.values}
         known = Level(min(level, Level.STALE))
         text = printable(status.message)
-        self.statuses[printable(status.name)] = PartStatus(known, text, values, now)
+        self.statuses[printable(f"{node}:{part}")] = PartStatus(known, text, values, now)
 
     def age(self, topic: Topic, now: float) -> float:
         """Seconds since the last message of a topic, infinite before the first."""
