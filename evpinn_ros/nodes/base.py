@@ -214,10 +214,22 @@ class GuardedNode(Node):
     def _refused_by(self, topic: Topic, policy: str) -> None:
         self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
 
-    def age(self, topic: Topic) -> float:
-        """Seconds since the last usable message of an input, NaN before the first."""
-        arrived = self._arrivals.get(topic)
-        return math.nan if arrived is None else self._now_s() - arrived
+    def age(self, *either: Topic) -> float:
+        """Seconds since the last usable message of one of these inputs, NaN before the first."""
+        arrived = [self._arrivals[topic] for topic in either if topic in self._arrivals]
+        return self._now_s() - max(arrived) if arrived else math.nan
+
+    def stream(self, topic: Topic) -> Topic:
+        """The stream that an input belongs to: odometry stands in for `vehicle/speed`.
+
+        Raises:
+            BadMessage: it does not, for that is heard, and its steps and noise are others.
+        """
+        if topic is not topics.ODOMETRY:
+            return topic
+        if self.received[topics.SPEED]:
+            raise BadMessage("vehicle/speed is heard", usual=True)
+        return topics.SPEED
 
     def _now_s(self) -> float:
         """For ages, s: simulated time, which may pause; else a clock that nobody sets."""

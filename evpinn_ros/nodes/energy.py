@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
@@ -85,7 +85,8 @@ class EnergyNode(GuardedNode):
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
-        self.listen(topics.SPEED, self._on_speed)
+        for topic in (topics.SPEED, topics.ODOMETRY):
+            self.listen(topic, partial(self._on_speed, topic))
         self.listen(topics.MODEL, self._on_model)
         self.listen(topics.BATTERY, self._on_battery)
         for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
@@ -194,14 +195,15 @@ class EnergyNode(GuardedNode):
         )
         self.forecaster.hear_identifiable(values, sigmas)
 
-    def _on_speed(self, message: Any) -> None:
+    def _on_speed(self, topic: Topic, message: Any) -> None:
         """Speed has a guard of its own: in a fast replay it is seconds ahead of power."""
+        topic = self.stream(topic)
         reading = speed_reading(message)
         if self.values["time_jump_policy"] == JumpPolicy.IGNORE.value:
             self.account.push_speed(reading.stamp_ns, reading.speed)
             return
         threshold = self.values["time_jump_threshold"]
-        for passed in self._speed_guard.push(topics.SPEED, reading.stamp_ns, reading, threshold):
+        for passed in self._speed_guard.push(topic, reading.stamp_ns, reading, threshold):
             if isinstance(passed, Jump):
                 self.account.trip.begin_anew()
             else:
@@ -222,7 +224,9 @@ class EnergyNode(GuardedNode):
         self.forecaster.hear_air(reading, self.now_ns())
 
     def _path(self, data: bytes) -> Plan:
-        return path_plan(data, self.values["nominal_speed"])
+        own = self._vehicle.nominal_speed
+        usual = NOMINAL_SPEED if math.isnan(own) else own
+        return path_plan(data, self.values["nominal_speed"] or usual)
 
     def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
         try:

@@ -22,7 +22,8 @@ from evpinn_ros.nodes.estimator_diagnosis import (
 )
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.model_messages import model_message
-from evpinn_ros.nodes.reading_messages import to_reading
+from evpinn_ros.nodes.parameter_table import roll_pitch_yaw
+from evpinn_ros.nodes.reading_messages import grade_reading, rotation, to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import estimator_settings
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
@@ -35,6 +36,7 @@ from evpinn_ros.vehicle.files import load_vehicle
 MODEL_PERIOD = 10.0  # s
 LISTENS_TO = (
     topics.SPEED,
+    topics.ODOMETRY,
     topics.BATTERY,
     topics.IMU,
     topics.FIX,
@@ -64,6 +66,8 @@ class EstimatorNode(GuardedNode):
         self.estimator = OnlineEstimator(
             self._vehicle, estimator_settings(self.values), self._worker
         )
+        mounting = roll_pitch_yaw(self.values["imu_rotation_rpy"])
+        self._mounting = None if mounting is None else rotation(*mounting)
         self._guard = StampGuard(topics.SPEED)
         self._stamps = StampWatch()
         self._keeper = StateKeeper(state_path(self.values["state_file"]), self.estimator)
@@ -98,7 +102,7 @@ class EstimatorNode(GuardedNode):
         return EstimatorReport(
             status=self.estimator.status(),
             health=health,
-            speed_age=self.age(topics.SPEED),
+            speed_age=self.age(topics.SPEED, topics.ODOMETRY),
             jumps=self._guard.jumps,
             state_problem=self._keeper.problem,
         )
@@ -125,7 +129,11 @@ class EstimatorNode(GuardedNode):
             self.get_logger().warning(f"starting from the vehicle file: {self._keeper.problem}")
 
     def _take(self, topic: Topic, message: Any) -> None:
-        reading = to_reading(topic.type_name, message)
+        if topic is topics.IMU:
+            reading: Reading = grade_reading(message, self._mounting)
+        else:
+            reading = to_reading(topic.type_name, message)
+        topic = self.stream(topic)
         if topic is topics.SPEED:
             wrong = self._stamps.push(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:

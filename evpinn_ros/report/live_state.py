@@ -36,7 +36,8 @@ VECTORS = (
     topics.ENERGY_CONSUMPTION,
     topics.ENERGY_RANGE,
 )
-WATCHED = (topics.SPEED, topics.BATTERY, *VECTORS, topics.DIAGNOSTICS)
+WATCHED = (topics.SPEED, topics.ODOMETRY, topics.BATTERY, *VECTORS, topics.DIAGNOSTICS)
+SPEEDS_OF_CAR = (topics.SPEED, topics.ODOMETRY)
 POWERS = {topics.POWER_MEASURED: "measured", topics.POWER_PREDICTED: "predicted"}
 NODES = ("can_bridge", "estimator", "energy", "recorder", "foxglove")
 
@@ -111,7 +112,7 @@ class LiveState:
         if topic is topics.DIAGNOSTICS:
             for status in message.status:
                 self._take_status(status, now)
-        elif topic is topics.SPEED:
+        elif topic in SPEEDS_OF_CAR:
             self.speed = speed_reading(message).speed
         elif topic is topics.BATTERY:
             self.battery = battery_reading(message)
@@ -153,7 +154,8 @@ class LiveState:
 
     def fresh_speed(self, now: float) -> float:
         """Speed, m/s, NaN when it has fallen silent."""
-        return self.speed if self.age(topics.SPEED, now) < STALE_AFTER else math.nan
+        heard = min(self.age(topic, now) for topic in SPEEDS_OF_CAR)
+        return self.speed if heard < STALE_AFTER else math.nan
 
     def fresh_battery(self, now: float) -> BatteryReading | None:
         """Voltage and current, None when they have fallen silent."""

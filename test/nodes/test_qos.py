@@ -18,6 +18,7 @@ LISTENS = {
         topics.BATTERY,
         topics.IDENTIFIABLE,
         topics.MODEL,
+        topics.ODOMETRY,
         topics.PLAN,
         topics.POWER_MEASURED,
         topics.POWER_SMOOTHED,
