@@ -241,13 +241,17 @@ class GuardedNode(Node):
         self.publish(self._diagnostics())
 
     def _diagnostics(self) -> Iterator[tuple[Topic, Any]]:
+        yield topics.DIAGNOSTICS, self.status_message(self.statuses())
+
+    def status_message(self, statuses: Iterable[Status]) -> Any:
+        """diagnostic_msgs/DiagnosticArray that says of which node and car its statuses are."""
         node = self.get_fully_qualified_name()
-        statuses: Sequence[tuple[Any, ...]] = [
+        named: Sequence[tuple[Any, ...]] = [
             (f"{node}: {status.name}", status.level, status.text, status.values)
-            for status in self.statuses()
+            for status in statuses
         ]
         hardware = f"{self._car} {self.get_namespace()}".strip()
-        yield topics.DIAGNOSTICS, diagnostics(new_message, self.now_ns(), statuses, hardware)
+        return diagnostics(new_message, self.now_ns(), named, hardware)
 
     def _log_changes(self) -> None:
         """Log a phase, once, when it is new and has lasted since the last look.

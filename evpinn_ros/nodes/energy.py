@@ -20,6 +20,7 @@ from evpinn_ros.nodes.cdr import CdrError
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     EnergyReport,
+    answered_status,
     charge_status,
     energy_phases,
     meter_status,
@@ -30,6 +31,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.messages import (
     BadMessage,
+    Level,
     battery_message,
     battery_reading,
     read_named_vector,
@@ -39,6 +41,7 @@ from evpinn_ros.nodes.model_messages import read_model
 from evpinn_ros.nodes.plan_messages import (
     forecast_bytes,
     path_plan,
+    question,
     request_header,
     speed_profile_plan,
 )
@@ -229,21 +232,33 @@ class EnergyNode(GuardedNode):
         return path_plan(data, self.values["nominal_speed"] or usual)
 
     def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
+        header = new_message("std_msgs/msg/Header")
         try:
-            plan, header = read(data), request_header(new_message, data)
+            header = request_header(new_message, data)
+            plan = read(data)
         except (CdrError, PlanError) as error:
-            self._refused += 1
-            self._plan_problem = str(error)
+            self._refuse(header, str(error))
             return
         self.publish(self._forecast(header, plan))
         self._answered += 1
         self._plan_problem = None
 
+    def _refuse(self, header: Any, reason: str) -> None:
+        """Answer a plan with the reason why there is no forecast."""
+        self._refused += 1
+        self._plan_problem = reason
+        self.publish([self._plan_status(header, Status("plan", Level.WARN, reason, {}))])
+
+    def _plan_status(self, header: Any, status: Status) -> tuple[Topic, Any]:
+        message = self.status_message([status])
+        message.header = header
+        return topics.FORECAST_STATUS, message
+
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
         charge, capacity = self.account.charge(), self.account.gauge.capacity
         answer = self.forecaster.answer(
-            plan, charge, capacity, self.now_ns(), self.account.battery
+            plan, charge, capacity, self.now_ns(), self.account.battery, question(header)
         )
         result, self._charge_after = answer.forecast, answer.charge
         times = result.time - result.time[0]
@@ -254,6 +269,7 @@ class EnergyNode(GuardedNode):
             battery = battery_message(new_message, reading)
             battery.header = header
             yield topics.FORECAST_BATTERY, battery
+        yield self._plan_status(header, answered_status(answer))
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self.account.reset_trip()

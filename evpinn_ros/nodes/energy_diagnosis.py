@@ -10,9 +10,10 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import SILENT_AFTER, Health, Status, rounded, with_health
-from evpinn_ros.nodes.forecaster import Air, Basis
+from evpinn_ros.nodes.forecaster import Air, Answer, Basis
 from evpinn_ros.nodes.messages import Level
 
+ANSWERED = "answered"
 NO_POWER = "no power/smoothed"
 JOULES_PER_WH = 3600.0
 
@@ -161,6 +162,22 @@ def plan_status(report: EnergyReport) -> Status:
         text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)
     return Status("plan", Level.OK, "ready", values)
+
+
+def answered_status(answer: Answer) -> Status:
+    """The status of a plan that is answered: its energy, and how it compares with others, J."""
+    forecast = answer.forecast
+    values: dict[str, object] = {
+        "energy": repr(float(forecast.energy[-1])),
+        "sigma": repr(float(forecast.sigma[-1])),
+    }
+    if answer.charge.known:
+        values["battery"] = repr(answer.charge.value)
+        values["battery_sigma"] = repr(answer.charge.sigma)
+    for name, apart in answer.differences.items():
+        values[f"difference/{name}"] = repr(apart.value)
+        values[f"difference_sigma/{name}"] = repr(apart.sigma)
+    return Status("plan", Level.OK, ANSWERED, values)
 
 
 def _air_values(air: Air) -> dict[str, object]:

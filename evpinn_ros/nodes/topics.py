@@ -314,6 +314,15 @@ FORECAST = Topic(
     "joint `energy`: positions J, velocities W, effort 1-sigma J; the plan's header echoed",
     "J, W",
 )
+FORECAST_STATUS = Topic(
+    "energy/forecast/status",
+    DIAGNOSTICS_TYPE,
+    "energy",
+    False,
+    "one for every plan, its header echoed: OK with `energy`, `sigma`, `battery` and the "
+    "`difference` to each plan that was asked together with it, or WARN and why it is refused",
+    "J",
+)
 FORECAST_BATTERY = Topic(
     "energy/forecast/battery",
     BATTERY_TYPE,
@@ -346,6 +355,7 @@ TOPICS = (
     PLAN,
     SPEED_PROFILE,
     FORECAST,
+    FORECAST_STATUS,
     FORECAST_BATTERY,
     DIAGNOSTICS,
 )
