@@ -22,6 +22,7 @@ from evpinn_ros.nodes.messages import BadMessage, Level, diagnostics
 from evpinn_ros.nodes.parameter_table import TABLES
 from evpinn_ros.nodes.parameters import declare
 from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.nodes.typed import TYPED, is_installed, typed_message
 from evpinn_ros.signals.readings import NANOSECONDS
 
 REPORT_PERIOD = 1.0  # s, REP-107
@@ -106,8 +107,13 @@ class GuardedNode(Node):
 
     def advertise(self, *outputs: Topic) -> None:
         """Make publishers for `publish`."""
-        for topic in outputs:
+        beside = [TYPED[topic] for topic in outputs if topic in TYPED] if is_installed() else []
+        for topic in (*outputs, *beside):
             self._outlets[topic] = factory.advertise(self, topic, partial(self._refused_by, topic))
+
+    def advertises(self, topic: Topic) -> bool:
+        """Whether there is a publisher for a topic."""
+        return topic in self._outlets
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe, with `raw` to bytes; what the callback raises is counted.
@@ -166,6 +172,9 @@ class GuardedNode(Node):
         for topic, message in ready:
             self._outlets[topic].publish(message)
             self.published[topic] += 1
+            if (beside := TYPED.get(topic)) in self._outlets:
+                self._outlets[beside].publish(typed_message(new_message, topic, message))
+                self.published[beside] += 1
 
     def now_ns(self) -> int:
         """The node's clock, for stamps of frames, /diagnostics and what is said of stamps."""

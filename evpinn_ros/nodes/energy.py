@@ -27,8 +27,8 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
-from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.forecaster import Forecaster
+from evpinn_ros.nodes.factory import message_class, new_message
+from evpinn_ros.nodes.forecaster import Answer, Forecaster, Question
 from evpinn_ros.nodes.messages import (
     BadMessage,
     Level,
@@ -45,11 +45,13 @@ from evpinn_ros.nodes.plan_messages import (
     request_header,
     speed_profile_plan,
 )
+from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
 from evpinn_ros.nodes.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.vehicle.files import load_vehicle
@@ -96,6 +98,10 @@ class EnergyNode(GuardedNode):
             self.listen(topic, partial(self._on_air, topic))
         for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
             self.listen(topic, partial(self._on_plan, read), raw=True)
+        if is_installed():
+            self.advertise(TYPED_FORECAST)
+            service = message_class(f"{PACKAGE}/srv/{PLAN_SERVICE}")
+            self.create_service(service, "~/estimate_plan", self._on_estimate_plan)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
@@ -256,20 +262,31 @@ class EnergyNode(GuardedNode):
 
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
-        charge, capacity = self.account.charge(), self.account.gauge.capacity
-        answer = self.forecaster.answer(
-            plan, charge, capacity, self.now_ns(), self.account.battery, question(header)
-        )
+        answer = self._answer(plan, question(header))
         result, self._charge_after = answer.forecast, answer.charge
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
         yield topics.FORECAST, forecast_bytes(header, times, *columns)
+        if self.advertises(TYPED_FORECAST):
+            names = ("energy", "power", "sigma")
+            numbers = dict(zip(names, (each.tolist() for each in columns), strict=True))
+            typed = new_message(TYPED_FORECAST.type_name, time=times.tolist(), **numbers)
+            typed.header = header
+            yield TYPED_FORECAST, typed
         if answer.charge.known:
             reading = BatteryReading(0, answer.voltage, math.nan, answer.charge.value)
             battery = battery_message(new_message, reading)
             battery.header = header
             yield topics.FORECAST_BATTERY, battery
         yield self._plan_status(header, answered_status(answer))
+
+    def _answer(self, plan: Plan, asked: Question) -> Answer:
+        charge, capacity = self.account.charge(), self.account.gauge.capacity
+        known = self.account.battery
+        return self.forecaster.answer(plan, charge, capacity, self.now_ns(), known, asked)
+
+    def _on_estimate_plan(self, request: Any, response: Any) -> Any:
+        return answer_plans(request, response, self._answer)
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self.account.reset_trip()

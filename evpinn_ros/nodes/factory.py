@@ -29,9 +29,9 @@ OVERRIDABLE = tuple(
 
 @cache
 def message_class(type_name: str) -> Any:
-    """The rclpy class of `package/msg/Type`."""
-    package, _, name = type_name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
+    """The rclpy class of `package/msg/Type` or `package/srv/Type`."""
+    package, kind, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
 
 
 def new_message(type_name: str, /, **fields: Any) -> Any:
