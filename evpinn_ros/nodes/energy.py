@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError
+from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
@@ -28,7 +28,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
 )
 from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.forecaster import Answer, Forecaster, Question
+from evpinn_ros.nodes.forecaster import Answer, Forecaster
 from evpinn_ros.nodes.messages import (
     BadMessage,
     Level,

@@ -17,7 +17,7 @@ from evpinn_ros.energy.forecast import (
     difference,
     forecast_plan,
 )
-from evpinn_ros.energy.plan import Plan
+from evpinn_ros.energy.plan import UNNAMED, Plan, Question
 from evpinn_ros.energy.power_model import (
     PlanEnd,
     PowerModel,
@@ -44,16 +44,6 @@ STALE_AFTER = {  # s since it was heard, then it counts as unknown
 }
 
 AirReading = TypeVar("AirReading", TemperatureReading, PressureReading, WindReading)
-
-
-class Question(NamedTuple):
-    """A plan's name, and what it has in common with those asked together with it; or None."""
-
-    name: str
-    together: Hashable = None
-
-
-UNNAMED = Question("")
 
 
 class Air(NamedTuple):

@@ -17,11 +17,11 @@ from evpinn_ros.energy.plan import (
     NOMINAL_SPEED,
     Plan,
     PlanError,
+    Question,
     plan_from_path,
     plan_from_speed_profile,
 )
 from evpinn_ros.nodes.cdr import ENCAPSULATION, CdrReader, cdr_text
-from evpinn_ros.nodes.forecaster import Question
 from evpinn_ros.nodes.messages import NewMessage
 from evpinn_ros.signals.readings import NANOSECONDS
 

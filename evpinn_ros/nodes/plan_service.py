@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
-from evpinn_ros.nodes.forecaster import Answer, Question
+from evpinn_ros.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
+from evpinn_ros.nodes.forecaster import Answer
 
 MOST_PLANS = 100
 

@@ -120,8 +120,9 @@ def definition(layout: Layout) -> str:
 
 
 def is_installed() -> bool:
-    """Whether `evpinn_msgs` is there."""
-    return find_spec(PACKAGE) is not None
+    """Whether `evpinn_msgs` is there, and not merely its source in the folder of a checkout."""
+    found = find_spec(PACKAGE)
+    return found is not None and found.origin is not None
 
 
 def typed_message(new: NewMessage, topic: Topic, vector: Any) -> Any:
