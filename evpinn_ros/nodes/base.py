@@ -145,7 +145,7 @@ class GuardedNode(Node):
 
     def every(self, seconds: float, callback: Callable[[], object]) -> None:
         """Call back by a clock that never jumps."""
-        safe = self.guarded(callback, callback.__name__)
+        safe = self.guarded(callback, getattr(callback, "__name__", "timer"))
         self.create_timer(seconds, safe, clock=self._steady)
 
     def on_clock_going_back(self, callback: Callable[[], None]) -> None:

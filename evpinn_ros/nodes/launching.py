@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -17,11 +17,13 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
 from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.topics import NAMESPACE, TOPICS
 from evpinn_ros.share import share_directory
 from evpinn_ros.vehicle.files import load_vehicle
 from launch import LaunchDescription
+
+if TYPE_CHECKING:  # `ros2` may run in a Python that has none of what the table needs
+    from evpinn_ros.nodes.parameter_table import Value
 
 TRUTH = ("true", "false")
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
