@@ -11,6 +11,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 
 from evpinn_ros.errors import printable
@@ -26,14 +27,18 @@ from evpinn_ros.nodes.typed import TYPED, is_installed, typed_message
 from evpinn_ros.signals.readings import NANOSECONDS
 
 REPORT_PERIOD = 1.0  # s, REP-107
+NOT_ACTIVE = "a managed node that is not active"
 NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
-class GuardedNode(Node):
+class GuardedNode(LifecycleNodeMixin, Node):
     """A node whose callbacks never raise and which reports its health once a second.
 
+    With the parameter `managed` it has the transitions of a lifecycle node; else none of that.
+
     Attributes:
+        active: whether it works: always, or between `activate` and `deactivate`.
         values: of the parameters, by name; they follow changes.
         received: messages by input.
         published: messages by output.
@@ -46,10 +51,14 @@ class GuardedNode(Node):
         Raises:
             InputError: a parameter is wrong.
         """
-        super().__init__(name, **kwargs)
+        Node.__init__(self, name, **kwargs)
         self.values = declare(self, TABLES.get(name, ()))
         # A vehicle may be named by the path of its file.
         self._car = Path(str(self.values.get("vehicle", ""))).stem
+        managed = bool(self.values.get("managed"))
+        self.active = not managed
+        if managed:
+            LifecycleNodeMixin.__init__(self)
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
@@ -97,6 +106,35 @@ class GuardedNode(Node):
         log(printable(response.message))
         return response
 
+    def begin(self) -> None:
+        """Open what a node holds while it works; called at the start, or when it is activated."""
+
+    def end(self) -> str | None:
+        """Let go of that; gives what could not be kept and why."""
+        return None
+
+    def on_activate(self, state: Any) -> Any:
+        """Work; what lifecycle nodes do is logged by what changes then."""
+        self.active = True
+        self.begin()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: Any) -> Any:
+        """Stop working; what was learned is kept, in the file too."""
+        self._stop_working()
+        return super().on_deactivate(state)
+
+    def on_shutdown(self, state: Any) -> Any:
+        """Likewise, for good."""
+        self._stop_working()
+        return super().on_shutdown(state)
+
+    def _stop_working(self) -> None:
+        if self.active:
+            self.active = False
+            if problem := self.end():
+                self.get_logger().warning(printable(problem))
+
     def close(self) -> str | None:
         """Let go of threads and files; called once, when the node has stopped spinning.
 
@@ -122,6 +160,8 @@ class GuardedNode(Node):
         """
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
+            if not self.active:
+                return
             self.received[topic] += 1
             lost, by_turns = self._numbers.push(topic, info, self.steady_s())
             if lost:
@@ -165,7 +205,8 @@ class GuardedNode(Node):
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
         try:
-            ready = list(messages)
+            told = (each for each in messages if self.active or each[0] is topics.DIAGNOSTICS)
+            ready = list(told)
         except ValueError:
             self.bad[NOT_FINITE] += 1
             return
@@ -217,6 +258,8 @@ class GuardedNode(Node):
                 yield f"{publishers} publishers of {topic.name}"
         if self.get_clock().ros_time_is_active and self.now_ns() == 0:
             yield NO_CLOCK
+        if not self.active:
+            yield NOT_ACTIVE
         if (unused := unused_notice(lately)) is not None:
             yield unused
 

@@ -18,10 +18,10 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
-from evpinn_ros.nodes.diagnosis import WELL, Health, Status
+from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
-from evpinn_ros.nodes.messages import scalar
+from evpinn_ros.nodes.messages import Level, scalar
 from evpinn_ros.nodes.parameter_table import bus_options
 from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.nodes.recorder import RawFrames
@@ -64,11 +64,29 @@ class CanBridgeNode(GuardedNode):
         self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
-        self._source = self._open_source()
+        self._source: BusReader | LogPlayer | None = None
+        self._threads: list[threading.Thread] = []
         self.begun(f"decoding {self._profile.key}; {self._where()}; waiting for frames")
+        if self.active:
+            self.begin()
+
+    def begin(self) -> None:
+        """Open the bus or the log, and read it."""
+        if self._threads:  # a managed node that has worked before
+            self._bridge = self._make_bridge()
+        self._source = self._open_source()
         self._threads = [self._start(self.guarded(self._read, "source"), "can")]
         if self._bridge.poller is not None and self.values["poll"]:
             self._threads.append(self._start(self._bridge.poller.run, "can poll"))
+
+    def end(self) -> None:
+        """Stop asking and reading."""
+        if self._bridge.poller is not None:
+            self._bridge.poller.stop()
+        if self._source is not None:
+            self._source.stop()
+        for thread in self._threads:
+            thread.join(LONGEST_STOP)
 
     def statuses(self) -> list[Status]:
         """The health of the bus or of the replay of the log."""
@@ -76,6 +94,8 @@ class CanBridgeNode(GuardedNode):
 
     def _statuses(self, health: Health) -> list[Status]:
         source = self._source
+        if source is None:
+            return [with_health(Status("bus", Level.OK, "not opened", {}), health)]
         if isinstance(source, LogPlayer):
             bridge = self._bridge_status(source.newest_ns)
             return [log_status(source.text, source.problem, bridge, health)]
@@ -91,11 +111,7 @@ class CanBridgeNode(GuardedNode):
 
     def close(self) -> None:
         """Stop asking and reading."""
-        if self._bridge.poller is not None:
-            self._bridge.poller.stop()
-        self._source.stop()
-        for thread in self._threads:
-            thread.join(LONGEST_STOP)
+        self.end()
 
     def _start(self, run: Callable[[], None], name: str) -> threading.Thread:
         thread = threading.Thread(target=run, name=name, daemon=True)
@@ -149,6 +165,7 @@ class CanBridgeNode(GuardedNode):
 
     def _read(self) -> None:
         """Read the source until it ends; a log that is shorter than a judgement is judged then."""
+        assert self._source is not None  # opened before its thread
         self._source.run()
         if isinstance(self._source, LogPlayer):
             with self._lock:

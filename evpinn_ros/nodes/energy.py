@@ -141,9 +141,13 @@ class EnergyNode(GuardedNode):
         """Write what was counted, if there is a file for it; gives the reason when that fails."""
         return self._keeper.save() if self.values["energy_file"] else None
 
-    def close(self) -> str | None:
+    def end(self) -> str | None:
         """Save."""
         return self.save()
+
+    def close(self) -> str | None:
+        """Save."""
+        return self.end()
 
     def _load(self) -> None:
         self._keeper.load()

@@ -117,6 +117,10 @@ class EstimatorNode(GuardedNode):
         if model is not None:
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 
+    def end(self) -> str | None:
+        """Save."""
+        return self.save()
+
     def close(self) -> str | None:
         """Save, and stop the thread of the updates."""
         problem = self.save()

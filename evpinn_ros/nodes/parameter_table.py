@@ -99,8 +99,16 @@ TIME_JUMP_THRESHOLD = Parameter(
     read_only=False,
 )
 
+MANAGED = Parameter(
+    "managed",
+    False,
+    "A managed node, which waits to be configured and activated: `ros2 lifecycle set ...`. Until "
+    "it is active it hears and tells nothing but /diagnostics.",
+)
+
 ESTIMATOR = (
     VEHICLE,
+    MANAGED,
     Parameter(
         "mode",
         "hybrid",
@@ -174,6 +182,7 @@ ESTIMATOR = (
 )
 ENERGY = (
     VEHICLE,
+    MANAGED,
     Parameter(
         "integrator",
         "rknn",
@@ -211,6 +220,7 @@ ENERGY = (
 )
 CAN_BRIDGE = (
     VEHICLE,
+    MANAGED,
     Parameter(
         "can_profile",
         "",
