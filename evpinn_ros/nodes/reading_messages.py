@@ -187,14 +187,14 @@ def grade_reading(message: Any, mounting: Rotation | None = None) -> GradeReadin
     square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
     if not abs(square - 1) <= UNIT_TOLERANCE:
         raise BadMessage("quaternion_not_unit")
-    frame = message.header.frame_id
+    stamp, frame = stamp_ns(message), message.header.frame_id
     in_car = frame.rpartition("/")[2] == VEHICLE_FRAME  # `robot1/base_link` too
     if not in_car and mounting is None:
         raise BadMessage(f"frame '{frame}' is not base_link: set imu_rotation_rpy", lasting=True)
     if not in_car and mounting is not None:
         q = _undo(q, mounting)
     sine = 2 * (q.w * q.y - q.z * q.x) / square
-    return GradeReading(stamp_ns(message), -math.asin(max(-1.0, min(1.0, sine))))
+    return GradeReading(stamp, -math.asin(max(-1.0, min(1.0, sine))))
 
 
 def _undo(q: Any, mounting: Rotation) -> Rotation:

@@ -119,4 +119,5 @@ def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros2:
         command.write_text(COMMAND.format(python=sys.executable, stand_in=STAND_IN))
         command.chmod(0o755)
     joined = {name: os.pathsep.join(map(str, parts)) for name, parts in paths.items()}
+    joined["PYTHONUNBUFFERED"] = "1"  # what is printed into a file can be read at once
     return Ros2({**os.environ, **joined, "ROS_LOG_DIR": str(folder / "log")}, folder)

@@ -95,7 +95,11 @@ def main() -> None:
     rclpy.init(args=[])
     node = rclpy.create_node(f"ros2_bag_{asked.verb}")
     if asked.verb == "play":
-        play(node, asked)
+        try:
+            play(node, asked)
+        except RuntimeError:  # the shutdown came in the middle of a call into rclpy
+            if rclpy.ok():
+                raise
     else:
         record(node, asked)
     rclpy.try_shutdown()
