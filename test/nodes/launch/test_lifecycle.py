@@ -35,7 +35,7 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         del drive[:count]
 
     def to(transition):
-        answer = ros2.run("lifecycle", "set", "/ev/estimator", transition).stdout
+        answer = ros2.ask("lifecycle", "set", "/ev/estimator", transition)
         assert "Transitioning successful" in answer, answer
 
     command = ("run", "evpinn_ros", "estimator", "--ros-args", "-r", "__ns:=/ev", *options)
@@ -73,5 +73,5 @@ def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
     with ros2.running(*command):
         assert text().startswith("not opened")
         for transition in ("configure", "activate"):
-            ros2.run("lifecycle", "set", "/ev/can_bridge", transition)
+            ros2.ask("lifecycle", "set", "/ev/can_bridge", transition)
         bench.pump(lambda: "/dev/none" in text(), 20.0)
