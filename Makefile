@@ -21,12 +21,27 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
 
+# The real `launch` and `ros2`, where they lie and no ROS 2 is sourced, in a folder of their own:
+# among the other packages their plugins would change pytest. Tests of launch files use them.
+ROS2_TOOLS ?= ../shared/ros2_tools
+ifeq ($(ROS_DISTRO)$(wildcard $(ROS2_TOOLS)/install.sh),$(ROS2_TOOLS)/install.sh)
+ROS2_INSTALLED := $(VENV)/ros2/installed
+endif
+
+# The typed messages, where a compiler is: built against the wheels, or by whoever sourced ROS 2.
+MSGS := $(VENV)/msgs
+ifeq ($(ROS_DISTRO),)
+ifneq ($(and $(shell command -v c++),$(shell command -v cmake)),)
+MSGS_INSTALLED := $(MSGS)/installed
+endif
+endif
+
 .PHONY: demo quick test test-matrix test-wheels lint bags golden docs clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
 
-test: lint
+test: lint $(ROS2_INSTALLED) $(MSGS_INSTALLED)
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=ci
 
 # What finds most mistakes within a minute: no DDS, no browser, no colcon.
@@ -74,6 +89,23 @@ docs: demo
 
 clean:
 	rm -rf $(VENV) $(JAZZY) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+
+$(MSGS)/installed: $(INSTALLED) $(shell find evpinn_msgs -type f)
+	@echo "Building evpinn_msgs into $(MSGS); it takes half a minute."
+	@$(BIN)/python -m pip install -qq --no-input --disable-pip-version-check \
+		-c $(CONSTRAINTS) -r evpinn_msgs/requirements-build.txt
+	@rm -rf $(MSGS) && PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S evpinn_msgs -B $(MSGS)/build -GNinja \
+		-DCMAKE_PROJECT_INCLUDE=cmake/wheels.cmake -DBUILD_TESTING=OFF --log-level=ERROR \
+		-DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" \
+		-DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(MSGS)" >/dev/null
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake --build $(MSGS)/build -j 2 --target install >/dev/null
+	@touch $@
+
+$(VENV)/ros2/installed: $(INSTALLED)
+	@echo "Installing launch and ros2 into $(VENV)/ros2 for the tests of launch files."
+	@$(BIN)/python -m venv $(VENV)/ros2
+	@$(ROS2_TOOLS)/install.sh "$(CURDIR)/$(VENV)/ros2"
+	@touch $@
 
 $(INSTALLED): setup.py setup.cfg constraints.txt
 	@echo "Installing evpinn_ros and its tools into $(VENV); the first time takes minutes."

@@ -23,7 +23,7 @@ from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages,
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
 from evpinn_ros.nodes.messages import diagnostics
 from evpinn_ros.nodes.reading_messages import to_reading
-from evpinn_ros.nodes.topics import BATTERY, DIAGNOSTICS, SPEED, Topic, topic_of
+from evpinn_ros.nodes.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
 from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.chain import Chain, ChainOutput
 from evpinn_ros.report.live_screen import screen
@@ -77,7 +77,7 @@ def drive(state: LiveState) -> float:
     now = begin + SECONDS
     report = EstimatorReport(chain.estimator.status(), Health({}, {}), 0.0, 0, None)
     name, level, text, values = estimator_status(report)
-    status = (f"estimator: {name}", level, text, values)
+    status = (f"{NAMESPACE}/estimator: {name}", level, text, values)
     state.take(DIAGNOSTICS, diagnostics(new_message, int(now * NANOSECONDS), [status]), now)
     return now
 

@@ -6,12 +6,15 @@ An example to copy: it knows the node `energy` by its topics alone and imports n
     ros2 launch evpinn_ros eco_speed_planner.launch.py vehicle:=bmw_i3 deadline:=720.0
 
 Once a period it publishes every candidate on `plan/speed_profile`, collects the answers from
-`energy/forecast` and `energy/forecast/battery`, prints a table, and publishes the best candidate,
-latched, on `~/chosen`. An answer is known by its header, which is the question's.
+`energy/forecast`, `energy/forecast/battery` and `energy/forecast/status`, prints a table, and
+publishes the best candidate, latched, on `~/chosen`. An answer is known by its header, which is
+the question's. Questions of one stamp, whose frames are `asker/...`, are compared: the status of
+each tells what it takes more than the others, with the 1-sigma of that, which is far less than
+that of either. So of what cannot be told from the cheapest, it picks what arrives first.
 """
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
 from pathlib import Path
 import signal
@@ -19,6 +22,7 @@ import sys
 from typing import Any
 
 from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
@@ -66,11 +70,28 @@ class Candidate:
 
 @dataclass
 class Answer:
-    """What a candidate costs: J with 1-sigma, and the battery at its end, 0..1; NaN: unknown."""
+    """What a candidate costs: J with 1-sigma, and the battery at its end, 0..1; NaN: unknown.
+
+    Attributes:
+        status: of the answer, by key; None until it has come.
+        refusal: why there is no energy; empty if there is.
+        more: what it takes more than other candidates, by their index: J with 1-sigma.
+    """
 
     energy: float = math.nan
     sigma: float = math.nan
     battery: float = math.nan
+    status: dict[str, str] | None = None
+    refusal: str = ""
+    more: dict[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing more can come."""
+        if self.status is None or self.refusal:
+            return bool(self.refusal)
+        battery = math.isnan(self.battery) and "battery" in self.status
+        return not (math.isnan(self.energy) or battery)
 
 
 def hills() -> tuple[np.ndarray, np.ndarray]:
@@ -132,14 +153,30 @@ def all_candidates(
     return made[:number]
 
 
+def difference(answers: list[Answer], one: int, other: int) -> tuple[float, float]:
+    """What one candidate takes more than another, J, and its 1-sigma, NaN where not told."""
+    if one == other:
+        return 0.0, 0.0
+    if other in answers[one].more:
+        return answers[one].more[other]
+    less, sigma = answers[other].more.get(one, (math.nan, math.nan))
+    return -less, sigma
+
+
 def cheapest_in_time(
     candidates: list[Candidate], answers: list[Answer], deadline: float
 ) -> int | None:
-    """The pick among those in time; the slowest without any answer, None when all are late."""
+    """The pick among those in time; the slowest without any answer, None when all are late.
+
+    The first to arrive of the cheapest and all that cost more by less than 1-sigma.
+    """
     in_time = [i for i, candidate in enumerate(candidates) if candidate.arrival <= deadline]
     answered = [i for i in in_time if not math.isnan(answers[i].energy)]
     if answered:
-        return min(answered, key=lambda i: answers[i].energy)
+        cheapest = min(answered, key=lambda i: answers[i].energy)
+        apart = {i: difference(answers, i, cheapest) for i in answered}
+        alike = [i for i in answered if i == cheapest or apart[i][0] < apart[i][1]]
+        return min(alike, key=lambda i: candidates[i].arrival)
     return max(in_time, key=lambda i: candidates[i].arrival, default=None)
 
 
@@ -147,14 +184,21 @@ def table(
     candidates: list[Candidate], answers: list[Answer], deadline: float, pick: int | None
 ) -> str:
     """The candidates for people: minutes and Wh."""
-    lines = [f"{'candidate':24} {'arrival':>8} {'energy':>9} {'sigma':>8} {'battery':>8}"]
+    head = f"{'candidate':24} {'arrival':>8} {'energy':>9} {'sigma':>8} {'more':>16}"
+    lines = [f"{head} {'battery':>8}"]
     for index, (candidate, answer) in enumerate(zip(candidates, answers, strict=True)):
         minutes, seconds = divmod(round(candidate.arrival), 60)
-        energy = _number(answer.energy / WH, ".0f", " Wh", "no answer")
+        none = "refused" if answer.refusal else "no answer"
+        energy = _number(answer.energy / WH, ".0f", " Wh", none)
+        more = ""
+        if pick is not None and index != pick:
+            apart, beside = difference(answers, index, pick)
+            more = _number(apart / WH, "+.0f", f" +-{beside / WH:4.0f} Wh", "")
         sigma = _number(answer.sigma / WH, ".0f", " Wh", "")
         battery = _number(answer.battery * 100, ".1f", " %", "")
         remark = "late" if candidate.arrival > deadline else "<- picked" if index == pick else ""
-        row = f"{candidate.name:24} {minutes:5}:{seconds:02} {energy:>9} {sigma:>8} {battery:>8}"
+        row = f"{candidate.name:24} {minutes:5}:{seconds:02} {energy:>9} {sigma:>8} {more:>16}"
+        row = f"{row} {battery:>8}"
         lines.append(f"{row}  {remark}".rstrip())
     return "\n".join(lines)
 
@@ -214,6 +258,8 @@ class EcoSpeedPlanner(Node):
         self.create_subscription(JointTrajectory, "energy/forecast", self._on_forecast, depth)
         battery = "energy/forecast/battery"
         self.create_subscription(BatteryState, battery, self._on_battery, depth)
+        status = "energy/forecast/status"
+        self.create_subscription(DiagnosticArray, status, self._on_status, depth)
         # A clock that never stops or jumps, as that of a simulation does.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self._value("period"), self._ask, clock=steady)
@@ -229,9 +275,7 @@ class EcoSpeedPlanner(Node):
         stamp = self.get_clock().now().to_msg()
         self.answers = [Answer() for _ in self.candidates]
         for index, candidate in enumerate(self.candidates):
-            # Other planners may ask as well: the node's full name tells ours from theirs.
-            frame = f"{self.get_fully_qualified_name()}/{index}"
-            header = Header(stamp=stamp, frame_id=frame)
+            header = Header(stamp=stamp, frame_id=self._frame(index))
             self._open[_key(header)] = index
             self._questions.publish(profile_message(candidate, header))
         self._timeout.reset()
@@ -251,9 +295,27 @@ class EcoSpeedPlanner(Node):
             self.answers[index].battery = message.percentage
             self._decide_early()
 
+    def _on_status(self, message: DiagnosticArray) -> None:
+        index = self._open.get(_key(message.header))
+        if index is None or not message.status:
+            return
+        status, answer = message.status[0], self.answers[index]
+        answer.status = {pair.key: pair.value for pair in status.values}
+        answer.refusal = "" if status.level == DiagnosticStatus.OK else status.message
+        for other in range(len(self.candidates)):
+            name = self._frame(other)
+            if (apart := answer.status.get(f"difference/{name}")) is not None:
+                sigma = answer.status[f"difference_sigma/{name}"]
+                answer.more[other] = float(apart), float(sigma)
+        self._decide_early()
+
+    def _frame(self, index: int) -> str:
+        # Other planners may ask as well: the node's full name tells ours from theirs.
+        return f"{self.get_fully_qualified_name()}/{index}"
+
     def _decide_early(self) -> None:
         """Do not wait for the timeout when nothing more can come."""
-        if not any(math.isnan(answer.energy + answer.battery) for answer in self.answers):
+        if all(answer.complete for answer in self.answers):
             self._decide()
 
     def _decide(self) -> None:
@@ -274,7 +336,9 @@ class EcoSpeedPlanner(Node):
         self._chosen.publish(profile_message(self.candidates[pick], header))
 
     def _say_why_no_answer(self) -> None:
-        if self._questions.get_subscription_count():
+        if refused := next((a.refusal for a in self.answers if a.refusal), ""):
+            why = f"the energy node refuses: {refused}"
+        elif self._questions.get_subscription_count():
             why = "the energy node did not answer; its /diagnostics say why"
         else:
             why = f"no energy node listens to {self._questions.topic_name}"
@@ -315,6 +379,8 @@ def main() -> int:
         # The shutdown came in the middle of a callback.
     finally:
         rclpy.try_shutdown()
+        # Launch repeats the terminal's signal, which would kill Python while it ends.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return 0
 
 

@@ -3,19 +3,11 @@
 Only the inputs in the bag are played; outputs recorded with them would mix with the new ones.
 """
 
-from launch.actions import (
-    DeclareLaunchArgument,
-    EmitEvent,
-    ExecuteProcess,
-    OpaqueFunction,
-    RegisterEventHandler,
-)
+from launch.actions import EmitEvent, ExecuteProcess, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
+from evpinn_ros.nodes.launching import SIMULATED, Argument, describe, node
 from evpinn_ros.nodes.topics import (
     BATTERY,
     INPUTS,
@@ -24,58 +16,46 @@ from evpinn_ros.nodes.topics import (
     POWER_SMOOTHED,
     SPEED,
 )
-from evpinn_ros.share import share_directory
-from launch import LaunchDescription
 
 CLOCK_RATE = "100"  # Hz
 DELAY = "3"  # s for the nodes to load and to be discovered; the bag's first messages matter
 QUEUE = 1000  # messages of each stream that may wait, so that a fast replay loses none
 QUEUED = {"estimator": INPUTS, "energy": (SPEED, BATTERY, POWER_MEASURED, POWER_SMOOTHED)}
-ARGUMENTS = {
-    "vehicle": ("", "Vehicle by name or path; empty: as in params_file."),
-    "params_file": (str(share_directory() / "config" / "evpinn.param.yaml"), "Parameters."),
-    "namespace": (NAMESPACE, "Of all topics, in the bag and out."),
-    "rate": ("1.0", "Speed against real time."),
-}
+OWN = (
+    Argument("bag", None, "The recorded drive."),
+    Argument("bag_namespace", NAMESPACE, "Of the topics in the bag."),
+    Argument("rate", "1.0", "Speed against real time."),
+)
+BY_THE_BAG = SIMULATED._replace(
+    default="true", description="Publish the bag's time on /clock, and take it from there."
+)
 
 
 def generate_launch_description():
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    bag = DeclareLaunchArgument("bag", description="The recorded drive.")
-    return LaunchDescription([bag, *arguments, OpaqueFunction(function=_actions)])
+    return describe(_actions, *OWN, simulated=BY_THE_BAG)
 
 
-def _actions(context):
-    given = {name: LaunchConfiguration(name).perform(context) for name in ("bag", *ARGUMENTS)}
+def _actions(given):
     player = _player(given)
     over = OnProcessExit(target_action=player, on_exit=[EmitEvent(event=Shutdown())])
-    nodes = [_node(executable, given) for executable in QUEUED]
+    nodes = [node(given, executable, _parameters(given, executable)) for executable in QUEUED]
     return [*nodes, player, RegisterEventHandler(over)]
 
 
 def _player(given):
-    names = [topic.under(given["namespace"]) for topic in INPUTS]
-    command = ["ros2", "bag", "play", given["bag"], "--clock", CLOCK_RATE, "--delay", DELAY]
-    command += ["--rate", given["rate"], "--topics", *names]
+    names = {t.under(given["bag_namespace"]): t.under(given.namespace) for t in INPUTS}
+    command = ["ros2", "bag", "play", given["bag"], "--rate", str(given.number("rate"))]
+    command += ["--delay", DELAY, "--topics", *names]
+    if given.is_true("use_sim_time"):
+        command += ["--clock", CLOCK_RATE]
+    if moved := [f"{old}:={new}" for old, new in names.items() if old != new]:
+        command += ["--remap", *moved]
     return ExecuteProcess(cmd=command, output="screen")
 
 
-def _node(executable, given):
-    names = [topic.under(given["namespace"]) for topic in QUEUED[executable]]
-    overrides = {f"qos_overrides.{name}.subscription.depth": QUEUE for name in names}
-    overrides["use_sim_time"] = True
+def _parameters(given, executable):
+    names = [topic.under(given.namespace) for topic in QUEUED[executable]]
+    parameters = {f"qos_overrides.{name}.subscription.depth": QUEUE for name in names}
     if executable == "estimator":
-        overrides["wait_for_update"] = True  # the same numbers at any rate
-    if given["vehicle"]:
-        overrides["vehicle"] = ParameterValue(given["vehicle"], value_type=str)
-    return Node(
-        package="evpinn_ros",
-        executable=executable,
-        name=executable,
-        namespace=given["namespace"],
-        parameters=[given["params_file"], overrides],
-        output="screen",
-    )
+        parameters["wait_for_update"] = True  # the same numbers at any rate
+    return parameters | {"vehicle": given["vehicle"]}

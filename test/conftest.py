@@ -1,7 +1,11 @@
-"""A control unit on a real bus, made with can-isotp alone; what `--quick` leaves out."""
+"""A control unit on a real bus, this package as colcon installs it; what `--quick` leaves out."""
 
 from collections.abc import Callable, Iterator, Mapping
+import os
 from pathlib import Path
+import shutil
+import subprocess
+import sys
 import threading
 from typing import Any
 
@@ -13,7 +17,7 @@ from evpinn_ros.can.request import Address
 
 NOT_QUICK = frozenset(
     {
-        *("bench", "cli", "fleet", "launch", "nodes", "reproduction"),
+        *("bench", "cli", "fleet", "nodes", "reproduction"),
         *("test_docs.py", "test_executables.py", "test_guides.py", "test_packaging.py"),
         *("test_browser.py", "test_drive_page.py", "test_captures.py", "test_logs_fuzz.py"),
         *("test_golden.py", "test_order.py", "test_replay.py", "test_output.py"),
@@ -38,6 +42,35 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Whether `--quick` does not even import this; None lets others decide."""
     names = {collection_path.name, f"{collection_path.parent.name}/{collection_path.name}"}
     return True if config.getoption("quick") and names & NOT_QUICK else None
+
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy to build from, so that no build leaves anything behind in the checkout."""
+    copy = tmp_path_factory.mktemp("source") / "evpinn_ros"
+    unwanted = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install")
+    return shutil.copytree(ROOT, copy, ignore=unwanted)
+
+
+@pytest.fixture(scope="session")
+def installed(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The install space of `colcon build`."""
+    space = tmp_path_factory.mktemp("colcon")
+    colcon = (sys.executable, "-m", "colcon", "--log-base", str(space / "log"))
+    bases = ("--build-base", str(space / "build"), "--install-base", str(space / "install"))
+    done = subprocess.run(
+        [*colcon, "build", "--paths", str(source), *bases],
+        cwd=space,
+        env=os.environ | {"COLCON_HOME": str(space)},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return space / "install"
 
 
 Replies = Mapping[bytes, Callable[[], list[bytes]]]

@@ -16,6 +16,7 @@ from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Stat
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
 from evpinn_ros.nodes.topics import NAMESPACE, TOPICS, Topic
+from evpinn_ros.vehicle.files import vehicle_names
 from evpinn_ros.vehicle.identifiable import Identifiable
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -143,9 +144,8 @@ def test_plotjuggler_splits_into_as_many_plots_as_it_says():
 def test_plotjuggler_draws_series_that_exist(curve):
     """Series are named by topic and field; those of a named vector by quantity and field."""
     if curve.startswith("/diagnostics/"):
-        assert re.fullmatch("/diagnostics/estimator: estimate/progress\\.(.+)", curve)[1] in (
-            PARAMETER_NAMES
-        )
+        said = re.fullmatch("/diagnostics/(.+) /ev//ev/estimator: estimate/progress\\.(.+)", curve)
+        assert said[1] in vehicle_names() and said[2] in PARAMETER_NAMES
         return
     name = max((each for each in BY_NAME if curve.startswith(f"{each}/")), key=len)
     topic, path = BY_NAME[name], curve.removeprefix(f"{name}/").split("/")

@@ -112,7 +112,10 @@ class BagReadings:
         """
         self.dropped: Counter[str] = Counter()
         self._reader = reader
-        found = [_named(reader, topic, namespace) for topic in READING_TOPICS.values()]
+        speed = _named(reader, topics.SPEED, namespace)
+        wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
+        found = [speed or _named(reader, topics.ODOMETRY, namespace)]
+        found += [_named(reader, topic, namespace) for topic in wanted_topics]
         self.topics = tuple(name for name in found if name)
         if not self.topics:
             wanted = ", ".join(topic.name for topic in READING_TOPICS.values())

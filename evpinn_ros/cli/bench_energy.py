@@ -33,6 +33,7 @@ from evpinn_ros.one_thread import one_thread
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
+TOGETHER = 12  # plans
 CAR = "tesla_model_3_lr"  # of the figures of speed
 JOULES_PER_WH = 3600.0
 
@@ -197,7 +198,7 @@ def _cycle_cells(row: CycleRow) -> Iterator[str]:
 
 def _plans(plans: int) -> dict[str, Any]:
     # Imported here: the rest works where no ROS is.
-    from evpinn_ros.nodes.plan_load import measure_plans
+    from evpinn_ros.nodes.plan_load import measure_plans, measure_rounds
 
     with progress_bar("plans", total=plans, unit="plans") as progress:
         load = measure_plans(plans, POINTS, progress)
@@ -212,4 +213,13 @@ def _plans(plans: int) -> dict[str, Any]:
             f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows
         )
     )
-    return load._asdict()
+    with progress_bar("rounds", total=plans // 10, unit="rounds") as progress:
+        rounds = measure_rounds(max(plans // 10, 1), TOGETHER, POINTS, progress)
+    rows = [
+        (f"{TOGETHER} plans, p50", f"{rounds.p50_ms:.1f} ms", ""),
+        (f"{TOGETHER} plans, p99", f"{rounds.p99_ms:.1f} ms", "60 ms"),
+        ("a refusal, p50", f"{rounds.refusal_p50_ms:.1f} ms", ""),
+        ("a refusal, p99", f"{rounds.refusal_p99_ms:.1f} ms", "100 ms"),
+    ]
+    show(figures_table(f"Plans asked together, with all differences, {rounds.rounds} times", rows))
+    return {**load._asdict(), "together": rounds._asdict()}

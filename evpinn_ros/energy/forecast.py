@@ -14,12 +14,19 @@ import numpy as np
 
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Plan, PlanError
-from evpinn_ros.energy.power_model import Motion, PowerModel, namespace, vehicle_model
+from evpinn_ros.energy.power_model import (
+    Motion,
+    PlanEnd,
+    PowerModel,
+    namespace,
+    vehicle_model,
+)
 from evpinn_ros.vehicle.files import Vehicle
 
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6
 FIRST_RESIDUAL = 3000.0  # W, 1-sigma of power around the physics before any was seen
 DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
+UNKNOWN_END = PlanEnd(np.full(1, math.nan), *(np.array(math.nan) for _ in range(3)))
 CHUNK = 32  # profiles computed together, so that what they need stays in the cache
 
 
@@ -54,12 +61,14 @@ class Forecast:
         power: W at each point, with the acceleration and grade of the leg that follows (at the
             last point: of the leg that ends there).
         sigma: 1-sigma of energy, J.
+        end: of the whole plan, what a comparison with another needs.
     """
 
     time: np.ndarray
     energy: np.ndarray
     power: np.ndarray
     sigma: np.ndarray
+    end: PlanEnd = UNKNOWN_END
 
 
 def forecast(
@@ -130,12 +139,31 @@ def forecast_plan(
     energies = model.with_present_drift(_accumulated(steps, axis=-2), elapsed)
     squares = _accumulated((legs.speed**2) @ SIMPSON * legs.duration, axis=-1)
     square_speed = squares / np.where(elapsed > 0, elapsed, 1.0)
-    beside = model.variance_beside(elapsed, plan.distance - plan.distance[..., :1], square_speed)
+    length = plan.distance - plan.distance[..., :1]
+    beside = model.variance_beside(elapsed, length, square_speed)
     power = np.concatenate((powers[..., 0, 0], powers[..., -1:, 2, 0]), axis=-1)
     sigma = np.sqrt((energies[..., 1:] ** 2).sum(axis=-1) + beside)
     if not np.isfinite(energies[..., 0] + power + sigma).all():
         raise PlanError("by what is told of the car its energy is not finite")
-    return Forecast(time=plan.time, energy=energies[..., 0], power=power, sigma=sigma)
+    end = PlanEnd(energies[..., -1, :], elapsed[..., -1], length[..., -1], square_speed[..., -1])
+    return Forecast(time=plan.time, energy=energies[..., 0], power=power, sigma=sigma, end=end)
+
+
+def difference(model: PowerModel, one: PlanEnd, other: PlanEnd) -> Uncertain:
+    """Energy that one plan takes more than another, J, with the 1-sigma of that.
+
+    What both share cancels: the car is off by the same coefficients in both, auxiliary power
+    drifts alike while both last, and plans of one length lead along the same unknown slopes. The
+    residual of the model counts in each.
+
+    Args:
+        model: of the car, with which both were forecast.
+        one: of a single plan.
+        other: likewise, beginning at the same moment and place.
+    """
+    apart = one.energies - other.energies
+    variance = (apart[1:] ** 2).sum() + model.variance_between(one, other)
+    return Uncertain(float(apart[0]), math.sqrt(variance))
 
 
 def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> Uncertain:

@@ -6,8 +6,10 @@ with their length, their climb and their speeds at once.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,6 +64,16 @@ class Plan:
         _refuse(self.speed < 0, "speed is negative")
         _refuse(self.speed > MAX_SPEED, f"speed is above {MAX_SPEED:g} m/s")
         _refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
+
+
+class Question(NamedTuple):
+    """A plan's name, and what it has in common with those asked together with it; or None."""
+
+    name: str
+    together: Hashable = None
+
+
+UNNAMED = Question("")
 
 
 def plan_from_path(

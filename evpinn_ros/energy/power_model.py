@@ -28,6 +28,7 @@ from evpinn_ros.vehicle.linear_power import (
 from evpinn_ros.vehicle.physics import GRAVITY
 
 TINY = 1e-6  # m/s
+SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
 LEAST_SPEED = 0.5  # m/s, below it no force is told from power
 
 
@@ -47,6 +48,22 @@ class Motion(NamedTuple):
     climb: Any
     air_density: Any
     head_wind: Any = 0.0
+
+
+class PlanEnd(NamedTuple):
+    """A plan at its end.
+
+    Attributes:
+        energies: of the mean and of each direction of the coefficients, J, shape (..., 1 + k).
+        elapsed: s, shape (...), likewise below.
+        distance: m.
+        square_speed: mean square of speed, m^2/s^2.
+    """
+
+    energies: np.ndarray
+    elapsed: np.ndarray
+    distance: np.ndarray
+    square_speed: np.ndarray
 
 
 class PowerModel:
@@ -100,6 +117,32 @@ class PowerModel:
             + car.slope_force**2 * _walked(distance, car.slope_length)
         )
         return namespace(variance).clip(variance, 0.0, None)  # rounding, of the first moments
+
+    def variance_between(self, one: PlanEnd, other: PlanEnd) -> float:
+        """Variance of the difference of two plans' energies, J^2, from all but the coefficients.
+
+        Both begin at one moment; of one length they are taken to lead along one road.
+        """
+        car = self.linear
+        # As floats: numpy takes ten times as long for one number.
+        elapsed = [float(plan.elapsed) for plan in (one, other)]
+        lengths = [float(plan.distance) for plan in (one, other)]
+        squares = [float(plan.square_speed) for plan in (one, other)]
+        variance = sum(
+            (car.standing_noise**2 + car.moving_noise**2 * square)
+            * _walked(seconds, CORRELATION_TIME)
+            for seconds, square in zip(elapsed, squares, strict=True)
+        )
+        common, memory = min(elapsed), car.drift_time
+        alone = max(elapsed) - common
+        # The drift where the first of them ends, and what it does from there on.
+        begun = _begun(alone, memory)
+        there = -math.expm1(-2 * common / memory) * begun**2
+        variance += car.drift_std**2 * (there + _walked(alone, memory) - begun**2)
+        if abs(lengths[0] - lengths[1]) > SAME_LENGTH:
+            walked = (_walked(length, car.slope_length) for length in lengths)
+            variance += car.slope_force**2 * sum(walked)
+        return max(float(variance), 0.0)
 
     def _features(self, motion: Motion, xp: Any) -> list[Any]:
         """The features but the last, each of the motion's shape."""

@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 import math
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 
 from evpinn_ros.errors import printable
@@ -17,21 +19,26 @@ from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import BadMessage, diagnostics
+from evpinn_ros.nodes.messages import BadMessage, Level, diagnostics
 from evpinn_ros.nodes.parameter_table import TABLES
 from evpinn_ros.nodes.parameters import declare
 from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.nodes.typed import TYPED, is_installed, typed_message
 from evpinn_ros.signals.readings import NANOSECONDS
 
 REPORT_PERIOD = 1.0  # s, REP-107
+NOT_ACTIVE = "a managed node that is not active"
 NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
-class GuardedNode(Node):
+class GuardedNode(LifecycleNodeMixin, Node):
     """A node whose callbacks never raise and which reports its health once a second.
 
+    With the parameter `managed` it has the transitions of a lifecycle node; else none of that.
+
     Attributes:
+        active: whether it works: always, or between `activate` and `deactivate`.
         values: of the parameters, by name; they follow changes.
         received: messages by input.
         published: messages by output.
@@ -44,8 +51,14 @@ class GuardedNode(Node):
         Raises:
             InputError: a parameter is wrong.
         """
-        super().__init__(name, **kwargs)
+        Node.__init__(self, name, **kwargs)
         self.values = declare(self, TABLES.get(name, ()))
+        # A vehicle may be named by the path of its file.
+        self._car = Path(str(self.values.get("vehicle", ""))).stem
+        managed = bool(self.values.get("managed"))
+        self.active = not managed
+        if managed:
+            LifecycleNodeMixin.__init__(self)
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
@@ -63,12 +76,65 @@ class GuardedNode(Node):
         self._notices: dict[str, tuple[str, float]] = {}
         # Timers of the node's clock stand still when that clock does, and so would the report.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._phases: dict[str, str] = {}  # text of each at the last look
+        self._logged: dict[str, str] = {}
         self.advertise(topics.DIAGNOSTICS)
         self.every(REPORT_PERIOD, self.report)
+        self.every(REPORT_PERIOD, self._log_changes)
 
     def statuses(self) -> Iterable[Status]:
         """The health of the node's parts, for `/diagnostics`."""
         raise NotImplementedError
+
+    def phases(self) -> Iterable[Status]:
+        """What is logged when it changes; nothing in it may count or grow old."""
+        return ()
+
+    def begun(self, text: str, known: Iterable[Status] = ()) -> None:
+        """Log one line, once the node is made; these phases of it are then no news.
+
+        Raises:
+            InputError: it was given a quality of service that none of its endpoints takes.
+        """
+        factory.refuse_unheard_overrides(self)
+        self._logged = {phase.name: phase.text for phase in known}
+        self.get_logger().info(printable(text))
+
+    def done(self, response: Any, text: str, problem: str | None = None) -> Any:
+        """The response of a service, logged."""
+        response.success, response.message = problem is None, problem or text
+        log = self.get_logger().info if problem is None else self.get_logger().warning
+        log(printable(response.message))
+        return response
+
+    def begin(self) -> None:
+        """Open what a node holds while it works; called at the start, or when it is activated."""
+
+    def end(self) -> str | None:
+        """Let go of that; gives what could not be kept and why."""
+        return None
+
+    def on_activate(self, state: Any) -> Any:
+        """Work; what lifecycle nodes do is logged by what changes then."""
+        self.active = True
+        self.begin()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: Any) -> Any:
+        """Stop working; what was learned is kept, in the file too."""
+        self._stop_working()
+        return super().on_deactivate(state)
+
+    def on_shutdown(self, state: Any) -> Any:
+        """Likewise, for good."""
+        self._stop_working()
+        return super().on_shutdown(state)
+
+    def _stop_working(self) -> None:
+        if self.active:
+            self.active = False
+            if problem := self.end():
+                self.get_logger().warning(printable(problem))
 
     def close(self) -> str | None:
         """Let go of threads and files; called once, when the node has stopped spinning.
@@ -80,8 +146,13 @@ class GuardedNode(Node):
 
     def advertise(self, *outputs: Topic) -> None:
         """Make publishers for `publish`."""
-        for topic in outputs:
+        beside = [TYPED[topic] for topic in outputs if topic in TYPED] if is_installed() else []
+        for topic in (*outputs, *beside):
             self._outlets[topic] = factory.advertise(self, topic, partial(self._refused_by, topic))
+
+    def advertises(self, topic: Topic) -> bool:
+        """Whether there is a publisher for a topic."""
+        return topic in self._outlets
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe, with `raw` to bytes; what the callback raises is counted.
@@ -90,6 +161,8 @@ class GuardedNode(Node):
         """
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
+            if not self.active:
+                return
             self.received[topic] += 1
             lost, by_turns = self._numbers.push(topic, info, self.steady_s())
             if lost:
@@ -113,7 +186,7 @@ class GuardedNode(Node):
 
     def every(self, seconds: float, callback: Callable[[], object]) -> None:
         """Call back by a clock that never jumps."""
-        safe = self.guarded(callback, callback.__name__)
+        safe = self.guarded(callback, getattr(callback, "__name__", "timer"))
         self.create_timer(seconds, safe, clock=self._steady)
 
     def on_clock_going_back(self, callback: Callable[[], None]) -> None:
@@ -133,13 +206,17 @@ class GuardedNode(Node):
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
         try:
-            ready = list(messages)
+            told = (each for each in messages if self.active or each[0] is topics.DIAGNOSTICS)
+            ready = list(told)
         except ValueError:
             self.bad[NOT_FINITE] += 1
             return
         for topic, message in ready:
             self._outlets[topic].publish(message)
             self.published[topic] += 1
+            if (beside := TYPED.get(topic)) in self._outlets:
+                self._outlets[beside].publish(typed_message(new_message, topic, message))
+                self.published[beside] += 1
 
     def now_ns(self) -> int:
         """The node's clock, for stamps of frames, /diagnostics and what is said of stamps."""
@@ -184,16 +261,30 @@ class GuardedNode(Node):
                 yield f"{publishers} publishers of {topic.name}"
         if self.get_clock().ros_time_is_active and self.now_ns() == 0:
             yield NO_CLOCK
+        if not self.active:
+            yield NOT_ACTIVE
         if (unused := unused_notice(lately)) is not None:
             yield unused
 
     def _refused_by(self, topic: Topic, policy: str) -> None:
         self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
 
-    def age(self, topic: Topic) -> float:
-        """Seconds since the last usable message of an input, NaN before the first."""
-        arrived = self._arrivals.get(topic)
-        return math.nan if arrived is None else self._now_s() - arrived
+    def age(self, *either: Topic) -> float:
+        """Seconds since the last usable message of one of these inputs, NaN before the first."""
+        arrived = [self._arrivals[topic] for topic in either if topic in self._arrivals]
+        return self._now_s() - max(arrived) if arrived else math.nan
+
+    def stream(self, topic: Topic) -> Topic:
+        """The stream that an input belongs to: odometry stands in for `vehicle/speed`.
+
+        Raises:
+            BadMessage: it does not, for that is heard, and its steps and noise are others.
+        """
+        if topic is not topics.ODOMETRY:
+            return topic
+        if self.received[topics.SPEED]:
+            raise BadMessage("vehicle/speed is heard", usual=True)
+        return topics.SPEED
 
     def _now_s(self) -> float:
         """For ages, s: simulated time, which may pause; else a clock that nobody sets."""
@@ -205,11 +296,39 @@ class GuardedNode(Node):
         self.publish(self._diagnostics())
 
     def _diagnostics(self) -> Iterator[tuple[Topic, Any]]:
-        statuses: Sequence[tuple[Any, ...]] = [
-            (f"{self.get_name()}: {status.name}", status.level, status.text, status.values)
-            for status in self.statuses()
+        yield topics.DIAGNOSTICS, self.status_message(self.statuses())
+
+    def status_message(self, statuses: Iterable[Status]) -> Any:
+        """diagnostic_msgs/DiagnosticArray that says of which node and car its statuses are."""
+        node = self.get_fully_qualified_name()
+        named: Sequence[tuple[Any, ...]] = [
+            (f"{node}: {status.name}", status.level, status.text, status.values)
+            for status in statuses
         ]
-        yield topics.DIAGNOSTICS, diagnostics(new_message, self.now_ns(), statuses)
+        hardware = f"{self._car} {self.get_namespace()}".strip()
+        return diagnostics(new_message, self.now_ns(), named, hardware)
+
+    def _log_changes(self) -> None:
+        """Log a phase, once, when it is new and has lasted since the last look.
+
+        Who starts the nodes without ROS around them sees nothing else.
+        """
+        for phase in self.phases():
+            lasts = self._phases.get(phase.name) == phase.text
+            self._phases[phase.name] = phase.text
+            if lasts and phase.text != self._logged.get(phase.name):
+                self._logged[phase.name] = phase.text
+                self._log(phase)
+
+    def _log(self, phase: Status) -> None:
+        # Each call has a line of its own: rclpy ties the severity to the place.
+        logger, text = self.get_logger(), printable(phase.text)
+        if phase.level is Level.ERROR:
+            logger.error(text)
+        elif phase.level is Level.WARN:
+            logger.warning(text)
+        else:
+            logger.info(text)
 
     def guarded(self, callback: Callable[..., object], name: str) -> Callable[..., None]:
         """The callback, such that a bad message or a fault of ours cannot end the node."""

@@ -146,7 +146,7 @@ class _Listener:
 
     def _take_diagnostics(self, message: Any) -> None:
         for status in message.status:
-            if status.name.startswith("can_bridge"):
+            if "can_bridge: " in status.name:
                 self._told = {pair.key: pair.value for pair in status.values}
 
 

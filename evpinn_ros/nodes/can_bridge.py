@@ -15,11 +15,11 @@ from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
-from evpinn_ros.errors import InputError, printable
+from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.base import REPORT_PERIOD, GuardedNode
+from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
-from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.messages import Level, scalar
@@ -65,17 +65,38 @@ class CanBridgeNode(GuardedNode):
         self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
+        self._source: BusReader | LogPlayer | None = None
+        self._threads: list[threading.Thread] = []
+        self.begun(f"decoding {self._profile.key}; {self._where()}; waiting for frames")
+        if self.active:
+            self.begin()
+
+    def begin(self) -> None:
+        """Open the bus or the log, and read it."""
+        if self._threads:  # a managed node that has worked before
+            self._bridge = self._make_bridge()
         self._source = self._open_source()
-        self._seen: dict[str, str] = {}  # text of each status at the last look
-        self._said: dict[str, str] = {}
-        self.every(REPORT_PERIOD, self._say_changes)
         self._threads = [self._start(self.guarded(self._read, "source"), "can")]
         if self._bridge.poller is not None and self.values["poll"]:
             self._threads.append(self._start(self._bridge.poller.run, "can poll"))
 
+    def end(self) -> None:
+        """Stop asking and reading."""
+        if self._bridge.poller is not None:
+            self._bridge.poller.stop()
+        if self._source is not None:
+            self._source.stop()
+        for thread in self._threads:
+            thread.join(LONGEST_STOP)
+
     def statuses(self) -> list[Status]:
         """The health of the bus or of the replay of the log."""
-        source, health = self._source, self.health()
+        return self._statuses(self.health())
+
+    def _statuses(self, health: Health) -> list[Status]:
+        source = self._source
+        if source is None:
+            return [with_health(Status("bus", Level.OK, "not opened", {}), health)]
         if isinstance(source, LogPlayer):
             bridge = self._bridge_status(source.newest_ns)
             return [log_status(source.text, source.problem, bridge, health)]
@@ -85,13 +106,13 @@ class CanBridgeNode(GuardedNode):
             statuses.append(poll_status(poll, self._profile.experimental))
         return statuses
 
+    def phases(self) -> list[Status]:
+        """What /diagnostics tell, but how every bus begins."""
+        return [each for each in self._statuses(WELL) if each.text not in BEGINNINGS]
+
     def close(self) -> None:
         """Stop asking and reading."""
-        if self._bridge.poller is not None:
-            self._bridge.poller.stop()
-        self._source.stop()
-        for thread in self._threads:
-            thread.join(LONGEST_STOP)
+        self.end()
 
     def _start(self, run: Callable[[], None], name: str) -> threading.Thread:
         thread = threading.Thread(target=run, name=name, daemon=True)
@@ -105,6 +126,10 @@ class CanBridgeNode(GuardedNode):
         if vehicle.can_profile is None:
             raise InputError(f"vehicle '{vehicle.key}' names no CAN profile; set can_profile")
         return load_profile(vehicle.can_profile)
+
+    def _where(self) -> str:
+        values = self.values
+        return values["log_file"] or f"{values['interface']} {values['channel']}"
 
     def _refuse_idle_poll(self) -> None:
         """Raise InputError when `poll` is set where nothing could come of it."""
@@ -142,30 +167,9 @@ class CanBridgeNode(GuardedNode):
             options |= {"requests": self._profile.requests, "broadcast": broadcast}
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
 
-    def _say_changes(self) -> None:
-        """Log what /diagnostics tells, once, when it is new and has lasted since the last look.
-
-        Who starts the nodes without ROS around them sees nothing else.
-        """
-        for status in self.statuses():
-            lasts = self._seen.get(status.name) == status.text
-            self._seen[status.name] = status.text
-            if lasts and status.text not in (self._said.get(status.name), *BEGINNINGS):
-                self._said[status.name] = status.text
-                self._say(status)
-
-    def _say(self, status: Status) -> None:
-        # Each call has a line of its own: rclpy ties the severity to the place.
-        logger, text = self.get_logger(), printable(status.text)
-        if status.level is Level.ERROR:
-            logger.error(text)
-        elif status.level is Level.WARN:
-            logger.warning(text)
-        else:
-            logger.info(text)
-
     def _read(self) -> None:
         """Read the source until it ends; a log that is shorter than a judgement is judged then."""
+        assert self._source is not None  # opened before its thread
         self._source.run()
         if isinstance(self._source, LogPlayer):
             with self._lock:

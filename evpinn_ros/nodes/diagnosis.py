@@ -44,6 +44,9 @@ class Health:
     fault: str | None = None
 
 
+WELL = Health({}, {})
+
+
 class Lately:
     """Counters of the last seconds, from counters since the start."""
 

@@ -12,23 +12,26 @@ from std_srvs.srv import Trigger
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.cdr import CdrError
-from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     EnergyReport,
+    answered_status,
     charge_status,
+    energy_phases,
     meter_status,
     plan_status,
 )
 from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
-from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.forecaster import Forecaster
+from evpinn_ros.nodes.factory import message_class, new_message
+from evpinn_ros.nodes.forecaster import Answer, Forecaster
 from evpinn_ros.nodes.messages import (
     BadMessage,
+    Level,
     battery_message,
     battery_reading,
     read_named_vector,
@@ -38,14 +41,17 @@ from evpinn_ros.nodes.model_messages import read_model
 from evpinn_ros.nodes.plan_messages import (
     forecast_bytes,
     path_plan,
+    question,
     request_header,
     speed_profile_plan,
 )
+from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import jump_rule
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
 from evpinn_ros.nodes.topics import Topic
+from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
@@ -85,29 +91,43 @@ class EnergyNode(GuardedNode):
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
-        self.listen(topics.SPEED, self._on_speed)
+        for topic in (topics.SPEED, topics.ODOMETRY):
+            self.listen(topic, partial(self._on_speed, topic))
         self.listen(topics.MODEL, self._on_model)
         self.listen(topics.BATTERY, self._on_battery)
         for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
             self.listen(topic, partial(self._on_air, topic))
         for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
             self.listen(topic, partial(self._on_plan, read), raw=True)
+        if is_installed():
+            self.advertise(TYPED_FORECAST)
+            service = message_class(f"{PACKAGE}/srv/{PLAN_SERVICE}")
+            self.create_service(service, "~/estimate_plan", self._on_estimate_plan)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
         self.on_clock_going_back(self._on_clock_going_back)
+        start = self._keeper.start or "counts from zero"
+        self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
-        report = EnergyReport(
+        dropped = self._guard.dropped + self._reading_guard.dropped + self.account.refused
+        report = self._report(self.health(dropped))
+        return [meter_status(report), charge_status(report), plan_status(report)]
+
+    def phases(self) -> list[Status]:
+        """What is metered, and what forecasts rest on."""
+        return energy_phases(self._report(WELL))
+
+    def _report(self, health: Health) -> EnergyReport:
+        return EnergyReport(
             state=self.account.state,
             account=self.account.summary(),
             reconciled=self.account.reconciled,
             learned_capacity=self.account.gauge.learned,
             file_problem=self._keeper.problem,
-            health=self.health(
-                self._guard.dropped + self._reading_guard.dropped + self.account.refused
-            ),
+            health=health,
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
             basis=self.forecaster.basis,
@@ -117,15 +137,18 @@ class EnergyNode(GuardedNode):
             refused=self._refused,
             plan_problem=self._plan_problem,
         )
-        return [meter_status(report), charge_status(report), plan_status(report)]
 
     def save(self) -> str | None:
         """Write what was counted, if there is a file for it; gives the reason when that fails."""
         return self._keeper.save() if self.values["energy_file"] else None
 
-    def close(self) -> str | None:
+    def end(self) -> str | None:
         """Save."""
         return self.save()
+
+    def close(self) -> str | None:
+        """Save."""
+        return self.end()
 
     def _load(self) -> None:
         self._keeper.load()
@@ -185,8 +208,8 @@ class EnergyNode(GuardedNode):
         except ValueError as error:
             raise BadMessage(str(error)) from error
 
-    def _on_speed(self, message: Any) -> None:
-        self._take_reading(topics.SPEED, speed_reading(message))
+    def _on_speed(self, topic: Topic, message: Any) -> None:
+        self._take_reading(self.stream(topic), speed_reading(message))
 
     def _on_battery(self, message: Any) -> None:
         self._take_reading(topics.BATTERY, battery_reading(message))
@@ -213,53 +236,72 @@ class EnergyNode(GuardedNode):
         self.forecaster.hear_air(reading, self.now_ns())
 
     def _path(self, data: bytes) -> Plan:
-        return path_plan(data, self.values["nominal_speed"])
+        own = self._vehicle.nominal_speed
+        usual = NOMINAL_SPEED if math.isnan(own) else own
+        return path_plan(data, self.values["nominal_speed"] or usual)
 
     def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
         """Answer a plan or refuse it with the reason, whatever happens."""
+        header = new_message("std_msgs/msg/Header")
         try:
-            answer = list(self._forecast(request_header(new_message, data), read(data)))
+            header = request_header(new_message, data)
+            answer = list(self._forecast(header, read(data)))
         except (CdrError, PlanError) as error:
-            self._refuse(str(error))
+            self._refuse(header, str(error))
             return
         except Exception as error:
-            self._refuse(f"internal fault: {type(error).__name__}")
+            self._refuse(header, f"internal fault: {type(error).__name__}")
             raise
         self.publish(answer)
         self._answered += 1
         self._plan_problem = None
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, header: Any, reason: str) -> None:
+        """Answer a plan with the reason why there is no forecast."""
         self._refused += 1
         self._plan_problem = reason
+        self.publish([self._plan_status(header, Status("plan", Level.WARN, reason, {}))])
+
+    def _plan_status(self, header: Any, status: Status) -> tuple[Topic, Any]:
+        message = self.status_message([status])
+        message.header = header
+        return topics.FORECAST_STATUS, message
 
     def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
-        charge, capacity = self.account.charge(), self.account.gauge.capacity
-        answer = self.forecaster.answer(
-            plan, charge, capacity, self.now_ns(), self.account.battery
-        )
+        answer = self._answer(plan, question(header))
         result, self._charge_after = answer.forecast, answer.charge
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
         yield topics.FORECAST, forecast_bytes(header, times, *columns)
+        if self.advertises(TYPED_FORECAST):
+            names = ("energy", "power", "sigma")
+            numbers = dict(zip(names, (each.tolist() for each in columns), strict=True))
+            typed = new_message(TYPED_FORECAST.type_name, time=times.tolist(), **numbers)
+            typed.header = header
+            yield TYPED_FORECAST, typed
         if answer.charge.known:
             reading = BatteryReading(0, answer.voltage, math.nan, answer.charge.value)
             battery = battery_message(new_message, reading)
             battery.header = header
             yield topics.FORECAST_BATTERY, battery
+        yield self._plan_status(header, answered_status(answer))
+
+    def _answer(self, plan: Plan, asked: Question) -> Answer:
+        charge, capacity = self.account.charge(), self.account.gauge.capacity
+        known = self.account.battery
+        return self.forecaster.answer(plan, charge, capacity, self.now_ns(), known, asked)
+
+    def _on_estimate_plan(self, request: Any, response: Any) -> Any:
+        return answer_plans(request, response, self._answer)
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self.account.reset_trip()
-        response.success = True
-        response.message = "energy counts from zero; the lifetime's goes on"
-        return response
+        return self.done(response, "energy counts from zero; the lifetime's goes on")
 
     def _on_save(self, _: Any, response: Any) -> Any:
         reason = self._keeper.save()
-        response.success = reason is None
-        response.message = reason or f"written to {self.values['energy_file']}"
-        return response
+        return self.done(response, f"written to {self.values['energy_file']}", reason)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -10,9 +10,11 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import SILENT_AFTER, Health, Status, rounded, with_health
-from evpinn_ros.nodes.forecaster import Air, Basis
+from evpinn_ros.nodes.forecaster import Air, Answer, Basis
 from evpinn_ros.nodes.messages import Level
 
+ANSWERED = "answered"
+NO_POWER = "no power/smoothed"
 JOULES_PER_WH = 3600.0
 
 
@@ -72,19 +74,30 @@ def meter_status(report: EnergyReport) -> Status:
     }
     if report.file_problem is not None:
         values["energy_file"] = report.file_problem
+    level, text = _meter_verdict(report)
+    if text == NO_POWER:
+        text += f" for {report.power_age:.0f} s"
+    return with_health(Status("meter", level, text, values), report.health)
+
+
+def energy_phases(report: EnergyReport) -> list[Status]:
+    """What is logged when it changes: nothing in it counts."""
+    basis = f"forecasts rest on the {report.basis.value}"
+    return [Status("meter", *_meter_verdict(report), {}), Status("plan", Level.OK, basis, {})]
+
+
+def _meter_verdict(report: EnergyReport) -> tuple[Level, str]:
     if math.isnan(report.power_age):
-        verdict = Level.WARN, "waiting for power/smoothed"
-    elif report.power_age > SILENT_AFTER:
-        verdict = Level.WARN, f"no power/smoothed for {report.power_age:.0f} s"
-    elif not state.measuring:
-        verdict = Level.WARN, "predicting: no power/measured"
-    elif report.file_problem is not None:
-        verdict = Level.WARN, report.file_problem
-    elif report.reconciled is not None and report.reconciled.verdict is Verdict.CONTRADICTED:
-        verdict = Level.WARN, f"the last silence: {Verdict.CONTRADICTED.value}"
-    else:
-        verdict = Level.OK, "measuring"
-    return with_health(Status("meter", *verdict, values), report.health)
+        return Level.WARN, "waiting for power/smoothed"
+    if report.power_age > SILENT_AFTER:
+        return Level.WARN, NO_POWER
+    if not report.state.measuring:
+        return Level.WARN, "predicting: no power/measured"
+    if report.file_problem is not None:
+        return Level.WARN, report.file_problem
+    if report.reconciled is not None and report.reconciled.verdict is Verdict.CONTRADICTED:
+        return Level.WARN, f"the last silence: {Verdict.CONTRADICTED.value}"
+    return Level.OK, "measuring"
 
 
 def _silence_values(reconciled: Reconciled | None) -> dict[str, object]:
@@ -149,6 +162,22 @@ def plan_status(report: EnergyReport) -> Status:
         text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)
     return Status("plan", Level.OK, "ready", values)
+
+
+def answered_status(answer: Answer) -> Status:
+    """The status of a plan that is answered: its energy, and how it compares with others, J."""
+    forecast = answer.forecast
+    values: dict[str, object] = {
+        "energy": repr(float(forecast.energy[-1])),
+        "sigma": repr(float(forecast.sigma[-1])),
+    }
+    if answer.charge.known:
+        values["battery"] = repr(answer.charge.value)
+        values["battery_sigma"] = repr(answer.charge.sigma)
+    for name, apart in answer.differences.items():
+        values[f"difference/{name}"] = repr(apart.value)
+        values[f"difference_sigma/{name}"] = repr(apart.sigma)
+    return Status("plan", Level.OK, ANSWERED, values)
 
 
 def _air_values(air: Air) -> dict[str, object]:

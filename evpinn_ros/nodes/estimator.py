@@ -13,12 +13,17 @@ from evpinn_ros.estimation.worker import ThreadWorker
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.estimate_messages import output_messages
-from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
+from evpinn_ros.nodes.estimator_diagnosis import (
+    EstimatorReport,
+    estimator_phases,
+    estimator_status,
+)
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.model_messages import model_message
-from evpinn_ros.nodes.reading_messages import to_reading
+from evpinn_ros.nodes.parameter_table import roll_pitch_yaw
+from evpinn_ros.nodes.reading_messages import grade_reading, rotation, to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import estimator_settings, jump_rule
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
@@ -31,6 +36,7 @@ from evpinn_ros.vehicle.files import load_vehicle
 MODEL_PERIOD = 10.0  # s
 LISTENS_TO = (
     topics.SPEED,
+    topics.ODOMETRY,
     topics.BATTERY,
     topics.IMU,
     topics.FIX,
@@ -60,6 +66,8 @@ class EstimatorNode(GuardedNode):
         self.estimator = OnlineEstimator(
             self._vehicle, estimator_settings(self.values), self._worker
         )
+        mounting = roll_pitch_yaw(self.values["imu_rotation_rpy"])
+        self._mounting = None if mounting is None else rotation(*mounting)
         self._guard = StampGuard(topics.SPEED)
         self._stamps = StampWatch()
         self._keeper = StateKeeper(state_path(self.values["state_file"]), self.estimator)
@@ -74,18 +82,30 @@ class EstimatorNode(GuardedNode):
         self.every(MODEL_PERIOD, self.publish_model)
         self.publish_model()
         self.on_clock_going_back(self._guard.clock_went_back)
+        start = self._keeper.start or "begins with the vehicle file"
+        mode = self.values["mode"]
+        self.begun(
+            f"{self._vehicle.key} ({mode}) {start}; waiting for vehicle/speed", self.phases()
+        )
 
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
         status = self.estimator.status()
-        report = EstimatorReport(
-            status=status,
-            health=self.health(self._guard.dropped, status.dropped, _usual(status)),
-            speed_age=self.age(topics.SPEED),
+        health = self.health(self._guard.dropped, status.dropped, _usual(status))
+        return [estimator_status(self._report(health))]
+
+    def phases(self) -> list[Status]:
+        """What it does, what is valid, changes of payload."""
+        return estimator_phases(self._report(WELL))
+
+    def _report(self, health: Health) -> EstimatorReport:
+        return EstimatorReport(
+            status=self.estimator.status(),
+            health=health,
+            speed_age=self.age(topics.SPEED, topics.ODOMETRY),
             jumps=self._guard.jumps,
             state_problem=self._keeper.problem,
         )
-        return [estimator_status(report)]
 
     def save(self) -> str | None:
         """Write what was learned, if there is a file for it; gives the reason when that fails."""
@@ -96,6 +116,10 @@ class EstimatorNode(GuardedNode):
         model = self.estimator.linear_power()
         if model is not None:
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
+
+    def end(self) -> str | None:
+        """Save."""
+        return self.save()
 
     def close(self) -> str | None:
         """Save, and stop the thread of the updates."""
@@ -109,7 +133,11 @@ class EstimatorNode(GuardedNode):
             self.get_logger().warning(f"starting from the vehicle file: {self._keeper.problem}")
 
     def _take(self, topic: Topic, message: Any) -> None:
-        reading = to_reading(topic.type_name, message)
+        if topic is topics.IMU:
+            reading: Reading = grade_reading(message, self._mounting)
+        else:
+            reading = to_reading(topic.type_name, message)
+        topic = self.stream(topic)
         if topic is topics.SPEED:
             wrong = self._stamps.push(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
@@ -137,21 +165,15 @@ class EstimatorNode(GuardedNode):
     def _on_reset(self, _: Any, response: Any) -> Any:
         self._keeper.forget()
         self.publish_model()
-        response.success = True
-        response.message = f"started again from the vehicle file {self._vehicle.key}"
-        return response
+        return self.done(response, f"started again from the vehicle file {self._vehicle.key}")
 
     def _on_save(self, _: Any, response: Any) -> Any:
         reason = self._keeper.save()
-        response.success = reason is None
-        response.message = reason or f"written to {self.values['state_file']}"
-        return response
+        return self.done(response, f"written to {self.values['state_file']}", reason)
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self.estimator.enabled = request.data
-        response.success = True
-        response.message = "learning" if request.data else "paused: predicting only"
-        return response
+        return self.done(response, "learning" if request.data else "paused: predicting only")
 
 
 def _usual(status: EstimatorStatus) -> tuple[str, ...]:

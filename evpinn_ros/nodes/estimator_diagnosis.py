@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import math
 import statistics
 
+from evpinn_ros.estimation.estimate import State
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
@@ -22,6 +23,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.signals.suspicion import CURRENT_SIGN
 
+NO_SPEED, LEARNING = "no vehicle/speed", "learning"
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
 STUCK = {
     SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
@@ -71,7 +73,25 @@ def estimator_status(report: EstimatorReport) -> Status:
         **_noticed(status.report),
     }
     level, text = _estimator_verdict(report)
+    if text == NO_SPEED:
+        text += f" for {report.speed_age:.0f} s"
+    elif text == LEARNING:
+        text += f": {status.accepted} of {status.updates} updates adopted"
     return with_health(Status("estimate", level, text, values), report.health)
+
+
+def estimator_phases(report: EstimatorReport) -> list[Status]:
+    """What is logged when it changes: nothing in it counts."""
+    states, noticed = report.status.states, report.status.report
+    valid = [name for name, state in states.items() if state is State.VALID]
+    phases = [Status("estimate", *_estimator_verdict(report), {})]
+    phases.append(Status("valid", Level.OK, f"valid: {', '.join(valid) or 'nothing yet'}", {}))
+    if noticed.payload_change is not None:
+        change, taken_back = noticed.payload_change, noticed.payload_changes_withdrawn
+        text = f"payload change of {change.delta_mass:+.0f} +- {change.std:.0f} kg"
+        text += f"; {taken_back} of {noticed.payload_changes} withdrawn" if taken_back else ""
+        phases.append(Status("payload", Level.OK, text, {}))
+    return phases
 
 
 def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
@@ -79,7 +99,7 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
     if status.activity is Activity.WAITING:
         return Level.WARN, "waiting for vehicle/speed"
     if report.speed_age > SILENT_AFTER:
-        return Level.WARN, f"no vehicle/speed for {report.speed_age:.0f} s"
+        return Level.WARN, NO_SPEED
     if report.state_problem is not None:
         return Level.WARN, report.state_problem
     if status.stuck is not None:
@@ -94,7 +114,7 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
         return Level.OK, "predicting; learning is paused by ~/enable"
     if status.rejected.get("overrun", 0) > OVERRUN_SHARE * max(status.updates, 10):
         return Level.WARN, "updates take longer than a second: this computer is too slow or busy"
-    return Level.OK, f"learning: {status.accepted} of {status.updates} updates adopted"
+    return Level.OK, LEARNING
 
 
 def _noticed(report: LearnerReport) -> dict[str, object]:

@@ -11,20 +11,27 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
+    QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
     qos_policy_name_from_kind,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.topics import Qos, Topic
+
+OVERRIDABLE = tuple(
+    getattr(QoSPolicyKind, name) for name in ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY")
+)
+"""Policies that parameters may override: all that `Qos` knows, and rclpy's own three."""
 
 
 @cache
 def message_class(type_name: str) -> Any:
-    """The rclpy class of `package/msg/Type`."""
-    package, _, name = type_name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
+    """The rclpy class of `package/msg/Type` or `package/srv/Type`."""
+    package, kind, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
 
 
 def new_message(type_name: str, /, **fields: Any) -> Any:
@@ -52,7 +59,7 @@ def advertise(node: Node, topic: Topic, on_mismatch: Callable[[str], None] | Non
         message_class(topic.type_name),
         topic.name,
         qos_profile(topic.publisher_qos),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        qos_overriding_options=QoSOverridingOptions(OVERRIDABLE),
         event_callbacks=events,
     )
 
@@ -75,10 +82,23 @@ def subscribe(
         topic.name,
         callback,
         qos_profile(topic.subscriber_qos),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        qos_overriding_options=QoSOverridingOptions(OVERRIDABLE),
         event_callbacks=events,
         raw=raw,
     )
+
+
+def refuse_unheard_overrides(node: Node) -> None:
+    """Raise InputError where an override is of an endpoint of the node, but of no known policy.
+
+    rclpy would ignore it. Overrides of topics that the node does not have are another node's.
+    """
+    given = {name for name in node._parameter_overrides if name.startswith("qos_overrides.")}
+    for name in sorted(given):
+        endpoint, _, policy = name.rpartition(".")
+        if node.has_parameter(f"{endpoint}.depth") and not node.has_parameter(name):
+            heard = ", ".join(kind.name.lower() for kind in OVERRIDABLE)
+            raise InputError(f"{name}: '{policy}' cannot be overridden; known are {heard}")
 
 
 def _tell_policy(tell: Callable[[str], None] | None) -> Callable[[Any], None] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 import math
@@ -9,10 +10,21 @@ from typing import NamedTuple, TypeVar
 
 from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_after, forecast_plan
-from evpinn_ros.energy.plan import Plan
+from evpinn_ros.energy.forecast import (
+    FIRST_RESIDUAL,
+    Forecast,
+    battery_after,
+    difference,
+    forecast_plan,
+)
+from evpinn_ros.energy.plan import UNNAMED, Plan, Question
 from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.energy.power_model import PowerModel, combined_model, prior_identifiable
+from evpinn_ros.energy.power_model import (
+    PlanEnd,
+    PowerModel,
+    combined_model,
+    prior_identifiable,
+)
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     PressureReading,
@@ -24,6 +36,7 @@ from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 from evpinn_ros.vehicle.linear_power import LinearPower
 
+MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
 RESIDUAL_MEMORY = 300.0  # samples of power/smoothed over which that is averaged
 STALE_AFTER = {  # s since it was heard, then it counts as unknown
     TemperatureReading: 1800.0,
@@ -50,11 +63,15 @@ class Air(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end."""
+    """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
+
+    `differences` is what it takes more than each plan asked together with it, by name, J.
+    """
 
     forecast: Forecast
     charge: Uncertain
     voltage: float
+    differences: Mapping[str, Uncertain]
 
 
 class Basis(str, Enum):
@@ -84,6 +101,9 @@ class Forecaster:
         self._model: PowerModel | None = None
         self._residual_variance = FIRST_RESIDUAL**2
         self._heard: dict[type, tuple[object, int]] = {}
+        self._together: Hashable = None
+        self._others: dict[str, tuple[Plan, PlanEnd]] = {}
+        self._compared_with: object = None
 
     def hear_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
         """Take an estimate of the car and its 1-sigma.
@@ -130,6 +150,7 @@ class Forecaster:
         capacity: Uncertain,
         now_ns: int,
         battery: BatteryModel,
+        asked: Question = UNNAMED,
     ) -> Answer:
         """The energy a plan takes, and what it leaves in the battery.
 
@@ -139,6 +160,7 @@ class Forecaster:
             capacity: energy of the full battery, J.
             now_ns: by the clock of `hear_air`.
             battery: tells its end better than capacity once enough is known of it.
+            asked: what the plan is called, and with which others.
 
         Raises:
             PlanError: there is no finite answer.
@@ -146,11 +168,39 @@ class Forecaster:
         air = self.air(now_ns)
         density = density_of_air(self._vehicle.air_density, air.celsius, air.pascal)
         model = self._model or self._simple()
-        result = forecast_plan(plan, model, density, air.head_wind or 0.0)
+        wind = air.head_wind or 0.0
+        result = forecast_plan(plan, model, density, wind)
+        differences = self._compare(asked, plan, result.end, model, (density, wind))
         end = battery.after(result, charge)
         if end is None:
             end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
-        return Answer(result, *end)
+        return Answer(result, *end, differences)
+
+    def _compare(
+        self,
+        asked: Question,
+        plan: Plan,
+        end: PlanEnd,
+        model: PowerModel,
+        air: tuple[float, float],
+    ) -> dict[str, Uncertain]:
+        """What a plan takes more than those asked together with it, by their names, J."""
+        if asked.together is None or asked.together != self._together:
+            self._together, self._others = asked.together, {}
+        basis = self._model, self._combined, self._sigmas, air
+        if basis != self._compared_with:  # the others were answered with the car of before
+            self._compared_with = basis
+            for name, (other, _) in self._others.items():
+                self._others[name] = other, forecast_plan(other, model, *air).end
+        differences = {
+            name: difference(model, end, other)
+            for name, (_, other) in self._others.items()
+            if name != asked.name
+        }
+        points = sum(other.time.size for other, _ in self._others.values())
+        if asked.together is not None and points + plan.time.size <= MOST_POINTS_TOGETHER:
+            self._others[asked.name] = plan, end
+        return differences
 
     def _fresh(self, kind: type[AirReading], now_ns: int) -> AirReading | None:
         """The newest reading of a kind, while it is no older than such may be."""

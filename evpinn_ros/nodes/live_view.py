@@ -51,7 +51,7 @@ class LiveListener(Node):
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self.state = LiveState()
+        self.state = LiveState(self.get_namespace())
         profile = qos_profile(Qos(reliable=False, transient_local=False, depth=SUBSCRIBER_DEPTH))
         self._heard = {
             topic: self.create_subscription(

@@ -167,20 +167,30 @@ def diagnostics(
     new: NewMessage,
     stamp_ns: int,
     statuses: Iterable[tuple[str, Level, str, Mapping[str, object]]],
+    hardware: str = "",
 ) -> Any:
-    """diagnostic_msgs/DiagnosticArray from (name, level, message, {key: value})."""
+    """diagnostic_msgs/DiagnosticArray from (name, level, message, {key: value}).
+
+    `hardware` is the `hardware_id` of all of them.
+    """
     return new(
         topics.DIAGNOSTICS_TYPE,
         header=header(new, stamp_ns),
-        status=[_status(new, *status) for status in statuses],
+        status=[_status(new, hardware, *status) for status in statuses],
     )
 
 
 def _status(
-    new: NewMessage, name: str, level: Level, message: str, values: Mapping[str, object]
+    new: NewMessage,
+    hardware: str,
+    name: str,
+    level: Level,
+    message: str,
+    values: Mapping[str, object],
 ) -> Any:
     status = new(
         "diagnostic_msgs/msg/DiagnosticStatus",
+        hardware_id=hardware,
         name=name,
         message=message,
         values=[

@@ -98,8 +98,16 @@ TIME_JUMP_THRESHOLD = Parameter(
     read_only=False,
 )
 
+MANAGED = Parameter(
+    "managed",
+    False,
+    "A managed node, which waits to be configured and activated: `ros2 lifecycle set ...`. Until "
+    "it is active it hears and tells nothing but /diagnostics.",
+)
+
 ESTIMATOR = (
     VEHICLE,
+    MANAGED,
     Parameter(
         "mode",
         "hybrid",
@@ -148,6 +156,14 @@ ESTIMATOR = (
         "Where grade comes from: auto takes vehicle/imu if it speaks, else vehicle/fix.",
         choices=("auto", "none", "imu", "fix"),
     ),
+    Parameter(
+        "imu_rotation_rpy",
+        "",
+        "How the IMU is mounted: roll, pitch and yaw from base_link to the frame it reports in, "
+        "as a static transform has them: '0 0 1.571'. Empty: only an IMU in base_link is used.",
+        "rad",
+        verify=lambda text: roll_pitch_yaw(text),
+    ),
     Parameter("seed", 0, "Of the networks.", lower=0, upper=2**31 - 1),
     Parameter(
         "wait_for_update",
@@ -165,6 +181,7 @@ ESTIMATOR = (
 )
 ENERGY = (
     VEHICLE,
+    MANAGED,
     Parameter(
         "integrator",
         "rknn",
@@ -183,10 +200,11 @@ ENERGY = (
     ),
     Parameter(
         "nominal_speed",
-        50 / 3.6,
-        "Speed of a plan whose poses carry no times.",
+        0.0,
+        "Speed of a plan whose poses carry no times; 0: that of the vehicle file, or 50 km/h "
+        "where it names none. For a robot 1.0, or what it drives at.",
         "m/s",
-        0.1,
+        0.0,
         100.0,
         read_only=False,
     ),
@@ -201,6 +219,7 @@ ENERGY = (
 )
 CAN_BRIDGE = (
     VEHICLE,
+    MANAGED,
     Parameter(
         "can_profile",
         "",
@@ -273,6 +292,23 @@ def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> 
         raise InputError(
             f"time_jump_threshold = {jump:g} must be above allowed_lateness = {late:g}"
         )
+
+
+def roll_pitch_yaw(text: str) -> tuple[float, float, float] | None:
+    """The three angles of `imu_rotation_rpy`, rad; None when it is empty.
+
+    Raises:
+        InputError: it is not three numbers within one turn.
+    """
+    if not text.strip():
+        return None
+    try:
+        roll, pitch, yaw = map(float, text.replace(",", " ").split())
+    except ValueError as error:
+        raise InputError(f"'{text}' is not three angles in rad") from error
+    if not all(abs(angle) <= 2 * math.pi for angle in (roll, pitch, yaw)):
+        raise InputError(f"'{text}': an angle is more than a turn; rad, not degrees")
+    return roll, pitch, yaw
 
 
 def bus_options(text: str) -> dict[str, Value]:

@@ -5,7 +5,7 @@ The planner publishes and hears bytes, for what it does with a message is no par
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import time
 from typing import Any, NamedTuple
 
@@ -36,6 +36,17 @@ WARM_UP = 20  # plans that are not counted: the first load code and learn addres
 SETTLE = 2.0  # s until both ends surely know of each other
 ANSWER_TIMEOUT = 10.0  # s
 PAUSE = 0.02  # s between plans
+
+
+class RoundLoad(NamedTuple):
+    """How soon plans asked together are all answered with their differences, and a refusal, ms."""
+
+    rounds: int
+    plans: int
+    p50_ms: float
+    p99_ms: float
+    refusal_p50_ms: float
+    refusal_p99_ms: float
 
 
 class PlanLoad(NamedTuple):
@@ -82,6 +93,42 @@ def measure_plans(plans: int, points: int, progress: Callable[[float], None]) ->
     return PlanLoad(plans, points, *(1e3 * seconds for seconds in (p50, p99, largest, each)))
 
 
+def measure_rounds(
+    rounds: int, plans: int, points: int, progress: Callable[[float], None]
+) -> RoundLoad:
+    """Ask for plans together, then for one that cannot be driven, and time the last status.
+
+    Raises:
+        InputError: the node did not come up, left a plan without an answer, or a pair of plans
+            without its difference.
+    """
+    own_network()
+    rclpy.init(args=[])
+    planner = _Planner()
+    together, refused = [], []
+    try:
+        with node_process("energy", {"vehicle": VEHICLE}):
+            planner.await_node()
+            for number in range(WARM_UP + rounds):
+                asked = [speed_profile(index, points) for index in range(plans)]
+                for index, plan in enumerate(asked):
+                    plan.header = header(new_message, (number + 1) * NANOSECONDS, f"bench/{index}")
+                together.append(planner.ask_together(asked))
+                backwards = speed_profile(number, points)
+                backwards.points.reverse()
+                refused.append(planner.ask_together([backwards]))
+                progress(number)
+                time.sleep(PAUSE)
+    finally:
+        rclpy.try_shutdown()
+    quantiles = [
+        1e3 * float(np.quantile(times[WARM_UP:], share))
+        for times in (together, refused)
+        for share in (0.5, 0.99)
+    ]
+    return RoundLoad(rounds, plans, *quantiles)
+
+
 def speed_profile(number: int, points: int) -> Any:
     """A drive over hills, one second a point, as trajectory_msgs/JointTrajectory."""
     time_s = np.arange(points)
@@ -115,7 +162,9 @@ class _Planner:
         self._plans = factory.advertise(self._node, topics.SPEED_PROFILE)
         self._model = factory.advertise(self._node, topics.MODEL)
         factory.subscribe(self._node, topics.FORECAST, self._take, raw=True)
+        factory.subscribe(self._node, topics.FORECAST_STATUS, self._take_status)
         self._heard: str | None = None
+        self._statuses: dict[str, int] = {}  # differences told, by frame
 
     def await_node(self) -> None:
         """Wait until the node listens, and give it a model."""
@@ -132,6 +181,25 @@ class _Planner:
         self._plans.publish(data)
         self._spin_until(lambda: self._heard == wanted, ANSWER_TIMEOUT)
         return time.perf_counter() - begin
+
+    def ask_together(self, plans: Sequence[Any]) -> float:
+        """Publish plans; gives the seconds until the status of the last was heard."""
+        frames = [plan.header.frame_id for plan in plans]
+        data = [bytes(serialize_message(plan)) for plan in plans]
+        self._statuses.clear()
+        begin = time.perf_counter()
+        for each in data:
+            self._plans.publish(each)
+        self._spin_until(lambda: all(f in self._statuses for f in frames), ANSWER_TIMEOUT)
+        seconds = time.perf_counter() - begin
+        pairs = len(plans) * (len(plans) - 1) // 2
+        if sum(self._statuses.values()) != pairs:
+            raise InputError(f"{pairs} differences expected, not {sum(self._statuses.values())}")
+        return seconds
+
+    def _take_status(self, message: Any) -> None:
+        told = [p.key for p in message.status[0].values if p.key.startswith("difference/")]
+        self._statuses[message.header.frame_id] = len(told)
 
     def _take(self, data: bytes) -> None:
         self._heard = request_header(new_message, data).frame_id

@@ -17,6 +17,7 @@ from evpinn_ros.energy.plan import (
     NOMINAL_SPEED,
     Plan,
     PlanError,
+    Question,
     plan_from_path,
     plan_from_speed_profile,
 )
@@ -88,6 +89,13 @@ def request_header(new: NewMessage, data: bytes) -> Any:
     reader = CdrReader(data)
     stamp = new("builtin_interfaces/msg/Time", sec=reader.number("i"), nanosec=reader.number())
     return new("std_msgs/msg/Header", stamp=stamp, frame_id=reader.text())
+
+
+def question(header: Any) -> Question:
+    """What a plan is called: plans of one stamp and `asker/...` as frame are asked together."""
+    asker, slash, _ = header.frame_id.rpartition("/")
+    together = (header.stamp.sec, header.stamp.nanosec, asker) if slash else None
+    return Question(header.frame_id, together)
 
 
 def path_plan(data: bytes, nominal_speed: float = NOMINAL_SPEED) -> Plan:

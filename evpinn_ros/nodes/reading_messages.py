@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import (
@@ -151,8 +151,35 @@ def to_reading(type_name: str, message: Any) -> Reading:
     return reader(message)
 
 
-def grade_reading(message: Any) -> GradeReading:
-    """Grade of an Imu. Positive pitch is nose down (REP-103), so grade = -pitch."""
+class Rotation(NamedTuple):
+    """A unit quaternion."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Rotation:
+    """The rotation by roll, then pitch, then yaw about fixed axes, rad (REP-103)."""
+    sx, sy, sz = (math.sin(angle / 2) for angle in (roll, pitch, yaw))
+    cx, cy, cz = (math.cos(angle / 2) for angle in (roll, pitch, yaw))
+    return Rotation(
+        sx * cy * cz - cx * sy * sz,
+        cx * sy * cz + sx * cy * sz,
+        cx * cy * sz - sx * sy * cz,
+        cx * cy * cz + sx * sy * sz,
+    )
+
+
+def grade_reading(message: Any, mounting: Rotation | None = None) -> GradeReading:
+    """Grade of an Imu. Positive pitch is nose down (REP-103), so grade = -pitch.
+
+    Args:
+        message: sensor_msgs/Imu.
+        mounting: rotation from `base_link` to the frame of the message; without it only an
+            orientation of `base_link` itself is used.
+    """
     if message.orientation_covariance[0] == NOT_PROVIDED:
         raise BadMessage("no_orientation", lasting=True)
     q = message.orientation
@@ -160,8 +187,25 @@ def grade_reading(message: Any) -> GradeReading:
     square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
     if not abs(square - 1) <= UNIT_TOLERANCE:
         raise BadMessage("quaternion_not_unit")
+    stamp, frame = stamp_ns(message), message.header.frame_id
+    in_car = frame.rpartition("/")[2] == VEHICLE_FRAME  # `robot1/base_link` too
+    if not in_car and mounting is None:
+        raise BadMessage(f"frame '{frame}' is not base_link: set imu_rotation_rpy", lasting=True)
+    if not in_car and mounting is not None:
+        q = _undo(q, mounting)
     sine = 2 * (q.w * q.y - q.z * q.x) / square
-    return GradeReading(stamp_ns(message), -math.asin(max(-1.0, min(1.0, sine))))
+    return GradeReading(stamp, -math.asin(max(-1.0, min(1.0, sine))))
+
+
+def _undo(q: Any, mounting: Rotation) -> Rotation:
+    """The orientation of the car, from that of what is mounted on it: q times its inverse."""
+    x, y, z, w = -mounting.x, -mounting.y, -mounting.z, mounting.w
+    return Rotation(
+        q.w * x + q.x * w + q.y * z - q.z * y,
+        q.w * y - q.x * z + q.y * w + q.z * x,
+        q.w * z + q.x * y - q.y * x + q.z * w,
+        q.w * w - q.x * x - q.y * y - q.z * z,
+    )
 
 
 def altitude_reading(message: Any) -> AltitudeReading:
@@ -216,6 +260,7 @@ def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
 
 _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.SPEED_TYPE: speed_reading,
+    topics.ODOMETRY_TYPE: speed_reading,  # its twist is in the frame of the car by definition
     topics.BATTERY_TYPE: battery_reading,
     topics.IMU_TYPE: grade_reading,
     topics.FIX_TYPE: altitude_reading,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
+from functools import partial
 import os
 import signal
 import sys
@@ -15,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from evpinn_ros.errors import InputError, printable
 from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.supervision import tell, watchdog_period
 
 SWITCH_INTERVAL = 5e-4
 """s that a thread may keep the interpreter from one that wants it: the bridge's after each system
@@ -67,6 +69,7 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
         # Only now: a node that is shut down while it is made does not end quietly.
         install_signal_handlers()
         if not signals:
+            _supervise(nodes)
             _spin(nodes)
     except InputError as error:
         return _fail(str(error))
@@ -90,6 +93,7 @@ def _end(nodes: Sequence[GuardedNode]) -> list[str]:
         What the nodes could not keep.
     """
     # Who listens hears the others' last words; who is destroyed tells the others that it is gone.
+    tell("STOPPING=1")
     steps: list[Callable[[], object]] = [node.close for node in reversed(nodes)]
     steps += [node.destroy_node for node in nodes]
     errors: list[Exception] = []
@@ -104,6 +108,14 @@ def _end(nodes: Sequence[GuardedNode]) -> list[str]:
     if errors:
         raise errors[0]
     return problems
+
+
+def _supervise(nodes: Sequence[GuardedNode]) -> None:
+    """Tell systemd that all is up; from the thread of the callbacks, that these go on."""
+    tell("READY=1")
+    period = watchdog_period()
+    if period is not None and nodes:
+        nodes[0].every(period, partial(tell, "WATCHDOG=1"))
 
 
 def _spin(nodes: list[GuardedNode]) -> None:

@@ -50,6 +50,11 @@ class StateKeeper:
             return
         self.start_over()
 
+    @property
+    def start(self) -> str | None:
+        """What the owner goes on from; None where nothing was restored."""
+        return None if self._loaded is None else f"continues from {self._path}"
+
     def start_over(self) -> None:
         """Set the owner to what it was at the start: the loaded state, or nothing learned."""
         self._owner.reset()

@@ -13,6 +13,7 @@ SUBSCRIBER_DEPTH = 100
 
 SPEED_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
@@ -89,6 +90,14 @@ SPEED = Topic(
     "`twist.twist.linear.x` in frame `base_link`, with the variance of its resolution",
     "m/s",
 )
+ODOMETRY = Topic(
+    "odom",
+    ODOMETRY_TYPE,
+    "the car",
+    False,
+    "optional: `twist.twist.linear.x` as speed, until `vehicle/speed` is heard",
+    "m/s",
+)
 BATTERY = Topic(
     "battery/state",
     BATTERY_TYPE,
@@ -109,7 +118,13 @@ BATTERY_CURRENT = Topic(
     "A",
 )
 IMU = Topic(
-    "vehicle/imu", IMU_TYPE, "the car", False, "optional grade source: grade = -pitch", "rad"
+    "vehicle/imu",
+    IMU_TYPE,
+    "the car",
+    False,
+    "optional grade source: grade = -pitch in `base_link`; of another frame with "
+    "`imu_rotation_rpy` alone",
+    "rad",
 )
 FIX = Topic(
     "vehicle/fix", FIX_TYPE, "the car", False, "optional grade source: altitude over distance", "m"
@@ -157,6 +172,7 @@ MOTOR_TORQUE = Topic(
 )
 INPUTS = (
     SPEED,
+    ODOMETRY,
     BATTERY,
     BATTERY_VOLTAGE,
     BATTERY_CURRENT,
@@ -298,6 +314,15 @@ FORECAST = Topic(
     "joint `energy`: positions J, velocities W, effort 1-sigma J; the plan's header echoed",
     "J, W",
 )
+FORECAST_STATUS = Topic(
+    "energy/forecast/status",
+    DIAGNOSTICS_TYPE,
+    "energy",
+    False,
+    "one for every plan, its header echoed: OK with `energy`, `sigma`, `battery` and the "
+    "`difference` to each plan that was asked together with it, or WARN and why it is refused",
+    "J",
+)
 FORECAST_BATTERY = Topic(
     "energy/forecast/battery",
     BATTERY_TYPE,
@@ -330,6 +355,7 @@ TOPICS = (
     PLAN,
     SPEED_PROFILE,
     FORECAST,
+    FORECAST_STATUS,
     FORECAST_BATTERY,
     DIAGNOSTICS,
 )

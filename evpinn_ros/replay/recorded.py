@@ -32,10 +32,12 @@ def recorded_drive(bag: Path) -> Drive:
     history = History()
     parameters: Any = None
     with BagReader(bag) as reader:
+        has_speed = any(topics.SPEED.matches(name) for name in reader.topics)
+        speed = topics.SPEED if has_speed else topics.ODOMETRY
         for record in reader.records():
             topic = topic_of(record.topic)
             try:
-                if topic in (topics.SPEED, topics.BATTERY):
+                if topic in (speed, topics.BATTERY):
                     history.add_reading(to_reading(record.type_name, record.message))
                 elif topic is topics.PARAMETERS:
                     parameters = record.message

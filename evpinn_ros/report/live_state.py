@@ -36,7 +36,8 @@ VECTORS = (
     topics.ENERGY_CONSUMPTION,
     topics.ENERGY_RANGE,
 )
-WATCHED = (topics.SPEED, topics.BATTERY, *VECTORS, topics.DIAGNOSTICS)
+WATCHED = (topics.SPEED, topics.ODOMETRY, topics.BATTERY, *VECTORS, topics.DIAGNOSTICS)
+SPEEDS_OF_CAR = (topics.SPEED, topics.ODOMETRY)
 POWERS = {topics.POWER_MEASURED: "measured", topics.POWER_PREDICTED: "predicted"}
 NODES = ("can_bridge", "estimator", "energy", "recorder", "foxglove")
 
@@ -84,8 +85,9 @@ class LiveState:
         unusable: messages that held no usable value, by topic.
     """
 
-    def __init__(self) -> None:
-        """Nothing heard yet."""
+    def __init__(self, namespace: str = topics.NAMESPACE) -> None:
+        """Nothing heard yet of the car under a namespace."""
+        self._namespace = namespace.strip("/")
         self.speed = math.nan
         self.battery: BatteryReading | None = None
         self.line = PowerLine()
@@ -110,7 +112,7 @@ class LiveState:
         if topic is topics.DIAGNOSTICS:
             for status in message.status:
                 self._take_status(status, now)
-        elif topic is topics.SPEED:
+        elif topic in SPEEDS_OF_CAR:
             self.speed = speed_reading(message).speed
         elif topic is topics.BATTERY:
             self.battery = battery_reading(message)
@@ -120,14 +122,16 @@ class LiveState:
                 self.line.add(POWERS[topic], vector.stamp_ns, vector.values["power"])
 
     def _take_status(self, status: Any, now: float) -> None:
-        if status.name.partition(":")[0] not in NODES:
+        node, _, part = status.name.partition(":")
+        namespace, _, node = node.strip("/").rpartition("/")
+        if node not in NODES or namespace != self._namespace:
             return  # of somebody else: everybody shares this topic
         # rclpy holds a byte as bytes, rosbags as int.
         level = status.level if isinstance(status.level, int) else status.level[0]
         values = {pair.key: printable(pair.value) for pair in status.values}
         known = Level(min(level, Level.STALE))
         text = printable(status.message)
-        self.statuses[printable(status.name)] = PartStatus(known, text, values, now)
+        self.statuses[printable(f"{node}:{part}")] = PartStatus(known, text, values, now)
 
     def age(self, topic: Topic, now: float) -> float:
         """Seconds since the last message of a topic, infinite before the first."""
@@ -150,7 +154,8 @@ class LiveState:
 
     def fresh_speed(self, now: float) -> float:
         """Speed, m/s, NaN when it has fallen silent."""
-        return self.speed if self.age(topics.SPEED, now) < STALE_AFTER else math.nan
+        heard = min(self.age(topic, now) for topic in SPEEDS_OF_CAR)
+        return self.speed if heard < STALE_AFTER else math.nan
 
     def fresh_battery(self, now: float) -> BatteryReading | None:
         """Voltage and current, None when they have fallen silent."""

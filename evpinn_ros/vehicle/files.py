@@ -37,9 +37,10 @@ CONSTANTS: Mapping[str, Constant] = {
     "nominal_voltage": Constant(10.0, 2000.0, "V"),
     "rotating_mass_factor": Constant(1.0, 1.5, "1"),
     "battery_capacity": Constant(1e6, 5e9, "J"),
+    "nominal_speed": Constant(0.1, 100.0, "m/s"),
     "motor_ratio": Constant(1.0, 200.0, "rad/m"),
 }
-OPTIONAL_CONSTANTS = ("battery_capacity", "motor_ratio")
+OPTIONAL_CONSTANTS = ("battery_capacity", "motor_ratio", "nominal_speed")
 LEAST_EIGENVALUE = 1e-3  # of correlations: with less, one is certain by the others
 FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
 LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
@@ -76,6 +77,7 @@ class Vehicle:
     battery_capacity: float
     motor_ratio: float
     priors: Mapping[str, Prior]
+    nominal_speed: float = math.nan
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
     @property

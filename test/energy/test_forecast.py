@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import time as clock
 
@@ -7,9 +8,14 @@ import numpy as np
 import pytest
 
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.energy.forecast import DIRECTION_LENGTH, battery_after, forecast_plan
+from evpinn_ros.energy.forecast import (
+    DIRECTION_LENGTH,
+    battery_after,
+    difference,
+    forecast_plan,
+)
 from evpinn_ros.energy.plan import Plan, plan_from_path, plan_from_speed_profile
-from evpinn_ros.energy.power_model import combined_model
+from evpinn_ros.energy.power_model import PlanEnd, PowerModel, combined_model, vehicle_model
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable, combined_power
 from evpinn_ros.vehicle.physics import GRAVITY
@@ -213,3 +219,37 @@ def test_battery_after():
     assert battery_after(result, Uncertain(0.05, 0.003), full).value == 0.0
     assert not battery_after(result, UNKNOWN, full).known
     assert not battery_after(result, Uncertain(0.5, 0.003), UNKNOWN).known
+
+
+def test_the_sigma_of_a_difference_is_what_drawing_cars_gives():
+    """Coefficients are drawn for both plans at once: what both share cancels in the difference."""
+    model = vehicle_model(CAR, 0.0)
+    time = np.arange(0.0, 300.0, 5.0)
+    plans = [
+        plan_from_speed_profile(time, speed * time, np.full(time.size, speed))
+        for speed in (15.0, 17.0)
+    ]
+    one, other = (forecast_plan(plan, model, 1.2) for plan in plans)
+    drawn = np.random.default_rng(1).normal(size=(20_000, len(model.linear.directions)))
+    energies = [found.end.energies[0] + drawn @ found.end.energies[1:] for found in (one, other)]
+    found = difference(model, one.end, other.end)
+    assert found.value == pytest.approx(one.energy[-1] - other.energy[-1])
+    assert found.sigma == pytest.approx(np.std(energies[0] - energies[1]), rel=0.03)
+    assert found.sigma < 0.5 * one.sigma[-1]
+    assert one.sigma[-1] == pytest.approx(np.std(energies[0]), rel=0.03)
+
+
+def test_the_drift_of_auxiliary_power_cancels_while_both_last():
+    """Against paths of the drift itself, drawn step by step."""
+    linear = dataclasses.replace(vehicle_model(CAR, 0.0).linear, drift_std=500.0, drift_time=120.0)
+    model = PowerModel(linear)
+    zero = np.zeros(1 + len(linear.directions))
+    one, other = (PlanEnd(zero, t, 1000.0, 100.0) for t in (100.0, 400.0))
+    step, rng = 1.0, np.random.default_rng(2)
+    keep = math.exp(-step / 120.0)
+    drift, total = np.zeros(20_000), np.zeros(20_000)
+    for second in range(400):
+        total += drift * step if second >= 100 else 0.0
+        drift = keep * drift + 500.0 * math.sqrt(1 - keep**2) * rng.normal(size=drift.size)
+    assert difference(model, one, other).sigma == pytest.approx(np.std(total), rel=0.03)
+    assert difference(model, one, one).sigma == 0.0

@@ -99,8 +99,9 @@ class Bench:
         heard = self.heard[DIAGNOSTICS]
         heard.clear()
         node.report()
-        self.pump(lambda: any(s.name.startswith(node.get_name()) for m in heard for s in m.status))
-        statuses = [s for m in heard for s in m.status if s.name.startswith(node.get_name())]
+        name = f"{node.get_fully_qualified_name()}: "
+        self.pump(lambda: any(s.name.startswith(name) for m in heard for s in m.status))
+        statuses = [s for m in heard for s in m.status if s.name.startswith(name)]
         return {
             status.name.rpartition(" ")[2]: (
                 Level(int.from_bytes(status.level, "little")),

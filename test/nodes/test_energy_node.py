@@ -344,9 +344,35 @@ def no_speed():
 )
 def test_a_plan_that_cannot_be_driven_is_refused_with_the_reason(bench, topic, message, reason):
     node = bench.start(EnergyNode)
-    bench.listen(*ANSWERS)
+    bench.listen(*ANSWERS, topics.FORECAST_STATUS)
     assert ask(bench, node, topic, message) == ([], [])
+    bench.pump(lambda: bench.heard[topics.FORECAST_STATUS])
+    (answer,) = bench.heard[topics.FORECAST_STATUS]
+    (status,) = answer.status
+    assert answer.header == message.header and reason in status.message
+    assert (status.name, status.hardware_id) == ("/ev/energy: plan", "tesla_model_3_lr /ev")
+    assert int.from_bytes(status.level, "little") == Level.WARN
     level, text, values = bench.diagnosis(node)["plan"]
     assert level is Level.WARN and reason in text and values["refused"] == "1"
     assert len(ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))[0]) == 1
     assert bench.diagnosis(node)["plan"][0] is Level.OK
+
+
+def test_plans_asked_together_are_compared(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(topics.FORECAST_STATUS)
+    slow, fast = TRIP, [(time // 2, distance, 2 * speed) for time, distance, speed in TRIP]
+    for index, trip in enumerate((slow, slow, fast)):
+        bench.deliver(node, topics.SPEED_PROFILE, profile(*trip, frame=f"planner/{index}"))
+    bench.deliver(node, topics.SPEED_PROFILE, profile(*fast, frame="alone"))
+    heard = bench.heard[topics.FORECAST_STATUS]
+    bench.pump(lambda: len(heard) == 4)
+    first, same, third, alone = (
+        {p.key: float(p.value) for p in m.status[0].values} for m in heard
+    )
+    assert not [key for key in (*first, *alone) if key.startswith("difference")]
+    assert same["difference/planner/0"] == 0.0
+    more = third["energy"] - first["energy"]
+    assert third["difference/planner/0"] == pytest.approx(more)
+    assert third["difference_sigma/planner/0"] < math.hypot(first["sigma"], third["sigma"])
+    assert third["difference_sigma/planner/1"] == third["difference_sigma/planner/0"]

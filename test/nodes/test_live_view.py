@@ -144,9 +144,12 @@ def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
     running = subprocess.Popen(
         [*EVPINN, *drive], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    assert b"playing" in running.stderr.readline()
-    running.send_signal(signal.SIGINT)
-    out, _ = running.communicate(timeout=30)
+    try:
+        assert any(b"playing" in line for line in running.stderr)
+        running.send_signal(signal.SIGINT)
+        out, _ = running.communicate(timeout=30)
+    finally:
+        running.kill()
     assert (running.returncode, out) == (0, b"")
     with terminal(*EVPINN, *drive, "--no-view") as screen:
         screen.read_until(lambda written: b"playing" in written)

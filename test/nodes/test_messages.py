@@ -86,9 +86,58 @@ def test_grade_is_minus_pitch():
     pitch = 0.1  # about the y axis, which points left: the nose goes down
     q = new_message("geometry_msgs/msg/Quaternion", y=math.sin(pitch / 2), w=math.cos(pitch / 2))
     imu = new_message(
-        "sensor_msgs/msg/Imu", header=messages.header(new_message, NOW), orientation=q
+        "sensor_msgs/msg/Imu",
+        header=messages.header(new_message, NOW, "base_link"),
+        orientation=q,
     )
     assert reading_messages.grade_reading(imu).grade == pytest.approx(-0.1)
+
+
+ANGLE = st.floats(-math.pi, math.pi)
+
+
+def matrix_of(angles):
+    """The same rotation as a matrix, by other means than the code under test."""
+    (cr, cp, cy), (sr, sp, sy) = ([f(a) for a in angles] for f in (math.cos, math.sin))
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def imu_in(frame, angles):
+    q = reading_messages.rotation(*angles)
+    return new_message(
+        "sensor_msgs/msg/Imu",
+        header=messages.header(new_message, NOW, frame),
+        orientation=new_message("geometry_msgs/msg/Quaternion", **q._asdict()),
+    )
+
+
+@settings(deadline=None)
+@given(st.tuples(ANGLE, st.floats(-1.4, 1.4), ANGLE), st.tuples(ANGLE, ANGLE, ANGLE))
+def test_an_imu_mounted_anyhow_tells_the_grade_of_the_car(car, mounted):
+    matrix = matrix_of(car) @ matrix_of(mounted)
+    pitch = math.asin(max(-1.0, min(1.0, -matrix[2, 0])))
+    roll, yaw = math.atan2(matrix[2, 1], matrix[2, 2]), math.atan2(matrix[1, 0], matrix[0, 0])
+    if abs(pitch) > 1.5:
+        return  # roll and yaw are one there
+    message = imu_in("imu_link", (roll, pitch, yaw))
+    mounting = reading_messages.rotation(*mounted)
+    grade = reading_messages.grade_reading(message, mounting).grade
+    assert grade == pytest.approx(-car[1], abs=1e-6)
+
+
+def test_an_imu_of_another_frame_is_refused_without_its_mounting():
+    looks_down = imu_in("camera_imu_optical_frame", (0.0, 0.4, 0.0))
+    with pytest.raises(messages.BadMessage, match="'camera_imu_optical_frame' is not base_link"):
+        reading_messages.grade_reading(looks_down)
+    with pytest.raises(messages.BadMessage, match="'' is not base_link"):
+        reading_messages.grade_reading(imu_in("", (0.0, 0.4, 0.0)))
+    mounting = reading_messages.rotation(0.0, 0.4, 0.0)
+    assert reading_messages.grade_reading(looks_down, mounting).grade == pytest.approx(0.0)
+    prefixed = imu_in("robot1/base_link", (0.0, 0.1, 0.0))
+    assert reading_messages.grade_reading(prefixed, mounting).grade == pytest.approx(-0.1)
 
 
 @settings(deadline=None)
@@ -105,7 +154,9 @@ def test_grade_does_not_depend_on_yaw_and_roll(yaw, pitch, roll):
         z=cr * cp * sy - sr * sp * cy,
     )
     imu = new_message(
-        "sensor_msgs/msg/Imu", header=messages.header(new_message, NOW), orientation=q
+        "sensor_msgs/msg/Imu",
+        header=messages.header(new_message, NOW, "base_link"),
+        orientation=q,
     )
     assert reading_messages.grade_reading(imu).grade == pytest.approx(-pitch, abs=1e-6)
 

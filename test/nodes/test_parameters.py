@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter as RosParameter
 import yaml
 
 from evpinn_ros.energy.meter import Integrator
-from evpinn_ros.energy.plan import MAX_SPEED, NOMINAL_SPEED
+from evpinn_ros.energy.plan import MAX_SPEED
 from evpinn_ros.energy.quadrature import MAX_GAP
 from evpinn_ros.energy.rknn import STEP_LIMIT
 from evpinn_ros.errors import InputError
@@ -75,7 +75,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
     assert set(energy["integrator"].choices) == {member.value for member in Integrator}
     assert energy["integrator"].default == Integrator.RKNN.value
     speed = energy["nominal_speed"]
-    assert (speed.default, speed.upper) == (NOMINAL_SPEED, MAX_SPEED)
+    assert (speed.default, speed.upper) == (0.0, MAX_SPEED)
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def said(bench, name):
     return {
         status.name.rpartition(" ")[2]: (Level(status.level[0]), status.message)
         for status in statuses
-        if status.name.startswith(name)
+        if status.name.startswith(f"/ev/{name}: ")
     }
 
 

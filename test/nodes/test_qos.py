@@ -3,6 +3,7 @@
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
+from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
@@ -17,6 +18,7 @@ LISTENS = {
         topics.BATTERY,
         topics.IDENTIFIABLE,
         topics.MODEL,
+        topics.ODOMETRY,
         topics.PLAN,
         topics.POWER_MEASURED,
         topics.POWER_SMOOTHED,
@@ -67,6 +69,20 @@ def test_quality_of_service_can_be_overridden(bench):
     speed = next(s for s in node.subscriptions if s.topic_name == "/ev/vehicle/speed")
     assert described(speed.qos_profile) == (True, False, 50)
     assert node.describe_parameter(f"{key}.depth")
+
+
+def test_durability_is_overridden_too(bench):
+    key = "qos_overrides./ev/energy/state.publisher.durability"
+    node = bench.start(EnergyNode, **{key: "transient_local"})
+    state = next(p for p in node.publishers if p.topic_name == "/ev/energy/state")
+    assert described(state.qos_profile) == (True, True, 10)
+
+
+def test_an_override_that_would_not_be_heard_is_refused(bench):
+    key = "qos_overrides./ev/energy/state.publisher.lifespan"
+    with pytest.raises(InputError, match="'lifespan' cannot be overridden; known are history"):
+        bench.start(EnergyNode, **{key: 1})
+    bench.start(EnergyNode, **{"qos_overrides./ev/camera.publisher.lifespan": 1})
 
 
 def test_names_follow_the_namespace_and_remapping(bench):

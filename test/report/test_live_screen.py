@@ -47,7 +47,7 @@ def test_80_by_24_shows_everything(well):
 
 def test_60_by_20_leaves_out_what_can_be_missed(well):
     state = well(160.0)
-    warning = ("energy: meter", Level.WARN, "predicting: no power/measured", {})
+    warning = ("/ev/energy: meter", Level.WARN, "predicting: no power/measured", {})
     state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [warning]), 160.0)
     found = lines(state, 160.0, 60, 20)
     assert len(found) == 19  # a row that both lines of power cannot share
@@ -110,11 +110,17 @@ def test_never_wider_or_higher_than_asked(width, height, values, power, statuses
     ):
         state.take(topic, named_vector(new_message, 10**9, list(names), numbers), 1.0)
     found = [
-        (f"estimator: {name}", level, text, {"state.eta": state_, "seen.0_30_kmh_steady": state_})
+        (
+            f"/ev/estimator: {name}",
+            level,
+            text,
+            {"state.eta": state_, "seen.0_30_kmh_steady": state_},
+        )
         for level, name, text, state_ in statuses
     ]
     found += [
-        ("estimator: estimate", Level.OK, text, {"state.mu": text}) for _, _, text, _ in statuses
+        ("/ev/estimator: estimate", Level.OK, text, {"state.mu": text})
+        for _, _, text, _ in statuses
     ]
     message = diagnostics(new_message, 10**9, found)
     state.take(topics.DIAGNOSTICS, message, 1.0)
@@ -142,7 +148,7 @@ def test_a_plain_line_knows_what_is_not_known():
 
 def test_what_others_write_cannot_move_the_cursor(well):
     state = well(110.0)
-    evil = ("estimator: x", Level.ERROR, "\x1b[2J\x1b]0;owned\a\r\nhello", {})
+    evil = ("/ev/estimator: x", Level.ERROR, "\x1b[2J\x1b]0;owned\a\r\nhello", {})
     state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [evil]), 110.0)
     for text in (*lines(state, 110.0, 80, 24), *problem_lines(state, 110.0)):
         assert text.isprintable()

@@ -57,26 +57,35 @@ def test_silence_is_shown_and_named(well):
 
 def test_reasons_come_from_diagnostics_the_worst_first(well):
     state = well(110.0)
-    state.take(topics.DIAGNOSTICS, said("energy: meter", Level.WARN, "predicting"), 110.0)
-    state.take(topics.DIAGNOSTICS, said("can_bridge: bus", Level.ERROR, "lost"), 110.0)
+    state.take(topics.DIAGNOSTICS, said("/ev/energy: meter", Level.WARN, "predicting"), 110.0)
+    state.take(topics.DIAGNOSTICS, said("/ev/can_bridge: bus", Level.ERROR, "lost"), 110.0)
     assert state.problems(110.0) == [
         (Level.ERROR, "can_bridge: bus: lost"),
         (Level.WARN, "energy: meter: predicting"),
     ]
-    state.take(topics.DIAGNOSTICS, said("can_bridge: bus", Level.OK, "receiving"), 110.5)
+    state.take(topics.DIAGNOSTICS, said("/ev/can_bridge: bus", Level.OK, "receiving"), 110.5)
     assert state.problems(110.5) == [(Level.WARN, "energy: meter: predicting")]
 
 
 def test_diagnostics_of_others_are_none_of_ours():
     state = LiveState()
-    state.take(topics.DIAGNOSTICS, said("camera: driver", Level.ERROR, "hot"), 1.0)
+    state.take(topics.DIAGNOSTICS, said("/ev/camera: driver", Level.ERROR, "hot"), 1.0)
     assert state.statuses == {}
     assert state.problems(1.0) == [(Level.WARN, "no /diagnostics of our nodes yet")]
 
 
+def test_each_view_shows_the_diagnostics_of_its_own_car():
+    near, far = LiveState("/robot1/ev"), LiveState("/robot2/ev")
+    message = said("/robot1/ev/can_bridge: bus", Level.ERROR, "lost")
+    for state in (near, far):
+        state.take(topics.DIAGNOSTICS, message, 1.0)
+    assert near.problems(1.0) == [(Level.ERROR, "can_bridge: bus: lost")]
+    assert far.statuses == {}
+
+
 def test_values_that_are_no_numbers_are_unknown():
     state = LiveState()
-    message = said("estimator: estimate", Level.OK, "", **{"progress.eta": "much"})
+    message = said("/ev/estimator: estimate", Level.OK, "", **{"progress.eta": "much"})
     state.take(topics.DIAGNOSTICS, message, 1.0)
     assert math.isnan(state.parameters()[0].progress)
 

@@ -230,7 +230,8 @@ class Rig:
         now = time.monotonic()
         for status in message.status:
             level = int.from_bytes(status.level, "little")
-            self._said.append(Said(now, status.name, level, status.message))
+            name = status.name.rpartition("/")[2]  # all nodes are under one namespace here
+            self._said.append(Said(now, name, level, status.message))
 
 
 def stamped(message: Any, stamp_ns: int) -> Any:

@@ -1,0 +1,174 @@
+"""What the launch files share: their arguments, nodes under the namespace, the recorder.
+
+For launch files alone, since `launch` comes with a ROS 2 installation and not from PyPI. A wrong
+argument ends the launch with its reason before anything starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.utilities import make_namespace_absolute, prefix_namespace
+
+from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.topics import NAMESPACE, TOPICS
+from evpinn_ros.share import share_directory
+from evpinn_ros.vehicle.files import load_vehicle
+from launch import LaunchDescription
+
+if TYPE_CHECKING:  # `ros2` may run in a Python that has none of what the table needs
+    from evpinn_ros.nodes.parameter_table import Value
+
+TRUTH = ("true", "false")
+LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
+NO_FOLDERS = (*TRUTH, "0", "1", "yes", "no", "on", "off")
+RESPAWN_DELAY = 2.0  # s
+
+
+class Argument(NamedTuple):
+    """One launch argument; without a default it must be given."""
+
+    name: str
+    default: str | None
+    description: str
+    choices: tuple[str, ...] = ()
+
+
+COMMON = (
+    Argument("vehicle", "", "Vehicle by name or path; empty: as in params_file."),
+    Argument(
+        "params_file", str(share_directory() / "config" / "evpinn.param.yaml"), "Parameters."
+    ),
+    Argument(
+        "namespace",
+        NAMESPACE.lstrip("/"),
+        "Of all topics; a relative one follows the namespace that an including file pushed.",
+    ),
+    Argument("respawn", "false", "Start a node again when it has ended.", TRUTH),
+    Argument("log_level", "info", "Least severity that is logged.", LOG_LEVELS),
+    Argument("record", "", "Folder of a bag (MCAP) to record every topic to; empty: none."),
+)
+SIMULATED = Argument("use_sim_time", "false", "Take the time from /clock.", TRUTH)
+
+
+class Given:
+    """The arguments of one launch.
+
+    Attributes:
+        values: by name.
+        namespace: absolute, with what including files have pushed.
+    """
+
+    def __init__(self, context: Any, arguments: Iterable[Argument]) -> None:
+        """Read and check them.
+
+        Raises:
+            InputError: one is wrong.
+        """
+        names = [argument.name for argument in arguments]
+        self.values: dict[str, str] = {
+            name: LaunchConfiguration(name).perform(context) for name in names
+        }
+        pushed = context.launch_configurations.get("ros_namespace")
+        below = prefix_namespace(pushed, self.values["namespace"])
+        self.namespace: str = make_namespace_absolute(below)
+        if not Path(self.values["params_file"]).is_file():
+            raise InputError(f"params_file:={self.values['params_file']}: no such file")
+        if self.values["vehicle"]:
+            load_vehicle(self.values["vehicle"])
+        if self.values["record"]:
+            _refuse_folder(self.values["record"])
+
+    def __getitem__(self, name: str) -> str:
+        """The text of one argument."""
+        return self.values[name]
+
+    def is_true(self, name: str) -> bool:
+        """Whether one that is `true` or `false` is true."""
+        return self.values[name] == "true"
+
+    def number(self, name: str) -> float:
+        """One that is a number, also one without a decimal point.
+
+        Raises:
+            InputError: it is none.
+        """
+        try:
+            return float(self.values[name])
+        except ValueError as error:
+            raise InputError(f"{name}:={self.values[name]}: not a number") from error
+
+
+def _refuse_folder(record: str) -> None:
+    if record.lower() in NO_FOLDERS:
+        raise InputError(f"record:={record}: give a folder, such as record:=./drive")
+    if Path(record).exists():
+        raise InputError(f"record:={record}: exists already")
+
+
+def describe(
+    actions: Callable[[Given], list[Any]], *own: Argument, simulated: Argument = SIMULATED
+) -> LaunchDescription:
+    """The description of a launch file.
+
+    Args:
+        actions: what it starts, once the arguments are known.
+        own: arguments it has beside the common ones.
+        simulated: its `use_sim_time`.
+    """
+    arguments = (*own, *COMMON, simulated)
+
+    def perform(context: Any) -> list[Any]:
+        given = Given(context, arguments)
+        recording = [recorder(given)] if given["record"] else []
+        return [*actions(given), *recording]
+
+    declared = [_declare(argument) for argument in arguments]
+    return LaunchDescription([*declared, OpaqueFunction(function=perform)])
+
+
+def _declare(argument: Argument) -> DeclareLaunchArgument:
+    return DeclareLaunchArgument(
+        argument.name,
+        default_value=argument.default,
+        description=argument.description,
+        choices=list(argument.choices) or None,
+    )
+
+
+def node(given: Given, executable: str, parameters: Mapping[str, Value]) -> Node:
+    """One node of this package; an empty text among its parameters leaves that to the file."""
+    own = {
+        # A text stays one also where it looks like a number: channels may be called `0`.
+        name: ParameterValue(value, value_type=type(value))
+        for name, value in parameters.items()
+        if value != ""
+    }
+    return Node(
+        package="evpinn_ros",
+        executable=executable,
+        name=executable.removesuffix(".py"),
+        namespace=given["namespace"],
+        parameters=[
+            given["params_file"],
+            {"use_sim_time": given.is_true("use_sim_time"), **own},
+        ],
+        ros_arguments=["--log-level", given["log_level"]],
+        respawn=given.is_true("respawn"),
+        respawn_delay=RESPAWN_DELAY,
+        output="screen",
+    )
+
+
+def recorder(given: Given) -> ExecuteProcess:
+    """`ros2 bag` recording every topic of this car."""
+    command = ["ros2", "bag", "record", "--storage", "mcap", "--output", given["record"]]
+    command += ["--use-sim-time"] if given.is_true("use_sim_time") else []
+    command += ["--topics", *(topic.under(given.namespace) for topic in TOPICS)]
+    return ExecuteProcess(cmd=command, output="screen")

@@ -1,0 +1,62 @@
+"""The service `EstimatePlan` of `evpinn_msgs`: plans in, energies and their differences out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from typing import Any
+
+import numpy as np
+
+from evpinn_ros.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
+from evpinn_ros.nodes.forecaster import Answer
+
+MOST_PLANS = 100
+
+
+def answer_plans(request: Any, response: Any, answer: Callable[[Plan, Question], Answer]) -> Any:
+    """Fill the response; a plan that cannot be driven has its reason there, and NaN elsewhere.
+
+    Args:
+        request: of the service; plans beyond `MOST_PLANS` are refused.
+        response: of the service.
+        answer: forecasts a plan, and compares it with those of the same question before it.
+    """
+    count, together = len(request.plans), object()
+    more, sigmas = np.full((2, count, count), math.nan)
+    found: list[Answer | None] = []
+    for index, asked in enumerate(request.plans):
+        try:
+            if index >= MOST_PLANS:
+                raise PlanError(f"more than {MOST_PLANS} plans")
+            one = answer(_plan(asked), Question(str(index), together))
+        except PlanError as error:
+            found.append(None)
+            response.refusals.append(str(error))
+            continue
+        found.append(one)
+        response.refusals.append("")
+        more[index, index] = sigmas[index, index] = 0.0
+        for name, apart in one.differences.items():
+            other = int(name)
+            more[index, other], more[other, index] = apart.value, -apart.value
+            sigmas[index, other] = sigmas[other, index] = apart.sigma
+    response.energies = [_or_nan(one, lambda a: a.forecast.energy[-1]) for one in found]
+    response.sigmas = [_or_nan(one, lambda a: a.forecast.sigma[-1]) for one in found]
+    response.end_charges = [_or_nan(one, lambda a: a.charge.value) for one in found]
+    response.end_charge_sigmas = [_or_nan(one, lambda a: a.charge.sigma) for one in found]
+    response.differences = more.ravel().tolist()
+    response.difference_sigmas = sigmas.ravel().tolist()
+    return response
+
+
+def _or_nan(answer: Answer | None, read: Callable[[Answer], float]) -> float:
+    return math.nan if answer is None else float(read(answer))
+
+
+def _plan(asked: Any) -> Plan:
+    time, distance, speed, elevation = (
+        np.array(each, dtype=float)
+        for each in (asked.time, asked.distance, asked.speed, asked.elevation)
+    )
+    return plan_from_speed_profile(time, distance, speed, elevation if elevation.size else None)

@@ -1,0 +1,16 @@
+#!/usr/bin/env bash
+# What evpinn_ros needs of Python, beside a sourced ROS 2: a virtual environment over the packages of
+# the system, so that rclpy and the messages are those of ROS, and numpy is the one they are built for.
+# usage: install_into_ros.sh ENVIRONMENT     then: . ENVIRONMENT/bin/activate; python -m colcon build
+set -euo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+environment=$1
+python3 -c 'import rclpy' || { echo "source ROS 2 first: /opt/ros/.../setup.bash" >&2; exit 1; }
+python3 -m venv --system-site-packages "$environment"
+touch "$environment/COLCON_IGNORE"
+constraints=$environment/constraints.txt
+grep -v -e '^numpy' -e '^ros-' "$here/constraints.txt" >"$constraints"
+python3 -c 'import numpy; print(f"numpy=={numpy.__version__}")' >>"$constraints"
+# The package itself is colcon's to build: here it only says what it needs.
+"$environment/bin/python" -m pip install --disable-pip-version-check -c "$constraints" "$here"
+"$environment/bin/python" -m pip uninstall -qq -y evpinn_ros

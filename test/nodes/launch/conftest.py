@@ -1,0 +1,124 @@
+"""The real `ros2` command line and `launch`: of a sourced ROS 2, or of ../shared/ros2_tools.
+
+`make test` installs the latter into a folder beside its environment; EVPINN_ROS2_TOOLS names
+another. Without either these tests are skipped.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import importlib.util
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+
+import pytest
+
+STAND_IN = Path(__file__).with_name("ros2_bag.py")
+STOP_TIMEOUT = 30.0  # s
+COMMAND = """#!/bin/sh
+test "$1" = bag && exec "{python}" "{stand_in}" "$@"
+exec "{python}" -c 'import sys; from ros2cli.cli import main; sys.exit(main())' "$@"
+"""
+
+
+class Ros2:
+    """Runs the command `ros2` in a workspace that holds this package."""
+
+    def __init__(self, environment: dict[str, str], folder: Path) -> None:
+        self.environment, self.folder = environment, folder
+
+    def run(self, *words: object, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
+        """A command that ends by itself."""
+        return subprocess.run(
+            self._command(words), cwd=self.folder, env=self.environment, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            timeout=timeout,
+        )  # fmt: skip
+
+    def ask(self, *words: object) -> str:
+        """What a command that asks the graph prints; by itself, for a daemon would stay behind."""
+        return self.run(*words, "--no-daemon", "--spin-time", "3").stdout
+
+    @contextmanager
+    def running(self, *words: object) -> Iterator["Running"]:
+        """A command that is stopped by SIGINT in the end, and must then end well."""
+        log = self.folder / f"{words[0]}_{os.urandom(4).hex()}.log"
+        with log.open("w") as output:
+            process = subprocess.Popen(
+                self._command(words), cwd=self.folder, env=self.environment,
+                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )  # fmt: skip
+        running = Running(process, log)
+        try:
+            yield running
+            running.stop()
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+    def _command(self, words: tuple[object, ...]) -> list[str]:
+        found = shutil.which("ros2", path=self.environment["PATH"])
+        assert found is not None
+        return [found, *map(str, words)]
+
+
+class Running:
+    """A command that runs, and what it has written so far.
+
+    Attributes:
+        killed: of its processes, those that a test killed.
+        codes: with which it may end.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], log: Path) -> None:
+        self.process, self._log, self.killed, self.codes = process, log, 0, {0}
+
+    @property
+    def output(self) -> str:
+        return self._log.read_text(errors="replace")
+
+    def stop(self) -> None:
+        """As Ctrl-C does, which reaches the whole group; each process must end cleanly."""
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGINT)
+        code = self.process.wait(STOP_TIMEOUT)
+        assert code in self.codes, self.output
+        assert self.output.count("process has died") == self.killed, self.output
+        assert "Traceback" not in self.output, self.output
+
+
+def tools() -> Path | None:
+    """Where `launch` and `ros2cli` were installed for tests."""
+    prefix = Path(os.environ.get("EVPINN_ROS2_TOOLS", Path(sys.prefix, "ros2")))
+    packages = Path(sysconfig.get_path("purelib", vars={"base": str(prefix)}))
+    return packages if (packages / "ros2launch").is_dir() else None
+
+
+@pytest.fixture(scope="session")
+def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros2:
+    """The command line, with this package installed by colcon."""
+    folder, found = tmp_path_factory.mktemp("ros2"), tools()
+    sourced = shutil.which("ros2") and importlib.util.find_spec("ros2launch")
+    if found is None and not sourced:
+        pytest.skip("neither ../shared/ros2_tools nor a sourced ROS 2 is here")
+    prefix = installed / "evpinn_ros"
+    package = sysconfig.get_path("purelib", vars={"base": str(prefix)})
+    paths = {
+        "AMENT_PREFIX_PATH": [prefix, os.environ.get("AMENT_PREFIX_PATH", sys.prefix)],
+        "PYTHONPATH": [package, *([found] if found else []), os.environ.get("PYTHONPATH", "")],
+        "PATH": [folder / "bin", os.environ["PATH"]],
+    }
+    (folder / "bin").mkdir()
+    if found is not None:
+        command = folder / "bin" / "ros2"
+        command.write_text(COMMAND.format(python=sys.executable, stand_in=STAND_IN))
+        command.chmod(0o755)
+    joined = {name: os.pathsep.join(map(str, parts)) for name, parts in paths.items()}
+    joined["PYTHONUNBUFFERED"] = "1"  # what is printed into a file can be read at once
+    return Ros2({**os.environ, **joined, "ROS_LOG_DIR": str(folder / "log")}, folder)

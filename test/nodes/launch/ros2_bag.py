@@ -1,0 +1,109 @@
+"""Stand-in for `ros2 bag`, which is C++ and no wheel: takes what our launch files ask of it.
+
+It really plays the messages of a bag, with /clock, and really records topics to a bag. An option
+that it does not know is an error, so a launch file cannot ask for more unnoticed.
+"""
+
+import argparse
+import os
+from pathlib import Path
+import signal
+import time
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rosgraph_msgs.msg import Clock
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.nodes import factory
+from evpinn_ros.nodes.topics import topic_of
+
+SECOND = 10**9
+
+
+def options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("bag", choices=["bag"])
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    play = verbs.add_parser("play")
+    play.add_argument("path", type=Path)
+    play.add_argument("--rate", type=float, default=1.0)
+    play.add_argument("--delay", type=float, default=0.0)
+    play.add_argument("--clock", type=float)
+    play.add_argument("--remap", nargs="+", default=[])
+    record = verbs.add_parser("record")
+    record.add_argument("--storage", choices=["mcap"], required=True)
+    record.add_argument("--output", type=Path, required=True)
+    record.add_argument("--use-sim-time", action="store_true")
+    for verb in (play, record):
+        verb.add_argument("--topics", nargs="+", required=True)
+    return parser.parse_args()
+
+
+def play(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
+    moved = dict(pair.split(":=") for pair in asked.remap)
+    outlets: dict[str, rclpy.publisher.Publisher] = {}
+    clock = node.create_publisher(Clock, "/clock", 10) if asked.clock else None
+    seconds = float(os.environ.get("STAND_IN_SECONDS", "inf"))  # of the bag, to test quickly
+    with BagReader(asked.path) as bag:
+        for name in bag.topics:
+            if name in asked.topics:
+                kind = factory.message_class(topic_of(name).type_name)
+                outlets[name] = node.create_publisher(kind, moved.get(name, name), 10)
+        time.sleep(asked.delay)
+        first, begin, ticked = None, time.monotonic(), 0
+        for record in bag.raw_records():
+            now = record.log_time_ns
+            first = now if first is None else first
+            if now - first > seconds * SECOND or not rclpy.ok():
+                break
+            time.sleep(max(0.0, begin + (now - first) / SECOND / asked.rate - time.monotonic()))
+            if clock is not None and now - ticked > SECOND / asked.clock:
+                message, ticked = Clock(), now
+                message.clock.sec, message.clock.nanosec = divmod(now, SECOND)
+                clock.publish(message)
+            if record.topic in outlets:
+                outlets[record.topic].publish(record.data)
+    time.sleep(1.0)
+
+
+def record(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
+    writer = BagWriter(asked.output, live=True, split=None)
+    for name in asked.topics:
+        topic = topic_of(name)
+        node.create_subscription(
+            factory.message_class(topic.type_name),
+            name,
+            lambda data, name=name, kind=topic.type_name: writer.write_raw(
+                name, kind, data, node.get_clock().now().nanoseconds
+            ),
+            factory.qos_profile(topic.publisher_qos),
+            raw=True,
+        )
+    try:
+        rclpy.spin(node)
+    except (ExternalShutdownException, RuntimeError):
+        pass
+    finally:
+        writer.close()
+
+
+def main() -> None:
+    asked = options()
+    signal.signal(signal.SIGINT, lambda *_: None)
+    rclpy.init(args=[])
+    node = rclpy.create_node(f"ros2_bag_{asked.verb}")
+    if asked.verb == "play":
+        try:
+            play(node, asked)
+        except RuntimeError:  # the shutdown came in the middle of a call into rclpy
+            if rclpy.ok():
+                raise
+    else:
+        record(node, asked)
+    rclpy.try_shutdown()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+main()

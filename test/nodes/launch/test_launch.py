@@ -1,0 +1,225 @@
+"""Every launch file, started by the real `ros2 launch`: its nodes do their work and end well."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import json
+import os
+from pathlib import Path
+import re
+import signal
+import time
+
+import pytest
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.factory import message_class, qos_profile
+from evpinn_ros.nodes.reading_messages import to_reading
+from evpinn_ros.signals.readings import SpeedReading
+
+ROOT = Path(__file__).resolve().parents[3]
+LAUNCH = ("launch", "evpinn_ros")
+GUIDE = ROOT / "docs" / "guides" / "two_cars.md"
+
+
+def hear(bench, topic, namespace="/ev"):
+    """The messages of a topic under any namespace."""
+    heard: list = []
+    kind, qos = message_class(topic.type_name), qos_profile(topic.subscriber_qos)
+    bench.node.create_subscription(kind, topic.under(namespace), heard.append, qos)
+    return heard
+
+
+def numbers(message):
+    return dict(zip(message.name, message.position, strict=True))
+
+
+@pytest.fixture
+def car(bundled, tmp_path) -> Callable[..., Path]:
+    """Writes the parameters of a car whose bus is the CAN log of a bundled drive."""
+
+    def write(bag="urban", seconds=40.0, rate=4.0, **parameters):
+        encoder, frames = Encoder(load_profile("tesla_model_3")), []
+        for topic, message, _ in bundled(bag, seconds):
+            reading = to_reading(topic.type_name, message)
+            encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
+            frames.append(encode(reading))
+        log, file = tmp_path / f"{bag}.log", tmp_path / f"{bag}.yaml"
+        write_log(log, frames)
+        bus = {"log_file": str(log), "log_rate": rate, "can_profile": "tesla_model_3"}
+        states = {
+            "estimator": {"state_file": str(tmp_path / f"{bag}.json")},
+            "energy": {"energy_file": str(tmp_path / f"{bag}.energy.json")},
+        }
+        nodes = {"can_bridge": bus, **states}
+        values = {f"/**/{node}": {"ros__parameters": own} for node, own in nodes.items()}
+        file.write_text(json.dumps(values))  # which is YAML too
+        return file
+
+    return write
+
+
+def test_live_works_records_and_ends_well(ros2, bench, car, tmp_path):
+    speeds, powers = hear(bench, topics.SPEED), hear(bench, topics.POWER_SMOOTHED)
+    energies = hear(bench, topics.ENERGY_STATE)
+    drive = tmp_path / "drive"
+    given = ("vehicle:=tesla_model_3_lr", f"params_file:={car()}", f"record:={drive}")
+    with ros2.running(*LAUNCH, "evpinn.launch.py", *given) as launch:
+        bench.pump(lambda: len(powers) > 200, 60.0)
+        assert launch.process.poll() is None
+    assert max(m.twist.twist.linear.x for m in speeds) > 5.0
+    assert numbers(energies[-1])["predicted"] > 1e4
+    with BagReader(drive) as bag:
+        assert bag.problem is None
+        assert bag.topics["/ev/power/smoothed"].count > 150
+        assert "/diagnostics" in bag.topics
+    assert json.loads((tmp_path / "urban.json").read_text())["vehicle"] == "tesla_model_3_lr"
+
+
+def test_the_eco_planner_starts_with_the_line_of_the_readme(ros2, bench):
+    line = re.search(r"^ros2 (launch .*eco_speed.*)$", (ROOT / "README.md").read_text(), re.M)[1]
+    assert "deadline:=" in line
+    with ros2.running(*line.split()) as launch:
+        bench.pump(lambda: "<- picked" in launch.output, 60.0)
+    with ros2.running(*LAUNCH, "eco_speed_planner.launch.py", "deadline:=1") as launch:
+        bench.pump(lambda: "nothing is in time: 1 s" in launch.output, 60.0)
+
+
+def test_a_replay_plays_inputs_and_ends_with_the_bag(ros2, bench, monkeypatch):
+    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "40")
+    measured, powers = hear(bench, topics.POWER_MEASURED), hear(bench, topics.POWER_SMOOTHED)
+    given = (f"bag:={ROOT / 'bags/urban'}", "vehicle:=tesla_model_3_lr", "rate:=8")
+    with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
+        bench.pump(lambda: launch.process.poll() is not None, 90.0)
+    assert len(measured) > 350 and len(powers) > 350, launch.output
+    assert powers[0].header.stamp.sec > 10**9
+
+
+@contextmanager
+def two_cars(ros2, tmp_path, *given) -> Iterator:
+    """The launch file that the guide shows."""
+    file = tmp_path / "two.launch.py"
+    file.write_text(re.search(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.M | re.S)[1])
+    with ros2.running("launch", file, *given) as launch:
+        yield launch
+
+
+def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
+    ros2, bench, car, tmp_path
+):
+    seconds = float(os.environ.get("EVPINN_TWO_CARS_SECONDS", "12"))
+    car("urban", 4 * seconds)
+    car("highway", 4 * seconds)
+    names = ("/robot1/ev", "/robot2/ev")
+    speeds = {name: hear(bench, topics.SPEED, name) for name in names}
+    learned = {name: hear(bench, topics.IDENTIFIABLE, name) for name in names}
+    said = hear(bench, topics.DIAGNOSTICS)
+    given = ("first:=urban.yaml", "second:=highway.yaml")
+    with two_cars(ros2, tmp_path, *(g.replace(":=", f":={tmp_path}/") for g in given)):
+        bench.pump(lambda: all(map(len, learned.values())), 60.0)
+        end = time.monotonic() + seconds
+        bench.pump(lambda: time.monotonic() > end, seconds + 20.0)
+        graph = {f"{space}/{name}".replace("//", "/")
+                 for name, space in bench.node.get_node_names_and_namespaces()}  # fmt: skip
+        topic_names = {name for name, _ in bench.node.get_topic_names_and_types()}
+    nodes = {f"{name}/{node}" for name in names for node in ("can_bridge", "estimator", "energy")}
+    assert nodes <= graph
+    assert not [name for name in topic_names if name.startswith("/ev/power")]
+    fastest = [max(m.twist.twist.linear.x for m in speeds[name]) for name in names]
+    assert fastest[0] != pytest.approx(fastest[1], abs=0.1)
+    last = [numbers(learned[name][-1]) for name in names]
+    assert last[0] != last[1]
+    cars = {(s.name.partition(":")[0], s.hardware_id) for m in said for s in m.status}
+    assert cars == {
+        (f"{name}/{node}", f"{vehicle} {name}")
+        for name, vehicle in zip(names, ("tesla_model_3_lr", "generic"), strict=True)
+        for node in ("can_bridge", "estimator", "energy")
+    }
+
+
+def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path, monkeypatch):
+    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "30")
+    file = tmp_path / "pushed.launch.py"
+    text = re.search(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.M | re.S)[1]
+    file.write_text(text.replace("evpinn.launch.py", "replay.launch.py").replace(
+        '"params_file":', f'"bag": "{ROOT}/bags/urban", "rate": "2", "params_file":'
+    ))  # fmt: skip
+    heard = [hear(bench, topics.POWER_SMOOTHED, name) for name in ("/robot1/ev", "/robot2/ev")]
+    default = ROOT / "config" / "evpinn.param.yaml"
+    with ros2.running("launch", file, f"first:={default}", f"second:={default}") as launch:
+        bench.pump(lambda: all(len(each) > 50 for each in heard), 60.0)
+        found = ros2.ask("param", "list", "/robot2/ev/estimator")
+        assert "qos_overrides./robot2/ev/vehicle/speed.subscription.depth" in found
+        bench.pump(lambda: launch.process.poll() is not None, 60.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ("respawn:=1", "Valid options are"),
+        ("use_sim_time:=yes", "Valid options are"),
+        ("log_level:=loud", "Valid options are"),
+        ("record:=1", "record:=1: give a folder"),
+        ("record:=.", "record:=.: exists already"),
+        ("params_file:=none.yaml", "params_file:=none.yaml: no such file"),
+        ("vehicle:=trabant", "trabant"),
+        ("deadline:=soon", "deadline:=soon: not a number"),
+        ("rate:=fast", "rate:=fast: not a number"),
+    ],
+)
+def test_a_wrong_argument_is_refused_before_anything_starts(ros2, given, reason):
+    files = {"deadline": "eco_speed_planner.launch.py", "rate": "replay.launch.py"}
+    file = files.get(given.partition(":=")[0], "evpinn.launch.py")
+    done = ros2.run(*LAUNCH, file, "bag:=x", given)
+    assert done.returncode == 1 and reason in done.stdout
+    assert "process started" not in done.stdout
+
+
+def test_arguments_are_the_same_everywhere_and_described(ros2):
+    common = {"vehicle", "params_file", "namespace", "respawn", "log_level", "record"}
+    for file in (ROOT / "launch").glob("*.launch.py"):
+        shown = ros2.run(*LAUNCH, file.name, "--show-args").stdout
+        assert {*re.findall(r"^    '(\w+)':$", shown, re.M)} >= common | {"use_sim_time"}
+        assert "no description given" not in shown
+
+
+def test_a_killed_node_is_back_with_its_state(ros2, bench, car, tmp_path):
+    learned, said = hear(bench, topics.IDENTIFIABLE), hear(bench, topics.DIAGNOSTICS)
+
+    def updates():
+        found = [s for m in said for s in m.status if s.name == "/ev/estimator: estimate"]
+        return int(next(p.value for p in found[-1].values if p.key == "updates")) if found else 0
+
+    given = ("vehicle:=tesla_model_3_lr", f"params_file:={car(seconds=60.0)}", "respawn:=true")
+    with ros2.running(*LAUNCH, "evpinn.launch.py", *given) as launch:
+        bench.pump(lambda: updates() > 30, 60.0)
+        assert (
+            "success=True"
+            in ros2.run("service", "call", "/ev/estimator/save", "std_srvs/srv/Trigger").stdout
+        )
+        before = json.loads((tmp_path / "urban.json").read_text())
+        (pid,) = re.findall(
+            r"\[estimator-\d+\]: process started with pid \[(\d+)\]", launch.output
+        )
+        os.kill(int(pid), signal.SIGKILL)
+        learned.clear()
+        bench.pump(lambda: launch.output.count("[estimator-2]: process started") == 2, 30.0)
+        bench.pump(lambda: "continues from" in launch.output, 30.0)
+        launch.killed = 1
+    after = json.loads((tmp_path / "urban.json").read_text())
+    assert after["vehicle"] == before["vehicle"]
+
+
+def test_parameters_over_the_command_line(ros2, bench):
+    with ros2.running("run", "evpinn_ros", "energy", "--ros-args", "-r", "__ns:=/ev"):
+        bench.pump(lambda: bench.node.count_publishers("/ev/energy/state"), 30.0)
+        described = ros2.ask("param", "describe", "/ev/energy", "nominal_speed")
+        assert "Speed of a plan" in described and "Max value: 100.0" in described
+        for value, answer in ((".nan", "failed"), ("1e9", "failed"), ("12.5", "successful")):
+            said = ros2.ask("param", "set", "/ev/energy", "nominal_speed", value)
+            assert answer in said, said
+        dumped = ros2.ask("param", "dump", "/ev/energy")
+        assert "nominal_speed: 12.5" in dumped

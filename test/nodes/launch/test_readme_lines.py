@@ -1,0 +1,46 @@
+"""A newcomer's run of each line of the README that begins with `ros2`, as written."""
+
+from pathlib import Path
+import re
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+LINES = re.findall(r"^ros2 (.+)$", (ROOT / "README.md").read_text(), re.M)
+UP = {  # what the nodes of a line say when they are up
+    "evpinn.launch.py": "waiting for vehicle/speed",
+    "replay.launch.py": "measuring",
+    "eco_speed_planner.launch.py": "<- picked",
+    "estimator": "waiting for vehicle/speed",
+}
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_a_line_of_the_readme_works(ros2, bench, line, monkeypatch):
+    words = line.split()
+    source = ros2.folder / "src" / "evpinn_ros"  # from the workspace that the README builds
+    if not source.exists():
+        source.parent.mkdir()
+        source.symlink_to(ROOT)
+    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "10")
+    if words[:2] == ["topic", "echo"]:
+        node = bench.node.create_publisher(_type(words[2]), words[2], 10)
+        # By itself and with time to look around, for a daemon would stay behind.
+        with ros2.running(*words, "--no-daemon", "--spin-time", "5") as echo:
+            echo.codes = {0, 2, 130}  # of its own at Ctrl-C
+            bench.pump(lambda: node.publish(_type(words[2])()) or "position" in echo.output, 30.0)
+        return
+    told = next(told for name, told in UP.items() if name in words)
+    with ros2.running(*words) as running:
+        bench.pump(lambda: told in running.output, 60.0)
+
+
+def _type(full_name):
+    from evpinn_ros.nodes.factory import message_class
+    from evpinn_ros.nodes.topics import topic_of
+
+    return message_class(topic_of(full_name).type_name)
+
+
+def test_the_readme_has_such_lines():
+    assert len(LINES) >= 5
