@@ -66,7 +66,7 @@ EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
 STANDING_NOISE = 150.0  # W over `NOISE_TIME`, what no state explains
 FORCE_NOISE = 40.0  # N over `NOISE_TIME`, likewise while moving
-NOISE_TIME = 3.0  # s within which that forgets itself
+NOISE_TIME = 1.5  # s within which that forgets itself
 SHARE_NOISE = 0.03  # of the throughput: efficiency is a map, not a number
 BRAKE_NOISE = 0.2  # of the braking energy: how much of it friction takes, no signal tells
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned

@@ -38,12 +38,13 @@ def test_before_anything(new_estimator):
 
 
 def test_the_first_predictions_are_the_prior_s(new_estimator, play, powers, vehicle, cruise):
-    """With what a drivetrain loses by turning, 150 W, and tyres a seventh stiffer at first."""
+    """With what a drivetrain loses by turning and by force, and stiffer tyres at first."""
     outputs = play(new_estimator(), cruise(0, 2, battery=False))
     cold = vehicle.initial._replace(c_rr=1.15 * vehicle.initial.c_rr)
-    expected = 150.0 + combined_power(
-        15.0, 0.0, identifiable(cold, vehicle.frontal_area), air_density=1.17
-    )
+    combined = identifiable(cold, vehicle.frontal_area)
+    driven = combined_power(15.0, 0.0, combined, air_density=1.17)
+    force = (driven - vehicle.initial.p_aux) / 15.0 / combined.mass_over_eta  # over the mass
+    expected = driven + 150.0 + 200.0 * force**2
     found = powers(outputs)
     assert {power.kind for power in found} == {PowerKind.PREDICTED, PowerKind.SMOOTHED}
     assert all(power.power == pytest.approx(expected, abs=1e-6) for power in found)

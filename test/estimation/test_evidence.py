@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bench.truth import CarChain
+from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.evidence import SIZE, evidence
 from evpinn_ros.estimation.pinn import LearnedCar, PinnLearner
 from evpinn_ros.estimation.published import evidence_of, published
@@ -85,8 +86,9 @@ def test_prior_and_evidence_are_what_was_believed(driven):
             away, sigma = now - prior.value, prior.std
         else:
             before = np.log(prior.value)
-            if name == "c_rr":  # of this drive, whose tyres were cold: that is no evidence
-                now, spread = np.log(now), spread / now
+            if name == "c_rr":  # of this drive, with its tyres: only what is the car's is evidence
+                lasting = driven.filter.mixture().covariance[State.C_RR, State.C_RR]
+                now, spread = np.log(now), float(np.sqrt(lasting))
                 before = np.log(float(told.prior.mean[index]))
             away, sigma = now - before, prior.std / prior.value
         assert std[index] == pytest.approx(spread / sigma, abs=0.06), name

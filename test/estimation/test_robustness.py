@@ -87,9 +87,9 @@ def test_hybrid_takes_anything(new_estimator, readings):
 @pytest.mark.parametrize("seed", range(2))
 def test_paper_takes_a_drive_full_of_nonsense(new_estimator, drive, seed):
     rng = np.random.default_rng(seed)
-    readings = list(drive(1, 240.0).readings[: 20 * 14])
+    readings = list(drive(1, 240.0).readings[: 20 * 30])
     for _ in range(60):
-        stamp = readings[0].stamp_ns + int(rng.integers(0, 14)) * NANOSECONDS
+        stamp = readings[0].stamp_ns + int(rng.integers(0, 30)) * NANOSECONDS
         value = rng.choice([math.nan, math.inf, -math.inf, 1e300, -5.0, 90.0])
         kind = rng.choice([SpeedReading, GradeReading, TemperatureReading, AuxiliaryReading])
         readings.insert(int(rng.integers(0, len(readings))), kind(stamp, float(value)))
