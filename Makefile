@@ -47,7 +47,7 @@ test: lint $(ROS2_INSTALLED) $(MSGS_INSTALLED)
 # What finds most mistakes within a minute: no DDS, no browser, no colcon.
 quick: $(INSTALLED)
 	@$(BIN)/ruff check
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=ci --quick
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=quick --quick
 
 # Both distributions that rclpy comes as wheels of: Kilted as `make test` has it, and Jazzy.
 # PyTorch for Python 3.12 is a download of gigabytes.

@@ -10,6 +10,7 @@ import threading
 from typing import Any
 
 import can
+from hypothesis import settings
 import isotp
 import pytest
 
@@ -25,11 +26,17 @@ NOT_QUICK = frozenset(
         *("test_paper.py", "test_payload.py", "test_published.py", "test_state_schema.py"),
         *("test_metric_table.py", "test_recorded.py", "test_rknn_training.py"),
         *("test_robustness.py", "test_state.py", "estimation/test_stuck.py"),
-        *("test_any_format.py", "test_codec_properties.py", "test_mcap_file.py"),
-        *("test_power_loss.py", "test_stream_properties.py"),
+        *("test_codec_properties.py", "test_mcap_file.py"),
+        *("test_power_loss.py", "test_stream_properties.py", "test_any_format.py"),
+        *("test_gauss_newton.py", "test_network.py", "test_pinn.py"),
     }
 )
-"""Folders and files that start ROS, a browser, colcon or processes, or compute for long."""
+"""Folders and files that start ROS, a browser, colcon or processes, load torch, or take long.
+
+Single tests of other files are marked `slow`.
+"""
+
+settings.register_profile("quick", settings.get_profile("ci"), max_examples=25)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -42,6 +49,12 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Whether `--quick` does not even import this; None lets others decide."""
     names = {collection_path.name, f"{collection_path.parent.name}/{collection_path.name}"}
     return True if config.getoption("quick") and names & NOT_QUICK else None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out single tests that are marked `slow`."""
+    if config.getoption("quick"):
+        items[:] = [item for item in items if item.get_closest_marker("slow") is None]
 
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -128,6 +128,7 @@ def test_only_nodes_know_ros(name: str) -> None:
     assert not known & ros_packages()
 
 
+@pytest.mark.slow
 def test_everything_but_the_nodes_loads_without_ros() -> None:
     names = [f"evpinn_ros.{name}".rstrip(".") for name in without_ros() if name != "__main__"]
     code = (

@@ -17,7 +17,7 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
-STATE_VERSION = 5
+STATE_VERSION = 6
 
 
 class PowerPrediction(NamedTuple):

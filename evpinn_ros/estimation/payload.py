@@ -8,8 +8,8 @@ m/eta rests on what came after the stop alone. Once it differs from that before 
 than chance and by more than `LEAST_CHANGE`, the fork becomes the filter.
 
 What chance does is learned from the stops at which nothing changed: their changes over their
-sigmas have a root mean square (`Chance`). A car whose stops are not known yet is given no change.
-`SIGNIFICANT` is far out because there are 5000 stops in 100 hours.
+sigmas have a root mean square (`calibration.Chance`). A car whose stops are not known yet is given
+no change. `SIGNIFICANT` is far out because there are 5000 stops in 100 hours.
 
 A change is reported as soon as it is certain that there is one, and sharpened for `MOST_MOTION`
 since the stop. An earlier stop may be certain first, having seen both loads; so later stops that
@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.published import EnergySums, mass_over_eta, published
 from evpinn_ros.signals.interval import Interval
@@ -42,8 +43,6 @@ KNOWN = 0.02  # 1-sigma of the logarithm of m/eta that must be reached before an
 SIGNIFICANT = 4.8  # sigmas
 LEAST_CHANGE = 85.0  # kg: one grown person with a bag
 LEAST_STOPS = 3.0  # without a change, before one is reported
-STOPS_KEPT = 40.0  # that what chance does is learned from, about an hour in town
-PRIOR_STOPS = 8.0  # stops that the prior of true sigmas weighs
 FORKS = 4  # stops on trial at once
 PROBATION = 600.0  # s of motion in which a change may be withdrawn
 SIGNED = ("delta_mass", "change")  # of the saved numbers; all others are positive
@@ -63,26 +62,6 @@ class PayloadChange:
     stamp_ns: int
     delta_mass: float
     std: float
-
-
-@dataclass(slots=True)
-class Chance:
-    """How far m/eta strays at stops without a change: `stops` seen, sum of `squares` of sigmas."""
-
-    stops: float = 0.0
-    squares: float = 0.0
-
-    def learn(self, deviate: float) -> None:
-        """Take a stop without a change: change of log m/eta over its 1-sigma."""
-        keep = min(1.0, (STOPS_KEPT - 1.0) / max(self.stops, 1.0))
-        self.stops = keep * self.stops + 1.0
-        self.squares = keep * self.squares + deviate**2
-
-    @property
-    def scale(self) -> float:
-        """By which sigmas are too small, at least 1."""
-        mean = (PRIOR_STOPS + self.squares) / (PRIOR_STOPS + self.stops)
-        return math.sqrt(max(1.0, mean))
 
 
 @dataclass(slots=True)
@@ -190,7 +169,7 @@ class PayloadDetector:
         best: tuple[_Trial, CarFilter, float] | None = None
         for trial, fork in self._trials:
             trial.motion += moved
-            if trial.motion < LEAST_MOTION or self._chance.stops < LEAST_STOPS:
+            if trial.motion < LEAST_MOTION or self._chance.count < LEAST_STOPS:
                 continue
             log, std = mass_over_eta(fork, sums)
             trial.change = log - trial.before

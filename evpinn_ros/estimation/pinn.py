@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 import math
 from typing import Any
 
 import numpy as np
 
+from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.car_filter import STANDING_NOISE, CarFilter
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.estimate import ParameterSet
@@ -31,6 +32,7 @@ from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
 from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.estimation.published import EnergySums, evidence_of, published
+from evpinn_ros.estimation.rehearsal import Rehearsal
 from evpinn_ros.estimation.reported_loads import ReportedLoads
 from evpinn_ros.estimation.residual_network import ResidualNetwork
 from evpinn_ros.estimation.weak_form import spent, unit_step
@@ -57,6 +59,7 @@ class LearnedCar:
     Attributes:
         filter: the states of car and drive.
         sums: energies that the published parameters stand for.
+        rehearsal: how far the sigma of a dropout's energy is to be trusted.
         payload: changes of payload.
         grade: sign of the reported grade.
         loads: what the car reports of heating and cooling.
@@ -68,7 +71,7 @@ class LearnedCar:
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Start at the priors of a vehicle file."""
-        self.filter, self.sums = CarFilter(vehicle), EnergySums()
+        self.filter, self.sums, self.rehearsal = CarFilter(vehicle), EnergySums(), Rehearsal()
         self.payload, self.grade, self.loads = PayloadDetector(), GradeSuspicion(), ReportedLoads()
         self.gated: Counter[str] = Counter()
         self.end_ns, self.measured, self.stretches = 0, True, 0
@@ -77,6 +80,7 @@ class LearnedCar:
         """The car after some more intervals; this one is left as it is."""
         other = object.__new__(LearnedCar)
         other.filter, other.payload = self.filter.copy(), self.payload.copy()
+        other.rehearsal = self.rehearsal.copy()
         other.sums = replace(self.sums)
         other.grade, other.loads = GradeSuspicion(), ReportedLoads.restored(self.loads.export())
         other.grade.restore(self.grade.export())
@@ -102,6 +106,7 @@ class LearnedCar:
             self.filter.warmth,
             self.filter.constants,
         )
+        self.rehearsal.learn(self.filter, interval)
         learned = self.filter.learn(interval)
         self.end_ns, self.measured = interval.end_ns, learned is not None
         if learned is None:
@@ -116,6 +121,7 @@ class LearnedCar:
         """After a jump of time: another place on the road, and the car may have stood."""
         self.stretches += 1
         self.payload.forget_time()
+        self.rehearsal.end()
         self.filter.forget_road()
         self.measured = True
 
@@ -123,6 +129,7 @@ class LearnedCar:
         """Another drive of this car."""
         self.stretches += 1
         self.loads.end_drive()
+        self.rehearsal.end()
         self.filter.begin_drive()
         self.sums.begin_drive()
         self.payload.forget_time()
@@ -294,6 +301,7 @@ class PinnLearner:
             "filter": self._car.filter.export(),
             "energies": self._car.sums.export(),
             "payload": self._car.payload.export(),
+            "rehearsals": asdict(self._car.rehearsal.chance),
             "loads": self._car.loads.export(),
             "grade_suspicion": self._car.grade.export(),
             "current_suspicion": self._suspicion.export(),
@@ -307,6 +315,7 @@ class PinnLearner:
         car.filter.restore(state["filter"])
         car.sums = EnergySums.restored(state["energies"])
         car.payload.restore(state["payload"])
+        car.rehearsal.chance = Chance(**state["rehearsals"])
         car.loads = ReportedLoads.restored(state["loads"])
         car.grade.restore(state["grade_suspicion"])
         self._suspicion.restore(state["current_suspicion"])
@@ -321,7 +330,10 @@ class PinnLearner:
         """Use this car from now on; its mixture is what samples are predicted by."""
         self._car = car
         self._mixture = car.filter.mixture()
-        self._unmeasured = (math.nan, math.nan) if car.measured else car.filter.unmeasured()
+        self._unmeasured = (math.nan, math.nan)
+        if not car.measured:
+            energy, sigma = car.filter.unmeasured()
+            self._unmeasured = (energy, sigma * car.rehearsal.chance.scale)
 
     def _physics(self, sample: Sample) -> PowerPrediction:
         """Power of the physics alone, W, and its 1-sigma, W."""

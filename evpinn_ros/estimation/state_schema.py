@@ -43,6 +43,7 @@ Declared: TypeAlias = Range | Maybe | type | Mapping[str, Any]
 
 STAMP = Range(0, 2**62, whole=True)  # ns; to the year 2116
 SUM, SQUARES = Range(-MOST_SUM, MOST_SUM), Range(0.0, MOST_SUM)
+CHANCE = {"count": SQUARES, "squares": SQUARES}
 HYBRID = {
     "filter": {
         "mean": Range(-MOST, MOST),
@@ -60,7 +61,7 @@ HYBRID = {
         "load_known": bool,
     },
     "payload": {
-        "chance": {"stops": SQUARES, "squares": SQUARES},
+        "chance": CHANCE,
         "change": Maybe(
             {
                 "stamp_ns": STAMP,
@@ -81,6 +82,7 @@ HYBRID = {
             }
         ),
     },
+    "rehearsals": CHANCE,
     "loads": {
         "mean": Range(-MOST_MASS, MOST_MASS),
         "covariance": Range(-(MOST_MASS**2), MOST_MASS**2),

@@ -124,6 +124,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(bus_module, "SILENT_AFTER_S", 0.2)
 
 
+@pytest.mark.slow
 def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path):
     """With the waits as they are for people: the outage must cost next to no processor."""
     adapter = Adapter(tmp_path / "adapter")

@@ -97,6 +97,7 @@ def wait_for(condition, seconds=30.0):
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "tcp"), [("good", False), ("good", True), ("slow", False), ("lossy", False)]
 )
@@ -113,6 +114,7 @@ def test_a_car_is_asked_through_an_adapter(tmp_path, kind, tcp):
     assert counters["answered"] <= counters["asked"]
 
 
+@pytest.mark.slow
 def test_a_lying_adapter_adds_nothing(tmp_path):
     with emulated("lying", tmp_path) as place, Live(place) as live:
         wait_for(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
@@ -222,6 +224,7 @@ def test_extended_addressing_of_an_i3(adapter):
         assert word in car.heard
 
 
+@pytest.mark.slow
 def test_voltage_and_current_behind_a_slow_adapter_keep_their_own_stamps(adapter):
     """A second from one to the other: no power of one moment, and nothing is thrown away."""
     answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}

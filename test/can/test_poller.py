@@ -37,7 +37,9 @@ def channel():
 
 
 @pytest.fixture
-def unit(channel, simulated_unit):
+def unit(channel, simulated_unit, monkeypatch):
+    monkeypatch.setattr(poller_module, "LISTEN_FIRST_S", 0.05)
+
     def make(address, replies):
         return simulated_unit(can.Bus(channel, interface="virtual"), address, replies)
 
@@ -228,7 +230,6 @@ def test_wrong_and_short_answers_and_garbage(channel, unit):
 def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeypatch):
     monkeypatch.setattr(restraint_module, "UNANSWERED_S", 1.5)
     monkeypatch.setattr(restraint_module, "QUIET_S", 1.0)
-    monkeypatch.setattr(poller_module, "LISTEN_FIRST_S", 0.0)
     awake = False
     kona(
         unit,
@@ -313,7 +314,7 @@ def test_a_low_12_v_battery_ends_the_asking(channel, unit, monkeypatch):
         wait_for(lambda: not car.bridge.poller.status().ok)
         asked = car.counters["asked"]
         time.sleep(0.5)
-        assert car.counters["asked"] == asked
+        assert car.counters["asked"] - asked in (0, 1)  # one more look at its voltage
         text = car.bridge.poller.status().text
     assert text.startswith("stopped: the 12 V battery is low: 11.7 V; goes on when")
 

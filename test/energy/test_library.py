@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-import torch
 
 from evpinn_ros.bench.truth import CarChain
 import evpinn_ros.energy
@@ -99,8 +98,11 @@ def test_chunks_make_no_difference(model):
     assert found.sigma == pytest.approx([one.sigma[0] for one in alone], rel=1e-12)
 
 
+@pytest.mark.slow
 @MODELS
 def test_torch_gives_the_same_and_its_own_kind(model):
+    import torch  # takes seconds
+
     many = profiles(3)
     found = forecast(many, CAR, model)
     tensors = forecast(Profiles(*map(torch.as_tensor, many)), CAR, model)
@@ -109,12 +111,15 @@ def test_torch_gives_the_same_and_its_own_kind(model):
     assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=1e-10)
 
 
+@pytest.mark.slow
 @MODELS
 @pytest.mark.parametrize("name", Profiles._fields)
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_the_gradient_is_that_of_finite_differences(model, name, seed):
     """Away from where power bends or jumps, which a step this small does not cross."""
+    import torch  # takes seconds
+
     many = profiles(seed, batch=2, points=20)
     wanted = getattr(many, name)
     leaves = {field: torch.as_tensor(array) for field, array in many._asdict().items()}
@@ -134,6 +139,7 @@ def test_the_gradient_is_that_of_finite_differences(model, name, seed):
     assert gradient[index] == pytest.approx(difference, rel=1e-4, abs=1.0)
 
 
+@pytest.mark.slow
 def test_numpy_alone_never_loads_torch():
     code = (
         "import sys, numpy as np\n"

@@ -8,7 +8,8 @@ import math
 import pytest
 
 from evpinn_ros.bench.truth import CarChain, load_steps
-from evpinn_ros.estimation.payload import LEAST_CHANGE, STOPS_KEPT, Chance, PayloadDetector
+from evpinn_ros.estimation.calibration import KEPT, Chance
+from evpinn_ros.estimation.payload import LEAST_CHANGE, PayloadDetector
 from evpinn_ros.estimation.published import mass_over_eta
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
@@ -100,7 +101,7 @@ def test_where_chance_does_much_more_is_asked():
     for _ in range(60):
         chance.learn(4.0)
     assert chance.scale == pytest.approx(4.0, rel=0.15)
-    assert chance.stops == pytest.approx(STOPS_KEPT)
+    assert chance.count == pytest.approx(KEPT)
 
 
 def test_a_saved_detector_that_does_not_fit_is_refused():
@@ -110,9 +111,9 @@ def test_a_saved_detector_that_does_not_fit_is_refused():
     PayloadDetector().restore({**saved, "found": trial, "change": change})
     other = PayloadDetector()
     for wrong in (
-        {"chance": {"stops": math.nan, "squares": 1.0}},
-        {"chance": {"stops": -8.0, "squares": 1.0}},
-        {"chance": {"stops": "a", "squares": 1.0}},
+        {"chance": {"count": math.nan, "squares": 1.0}},
+        {"chance": {"count": -8.0, "squares": 1.0}},
+        {"chance": {"count": "a", "squares": 1.0}},
         {"change": {**change, "delta_mass": math.inf}},
         {"change": {**change, "std": -1.0}},
         {"change": {"stamp_ns": 1}},

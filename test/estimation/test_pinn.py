@@ -189,7 +189,7 @@ def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
         {"seen_ns": 2**70},
         {"filter": {}},
         {"network": math.nan},
-        {"payload": {**saved["payload"], "chance": {"stops": -8.0, "squares": 0.0}}},
+        {"payload": {**saved["payload"], "chance": {"count": -8.0, "squares": 0.0}}},
         {"loads": None},
         {"grade_suspicion": {"suspected": True, "sums": [1.0]}},
     ):

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-import torch
 
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import (
@@ -212,8 +211,11 @@ def test_reverse_costs_what_forward_costs(v, a, car, grade, form):
         assert steady == pytest.approx(power(v, 0.0, form, car, grade), rel=1e-9, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_floats_arrays_and_tensors_agree(form):
+    import torch  # takes seconds
+
     rng = np.random.default_rng(1)
     v, a = rng.uniform(0, 40, 200), rng.uniform(-4, 3, 200)
     grade = rng.uniform(-0.1, 0.1, 200)
