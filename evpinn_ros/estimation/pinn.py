@@ -212,13 +212,17 @@ class PinnLearner:
 
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of physics and network, W, and of the energy since the battery, 1-sigma, J."""
-        physics = self._physics(sample)
+        power, lasting = self._physics(sample)
         said = self._network.correct(sample)
-        power, sigma = physics.power + said.power, math.hypot(physics.sigma, said.sigma)
+        power += said.power
+        noise = self._car.filter.force_noise() * sample.speed
+        sigma = math.hypot(lasting, noise, STANDING_NOISE, said.sigma)
         if sample.newest:
             return PowerPrediction(power, sigma)
         power += self._debt.repay(sample.stamp_ns, power)
-        return PowerPrediction(power, sigma, *self._unmeasured)
+        energy, energy_sigma = self._unmeasured
+        since = (sample.stamp_ns - self._car.end_ns) / NANOSECONDS  # the last interval
+        return PowerPrediction(power, sigma, energy, math.hypot(energy_sigma, lasting * since))
 
     def observe(self, sample: Sample, power: float) -> None:
         """Let the network learn from a measured sample."""
@@ -231,7 +235,7 @@ class PinnLearner:
         if self._suspicion.suspected:
             self.gated[CURRENT_SIGN] += 1
             return
-        self._network.learn(sample, power - self._physics(sample).power, step)
+        self._network.learn(sample, power - self._physics(sample)[0], step)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
@@ -335,8 +339,8 @@ class PinnLearner:
             energy, sigma = car.filter.unmeasured()
             self._unmeasured = (energy, sigma * car.rehearsal.chance.scale)
 
-    def _physics(self, sample: Sample) -> PowerPrediction:
-        """Power of the physics alone, W, and its 1-sigma, W."""
+    def _physics(self, sample: Sample) -> tuple[float, float]:
+        """Power of the physics alone, W, and its 1-sigma by the states, W."""
         mean, covariance = self._mixture
         mean = mean.copy()
         mean[State.CLIMB] = mean[State.SLOPE] * abs(sample.speed)
@@ -346,9 +350,8 @@ class PinnLearner:
         gradient = found.gradient[0]
         gradient[State.SLOPE] = gradient[State.CLIMB] * abs(sample.speed)
         gradient[State.CLIMB] = 0.0
-        noise = (filter_.force_noise() * sample.speed) ** 2 + STANDING_NOISE**2
-        variance = float(gradient @ covariance @ gradient) + noise
-        return PowerPrediction(float(found.energy[0]), math.sqrt(max(variance, 0.0)))
+        variance = float(gradient @ covariance @ gradient)
+        return float(found.energy[0]), math.sqrt(max(variance, 0.0))
 
     def _suspected(self) -> str | None:
         """The signal whose sign the data contradict; without current nothing tells of grade."""
