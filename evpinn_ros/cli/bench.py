@@ -12,6 +12,7 @@ COMMANDS = (
     "carried",
     "unseen",
     "ablation",
+    "settings",
     "truth",
     "can",
     "energy",

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.bench.ablation import CARS, VARIANTS, Row, ablate, car_intervals
+from evpinn_ros.bench.ablation import CARS, VARIANTS, ablate
+from evpinn_ros.bench.variants import Row, read_car
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import titled_table
@@ -35,7 +36,7 @@ def ablation(
     keys = cars.split(",")
     with progress_bar("variants", len(keys) * len(VARIANTS), unit="variants") as progress:
         for key in keys:
-            for row in ablate(key, *car_intervals(data, key)):
+            for row in ablate(read_car(data, key)):
                 rows.append(row)
                 progress(len(rows))
     for key in keys:
