@@ -220,6 +220,8 @@ class PinnLearner:
         if sample.newest:
             return PowerPrediction(power, sigma)
         power += self._debt.repay(sample.stamp_ns, power)
+        if self._car.measured:
+            return PowerPrediction(power, sigma)
         energy, energy_sigma = self._unmeasured
         since = (sample.stamp_ns - self._car.end_ns) / NANOSECONDS  # the last interval
         return PowerPrediction(power, sigma, energy, math.hypot(energy_sigma, lasting * since))
