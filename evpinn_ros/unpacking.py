@@ -7,6 +7,8 @@ import io
 from pathlib import Path
 from typing import IO, cast
 
+from evpinn_ros.plain_file import open_file
+
 RATIO, FREE_BYTES = 200, 1 << 20
 
 
@@ -28,7 +30,8 @@ class _Bounded(io.RawIOBase):
 
     def __init__(self, path: Path) -> None:
         self._left = most_unpacked(path.stat().st_size)
-        self._file = gzip.GzipFile(path)
+        self._packed = open_file(path)
+        self._file = gzip.GzipFile(fileobj=self._packed)
 
     def readable(self) -> bool:
         return True
@@ -44,4 +47,5 @@ class _Bounded(io.RawIOBase):
     def close(self) -> None:
         if not self.closed:
             self._file.close()
+            self._packed.close()
         super().close()

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_file import open_file
 
 MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
 LONGEST_NUMBER = 400  # characters: more than any float has before its point
@@ -121,7 +122,7 @@ def _refusal(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
 
 def _root(path: Path, title: str, most_bytes: int) -> yaml.Node:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             text = file.read(most_bytes + 1)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error

@@ -14,7 +14,7 @@ PACKAGE = ROOT / "evpinn_ros"
 
 # From the ground up. A part may import what lies below it, and nothing beside or above it.
 LAYERS = [
-    {"", "errors"},
+    {"", "errors", "plain_file"},
     {
         "share",
         "yaml_section",

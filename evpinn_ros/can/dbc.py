@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from io import TextIOWrapper
 from itertools import combinations
 from pathlib import Path
 import re
@@ -12,6 +13,7 @@ from typing import Any
 import cantools
 
 from evpinn_ros.can.dbc_size import LARGEST_FILE, excess
+from evpinn_ros.plain_file import open_file
 from evpinn_ros.yaml_section import Section
 
 _SPEED_UNITS: Mapping[str, str] = {
@@ -31,7 +33,7 @@ class DbcFile:
             InputError: no such file, or not one that cantools can read.
         """
         try:
-            with path.open(encoding="cp1252", errors="replace") as file:
+            with TextIOWrapper(open_file(path), "cp1252", "replace") as file:
                 self._text = file.read(LARGEST_FILE + 1)
         except OSError as error:
             raise root.error_at("dbc", f"{path}: {error.strerror}") from error

@@ -24,6 +24,7 @@ from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.can.gvret import HEADER, GvretReader
 from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_file import open_file
 from evpinn_ros.text_lines import bounded_lines
 from evpinn_ros.unpacking import open_gzipped
 
@@ -131,7 +132,7 @@ class LogFile:
 
     def _open(self) -> IO[Any]:
         try:
-            file = open_gzipped(self.path) if self._gzipped else self.path.open("rb")
+            file = open_gzipped(self.path) if self._gzipped else open_file(self.path)
             if self._suffix == ".blf":
                 return file
             return io.TextIOWrapper(file, encoding="utf-8", errors="replace")

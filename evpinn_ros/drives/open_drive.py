@@ -104,6 +104,8 @@ def open_drive(
     from evpinn_ros.drives.table_drive import TableDrive
 
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: a folder, a pipe or a device, no file")
     table, folder = _table(path)
     try:
         return DriveSource(path, TableDrive(table, path, nominal_voltage, columns), folder)

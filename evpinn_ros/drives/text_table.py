@@ -12,6 +12,7 @@ from typing import IO, Any
 import zlib
 
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_file import open_file
 from evpinn_ros.text_lines import LONGEST_LINE
 from evpinn_ros.unpacking import open_gzipped
 
@@ -104,7 +105,7 @@ class TextTable:
 
     def _open(self) -> IO[bytes]:
         packed = self.path.suffix.lower() == ".gz"
-        return open_gzipped(self.path) if packed else self.path.open("rb")
+        return open_gzipped(self.path) if packed else open_file(self.path)
 
     def _texts(self, file: Any) -> Iterator[str]:
         """The text of the file, piece by piece; what comes before a damage is not lost."""

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 from evpinn_ros.durable import replaced, sync
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_file import open_file
 
 MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
 
@@ -40,7 +41,7 @@ def read_state(path: Path) -> dict[str, Any] | None:
         InputError: the file cannot be read or is not a state; the text has file and reason.
     """
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             text = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError:
         return None

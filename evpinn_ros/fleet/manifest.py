@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 import csv
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_file import open_file
 from evpinn_ros.replay.recordings import recordings
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.yaml_section import compose
@@ -173,7 +175,7 @@ def _yaml_lines(path: Path) -> Iterator[_Line]:
 
 def _csv_lines(path: Path) -> Iterator[_Line]:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with TextIOWrapper(open_file(path), "utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
             if set(rows.fieldnames or ()) != set(COLUMNS):
                 raise InputError(f"{path}:1: the columns must be {', '.join(COLUMNS)}")

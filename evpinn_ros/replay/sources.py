@@ -20,6 +20,7 @@ from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.formats import MEASUREMENT_SUFFIX, is_table, suffix_of
 from evpinn_ros.drives.measurement import holds_signals
 from evpinn_ros.errors import InputError
+from evpinn_ros.plain_file import open_file
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.unpacking import open_gzipped
 from evpinn_ros.vehicle.files import Vehicle
@@ -179,7 +180,7 @@ def is_drive_table(path: Path) -> bool:
     if suffix_of(path) != ".csv":
         return True
     try:
-        with open_gzipped(path) if path.suffix == ".gz" else path.open("rb") as file:
+        with open_gzipped(path) if path.suffix == ".gz" else open_file(path) as file:
             header = file.readline(10_000)
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: {error}") from error

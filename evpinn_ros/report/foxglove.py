@@ -97,16 +97,17 @@ class FoxgloveServer:
     def send(self, topic: str, type_name: str, data: bytes, time_ns: int) -> None:
         """Give one message, as CDR bytes, to those who subscribed; never waits for them.
 
-        What is not among the topics, or among them with another type, is left out.
+        What is not among the topics, or among them with another type, is left out. A time before
+        1970, which a bag may hold and Foxglove does not know, is shown as 1970.
         """
         channel = self._channels.get((topic, type_name))
         if channel is not None:
-            channel.log(data, log_time=time_ns)
+            channel.log(data, log_time=max(time_ns, 0))
 
     def tell_time(self, time_ns: int) -> None:
         """Set the clock of all clients; told often enough for a smooth picture."""
         if not 0 <= time_ns - self._told_ns < TOLD_EVERY_NS:
-            self._server.broadcast_time(time_ns)
+            self._server.broadcast_time(max(time_ns, 0))
             self._told_ns = time_ns
 
     def start_over(self) -> None:

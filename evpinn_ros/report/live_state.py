@@ -43,6 +43,8 @@ NODES = ("can_bridge", "estimator", "energy", "recorder", "foxglove")
 
 STALE_AFTER = 3.0  # s without a message
 RATE_WINDOW = 5.0  # s over which messages are counted
+MOST_ARRIVALS = 5000  # of a topic, for its rate
+MOST_PARTS = 50  # of all nodes that are followed; ours have ten
 
 
 class Power(NamedTuple):
@@ -94,7 +96,9 @@ class LiveState:
         self.statuses: dict[str, PartStatus] = {}
         self.unusable: Counter[str] = Counter()
         self._vectors: dict[Topic, NamedVector] = {}
-        self._arrivals: defaultdict[Topic, deque[float]] = defaultdict(deque)
+        self._arrivals: defaultdict[Topic, deque[float]] = defaultdict(
+            lambda: deque(maxlen=MOST_ARRIVALS)
+        )
         self._first: dict[Topic, float] = {}
         self._last: dict[Topic, float] = {}
 
@@ -131,7 +135,11 @@ class LiveState:
         values = {pair.key: printable(pair.value) for pair in status.values}
         known = Level(min(level, Level.STALE))
         text = printable(status.message)
-        self.statuses[printable(f"{node}:{part}")] = PartStatus(known, text, values, now)
+        name = printable(f"{node}:{part}")
+        if name not in self.statuses and len(self.statuses) >= MOST_PARTS:
+            self.unusable[topics.DIAGNOSTICS.name] += 1
+            return
+        self.statuses[name] = PartStatus(known, text, values, now)
 
     def age(self, topic: Topic, now: float) -> float:
         """Seconds since the last message of a topic, infinite before the first."""

@@ -94,6 +94,8 @@ class OriginGate:
         assert task is not None
         self._open.add(task)
         try:
+            if len(self._open) > MOST_CONNECTIONS:
+                return  # unheard: each would hold a file open, of which a process has a thousand
             with suppress(OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
                 await self._pass_on(reader, writer)
         finally:
@@ -102,7 +104,7 @@ class OriginGate:
 
     async def _pass_on(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         head = await asyncio.wait_for(reader.readuntil(END), HEAD_TIMEOUT_S)
-        if len(self._open) > MOST_CONNECTIONS or not is_welcome(head, self._origins):
+        if not is_welcome(head, self._origins):
             writer.write(REFUSAL)
             await writer.drain()
             return

@@ -183,6 +183,7 @@ def test_every_cut_is_read_as_far_as_it_goes(tmp_path, options):
     assert before == COUNT
 
 
+@pytest.mark.slow
 @settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

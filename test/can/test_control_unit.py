@@ -229,6 +229,7 @@ def bounds(profile, quantity, index=0):
     return signal.lower, signal.upper
 
 
+@pytest.mark.slow
 @given(conversations(), st.booleans())
 @example((PROFILES["obd2_speed"], [(PROFILES["obd2_speed"].requests[0].address, b"")]), True)
 @settings(max_examples=500, deadline=None)

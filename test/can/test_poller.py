@@ -319,7 +319,9 @@ def test_a_low_12_v_battery_ends_the_asking(channel, unit, monkeypatch):
     assert text.startswith("stopped: the 12 V battery is low: 11.7 V; goes on when")
 
 
-def test_a_driver_that_fails_is_no_end():
+def test_a_driver_that_fails_is_no_end(monkeypatch):
+    monkeypatch.setattr(poller_module, "LISTEN_FIRST_S", 0.05)
+
     def fail(frame):
         raise can.CanOperationError("transmit buffer full")
 
@@ -361,7 +363,8 @@ def test_a_log_of_a_polled_drive_decodes_like_the_live_bus(channel, unit):
     assert values(readings)[: len(car.readings)] == values(car.readings)
 
 
-def test_a_car_that_is_another_is_not_asked():
+def test_a_car_that_is_another_is_not_asked(monkeypatch):
+    monkeypatch.setattr(poller_module, "LISTEN_FIRST_S", 0.05)
     bolt, sent = load_profile("chevrolet_bolt"), []
 
     def send(frame):

@@ -353,6 +353,7 @@ def test_a_bomb_costs_no_command_two_seconds_or_200_mb(tmp_path, data, command):
     assert float(seconds) < 2.0 and float(megabytes) < 200.0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
 def test_real_logs_are_read_with_no_flag():
     logs = [*DATA.glob("peugeot_e208_car_scanner/*"), *DATA.glob("nissan_leaf_2013_leafspy/*")]

@@ -103,6 +103,7 @@ def test_without_a_state_of_charge_a_silence_stays_predicted():
     assert counted.since_reset().net.value == pytest.approx(6e6 + 6.3e6, rel=0.01)
 
 
+@pytest.mark.slow
 def test_speed_silent_too_is_counted_and_told_by_the_charge():
     counted = drive(account(), range(3600))
     drive(counted, range(3600, 6000), silent=range(3600, 4800), blind=range(3600, 4800))

@@ -1,5 +1,6 @@
 """`evpinn_ros.energy.forecast`: many profiles at once, numpy or torch."""
 
+from functools import cache
 import subprocess
 import sys
 
@@ -26,6 +27,7 @@ COMBINED, SIGMAS = prior_identifiable(CAR)
 SIMPLE = combined_model(COMBINED, SIGMAS, CAR, 1000.0)
 
 
+@cache
 def taught():
     """A model that an estimator learned from a drive in town."""
     chain = CarChain(CAR)
@@ -35,8 +37,13 @@ def taught():
 
 
 CONSTANT, DRIFT = FEATURES.index("constant"), FEATURES.index("present_drift")
-LEARNED = taught()
-MODELS = pytest.mark.parametrize("model", [SIMPLE, LEARNED], ids=["combinations", "learned"])
+MODELS = pytest.mark.parametrize("model", ["combinations", "learned"], indirect=True)
+
+
+@pytest.fixture(scope="module")
+def model(request):
+    """Made when it is wanted, for it takes seconds."""
+    return SIMPLE if request.param == "combinations" else taught()
 
 
 def profiles(seed=0, batch=5, points=60, hills=True):

@@ -28,6 +28,7 @@ def test_compensated_sum_is_as_good_as_exact(terms):
     assert total.value == pytest.approx(math.fsum(terms), abs=1e-22 * scale, rel=1e-15)
 
 
+@pytest.mark.slow
 def test_24_hours_at_10_hertz_do_not_drift():
     integral = EnergyIntegral()
     for i in range(24 * 36_000 + 1):

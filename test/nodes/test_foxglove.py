@@ -4,7 +4,7 @@ The protocol: github.com/foxglove/ws-protocol, docs/spec.md.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 import json
 from pathlib import Path
@@ -14,6 +14,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from typing import Any, NamedTuple
 
 import pytest
@@ -27,6 +28,7 @@ from evpinn_ros.nodes.foxglove import FoxgloveNode
 from evpinn_ros.nodes.messages import Level, scalar
 from evpinn_ros.report.foxglove import LOOPBACK, FoxgloveServer, is_loopback
 from evpinn_ros.report.live_state import NODES
+from evpinn_ros.report.origin_gate import MOST_CONNECTIONS
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
 websockets = pytest.importorskip("websockets.sync.client", reason="no WebSocket client")
@@ -270,3 +272,31 @@ def test_whatever_comes_to_the_door_it_stays_shut(request_bytes):
 def test_no_page_can_guess_where_the_server_behind_the_door_is():
     with FoxgloveServer(LOOPBACK, 0, {}) as server, pytest.raises(OSError, match="refused"):
         socket.create_connection((LOOPBACK, server._server.port), timeout=PATIENCE)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts files in /proc")
+def test_who_fills_the_doorway_takes_no_files_from_the_nodes():
+    """A process may have a thousand files open: without any, no state would be saved."""
+    files = Path("/proc/self/fd")
+    with FoxgloveServer(LOOPBACK, 0, {}) as server, ExitStack() as guests:
+        port, before = int(server.address.rpartition(":")[2]), len([*files.iterdir()])
+        for _ in range(10 * MOST_CONNECTIONS):
+            guests.enter_context(socket.create_connection((LOOPBACK, port), timeout=PATIENCE))
+        time.sleep(1.0)  # to let them in
+        own = len([*files.iterdir()]) - before - 10 * MOST_CONNECTIONS
+        assert own <= MOST_CONNECTIONS
+
+
+def test_a_time_before_1970_ends_no_server():
+    """A database may hold any number for a time; to Foxglove it has no sign."""
+    offered = {"/a": "std_msgs/msg/Float64"}
+    with (
+        FoxgloveServer(LOOPBACK, 0, offered, replay=True) as server,
+        connected(server.address) as app,
+    ):
+        app.subscribe("/a")
+        while not server.watched:
+            time.sleep(0.01)
+        server.tell_time(-5)
+        server.send("/a", offered["/a"], bytes(12), -5)
+        assert next(app.messages()).time_ns == 0

@@ -4,7 +4,8 @@ from itertools import pairwise
 import math
 
 import pytest
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 import yaml
 
@@ -171,3 +172,16 @@ def test_a_running_node_takes_right_changes_and_refuses_wrong_ones_as_a_whole(be
     assert node.values["nominal_speed"] == 20.0 and node.values["max_gap"] == 2.0
     description = node.describe_parameter("nominal_speed")
     assert description.floating_point_range[0].to_value == 100.0 and description.description
+
+
+@pytest.mark.parametrize("kind", [SetParameters, SetParametersAtomically])
+def test_a_parameter_of_a_type_that_there_is_not_ends_no_node(bench, kind):
+    """rclpy raises in its own callback, and one request ended the node."""
+    node = bench.start(EnergyNode)
+    names = {SetParameters: "set_parameters", SetParametersAtomically: "set_parameters_atomically"}
+    wrong = Parameter(name="nominal_speed", value=ParameterValue(type=200))
+    answer = bench.call(kind, f"/ev/energy/{names[kind]}", parameters=[wrong])
+    assert not getattr(answer, "results", None) and node.values["nominal_speed"] == NOMINAL_SPEED
+    (fault,) = node.health().faults
+    assert fault.endswith(f"{names[kind]}: ValueError")
+    node._faults.clear()  # the bench demands that there are none

@@ -124,6 +124,7 @@ def test_a_bag_of_nothing_of_ours(tmp_path):
     assert found.drive is None and "none of the topics" in found.notes[0]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
 def test_a_can_log_and_a_bag_of_its_frames(tmp_path):
     log = DATA / "can" / "nissan_leaf_62kwh" / "EV-CANeplus2.candump.log"

@@ -5,7 +5,13 @@ import pytest
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import Level, diagnostics, named_vector
-from evpinn_ros.report.live_state import RATE_WINDOW, STALE_AFTER, LiveState
+from evpinn_ros.report.live_state import (
+    MOST_ARRIVALS,
+    MOST_PARTS,
+    RATE_WINDOW,
+    STALE_AFTER,
+    LiveState,
+)
 
 
 def said(name, level, text, **values):
@@ -81,6 +87,28 @@ def test_each_view_shows_the_diagnostics_of_its_own_car():
         state.take(topics.DIAGNOSTICS, message, 1.0)
     assert near.problems(1.0) == [(Level.ERROR, "can_bridge: bus: lost")]
     assert far.statuses == {}
+
+
+def test_parts_without_end_fill_no_memory():
+    state = LiveState()
+    for number in range(10 * MOST_PARTS):
+        message = said(f"/ev/estimator: part {number}", Level.OK, "")
+        state.take(topics.DIAGNOSTICS, message, 1.0)
+    assert len(state.statuses) == MOST_PARTS
+    assert state.unusable[topics.DIAGNOSTICS.name] == 9 * MOST_PARTS
+    state.take(topics.DIAGNOSTICS, said("/ev/estimator: part 0", Level.WARN, "well known"), 1.0)
+    assert (Level.WARN, "estimator: part 0: well known") in state.problems(1.0)
+
+
+def test_messages_that_nobody_counts_fill_no_memory():
+    """No rate is shown of most topics, and of none where there is no terminal."""
+    state, message = LiveState(), named_vector(new_message, 10**9, ["power"], [1.0])
+    for number in range(3 * MOST_ARRIVALS):
+        state.take(topics.POWER_MEASURED, message, 100.0 + 0.01 * number)
+    assert len(state._arrivals[topics.POWER_MEASURED]) <= MOST_ARRIVALS
+    assert state.rate(topics.POWER_MEASURED, 100.0 + 0.03 * MOST_ARRIVALS) == pytest.approx(
+        100, 0.01
+    )
 
 
 def test_values_that_are_no_numbers_are_unknown():
