@@ -183,6 +183,9 @@ def _vehicle_section(vehicle: Vehicle) -> Iterator[str]:
     for name in PARAMETER_NAMES:
         prior = vehicle.priors[name]
         yield f"| `{name}` | {prior.value:g} | {prior.std:g} | {prior.source} |"
+    if vehicle.paper_start:
+        start = (f"{name} {prior.value:g}" for name, prior in vehicle.paper_start.items())
+        yield from ("", f"`mode: paper` and `evpinn reproduce` start from {', '.join(start)}.")
     yield ""
 
 

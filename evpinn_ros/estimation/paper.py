@@ -2,7 +2,7 @@
 
 Four layers of 128 with tanh, speed and time in, battery power out; the five parameters trained
 together with the network by Adam at a learning rate of their own; the loss of eq. 22 with
-lambda = 0.1; initial values of eq. 24, 25 from the vehicle file. Once a second the network and
+lambda = 0.1; initial values of eq. 24, 25 (`Vehicle.as_published`). Once a second the network and
 Adam's memory are taken up where they were (warm start) and trained a fixed number of epochs on
 the window.
 
@@ -108,8 +108,8 @@ class PaperLearner:
         form: RegenForm = RegenForm.RECOVERY,
         optimizer: PaperOptimizer = PaperOptimizer.ADAM,
     ) -> None:
-        """Start at the vehicle's initial values with a fresh network."""
-        self._vehicle = vehicle
+        """Start at the vehicle's published values with a fresh network."""
+        self._vehicle = vehicle = vehicle.as_published
         self._form = form
         self._optimizer = optimizer
         self._prior_std = np.array(

@@ -94,7 +94,7 @@ class Population:
     def priors(self, source: str) -> Vehicle:
         """The vehicle with what to believe of the next car of this model."""
         priors = {name: self._new_prior(name, source) for name in PARAMETER_NAMES}
-        return replace(self.vehicle, priors=priors, correlations={})
+        return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
 
     def _new_prior(self, name: str, source: str) -> Prior:
         told, limits = self.parameter(name), LIMITS[name]

@@ -140,7 +140,7 @@ class Experiment:
 
     def __init__(self, log: DriveLog, vehicle: Vehicle, settings: Settings, folder: Path) -> None:
         """Nothing is run or read yet."""
-        self._log, self._vehicle, self._settings = log, vehicle, settings
+        self._log, self._vehicle, self._settings = log, vehicle.as_published, settings
         self._folder = folder
 
     def run(self, on_progress: OnProgress) -> Outcome:

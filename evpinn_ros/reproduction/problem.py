@@ -138,7 +138,8 @@ class Problem:
         device: str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        self.log, self.vehicle, self.split, self.form = log, vehicle, split, form
+        self.vehicle = vehicle = vehicle.as_published
+        self.log, self.split, self.form = log, split, form
         self.device, self.dtype = torch.device(device), dtype
         self.inputs = InputScale.of(log, inputs)
         self.scale = PowerScale.of(log.power)

@@ -6,7 +6,7 @@ A wrong file is refused with its path, the line and the reason; nothing is guess
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from itertools import combinations
 import math
@@ -40,6 +40,7 @@ CONSTANTS: Mapping[str, Constant] = {
     "nominal_speed": Constant(0.1, 100.0, "m/s"),
     "motor_ratio": Constant(1.0, 200.0, "rad/m"),
 }
+KEYS = ("name", "can_profile", "parameters", "correlations", "paper_start")
 OPTIONAL_CONSTANTS = ("battery_capacity", "motor_ratio", "nominal_speed")
 LEAST_EIGENVALUE = 1e-3  # of correlations: with less, one is certain by the others
 FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
@@ -64,6 +65,7 @@ class Vehicle:
             tells its torque and not its speed.
         priors: one `Prior` for each of `PARAMETER_NAMES`.
         correlations: of two of them, in their order; 0 where a pair is not given.
+        paper_start: what the EV-PINN paper starts from, likewise (eq. 24, 25); empty: `priors`.
     """
 
     key: str
@@ -79,11 +81,19 @@ class Vehicle:
     priors: Mapping[str, Prior]
     nominal_speed: float = math.nan
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    paper_start: Mapping[str, Prior] = field(default_factory=dict)
 
     @property
     def initial(self) -> Parameters:
-        """The prior values, the start of every estimate (eq. 24, 25)."""
+        """The prior values, the start of every estimate."""
         return Parameters(*(self.priors[name].value for name in PARAMETER_NAMES))
+
+    @property
+    def as_published(self) -> Vehicle:
+        """The car with `paper_start` as its priors, for `mode: paper` and `evpinn reproduce`."""
+        if not self.paper_start:
+            return self
+        return replace(self, priors=self.paper_start, correlations={}, paper_start={})
 
     @property
     def correlation(self) -> np.ndarray:
@@ -176,10 +186,8 @@ def _vehicle_directory() -> Path:
 def _parse(path: Path) -> Vehicle:
     root = compose(path, "vehicle file")
     constants = {key: _constant(root.section(key), key) for key in CONSTANTS if root.has(key)}
-    parameters = root.section("parameters")
-    priors = {name: _prior(parameters.section(name), name) for name in PARAMETER_NAMES}
-    parameters.refuse_unknown(PARAMETER_NAMES)
-    root.refuse_unknown(("name", "can_profile", "parameters", "correlations", *CONSTANTS))
+    priors = _priors(root.section("parameters"))
+    root.refuse_unknown((*KEYS, *CONSTANTS))
     for key in CONSTANTS:
         if key not in constants and key not in OPTIONAL_CONSTANTS:
             raise root.error(f"'{key}' is missing")
@@ -193,8 +201,16 @@ def _parse(path: Path) -> Vehicle:
         correlations=_correlations(root.section("correlations"))
         if root.has("correlations")
         else {},
+        paper_start=_priors(root.section("paper_start")) if root.has("paper_start") else {},
         **constants,
     )
+
+
+def _priors(section: Section) -> dict[str, Prior]:
+    """One for each of `PARAMETER_NAMES`."""
+    priors = {name: _prior(section.section(name), name) for name in PARAMETER_NAMES}
+    section.refuse_unknown(PARAMETER_NAMES)
+    return priors
 
 
 def _correlations(section: Section) -> dict[tuple[str, str], float]:

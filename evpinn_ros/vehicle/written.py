@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 import math
 from pathlib import Path
@@ -11,7 +12,7 @@ import yaml
 
 from evpinn_ros.durable import replaced
 from evpinn_ros.vehicle.files import CONSTANTS, Vehicle, load_vehicle
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Prior
 
 
 def write_vehicle(path: Path, vehicle: Vehicle) -> None:
@@ -28,15 +29,21 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
         value = getattr(vehicle, name)
         if math.isfinite(value):
             document[name] = {"value": value, "source": f"vehicle {vehicle.key}"}
-    document["parameters"] = {name: asdict(vehicle.priors[name]) for name in PARAMETER_NAMES}
+    document["parameters"] = _parameters(vehicle.priors)
     if vehicle.correlations:
         document["correlations"] = {"source": f"vehicle {vehicle.key}"}
         for (one, other), value in vehicle.correlations.items():
             document["correlations"].setdefault(one, {})[other] = value
+    if vehicle.paper_start:
+        document["paper_start"] = _parameters(vehicle.paper_start)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as draft:
         draft.write_text(yaml.safe_dump(document, sort_keys=False, width=99), encoding="utf-8")
     load_vehicle(path)
+
+
+def _parameters(priors: Mapping[str, Prior]) -> dict[str, Any]:
+    return {name: asdict(priors[name]) for name in PARAMETER_NAMES}
 
 
 def _profile(name: str) -> str:

@@ -34,10 +34,10 @@ def test_prior_is_that_of_the_vehicle_file(vehicle):
             initial.p_aux,
         ]
     )
-    # k_m = m / eta: 110 kg of 1823 kg and 0.1 of 0.7 together.
-    share = np.hypot(110 / 1823, 0.1 / 0.7)
+    # k_m = m / eta: 120 kg of 1930 kg and 0.06 of 0.9 together.
+    share = np.hypot(120 / 1930, 0.06 / 0.9)
     assert np.sqrt(method.covariance[2, 2]) == pytest.approx(share * method.mean[2])
-    assert np.sqrt(method.covariance[4, 4]) == pytest.approx(600.0)
+    assert np.sqrt(method.covariance[4, 4]) == pytest.approx(400.0)
     assert np.linalg.eigvalsh(method.covariance)[0] >= -1e-9
 
 

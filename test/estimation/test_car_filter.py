@@ -97,14 +97,17 @@ def car(vehicle, drives) -> CarFilter:
     return learned(vehicle, World(vehicle, 0).measured(drives[0]))
 
 
-@pytest.mark.parametrize("direction", [MASS_OVER_ETA, REGENERATION], ids=["m/eta", "eta mu"])
-def test_intervals_of_95_percent_cover_it(fleet, direction):
+@pytest.mark.parametrize(
+    ("direction", "left"), [(MASS_OVER_ETA, 0.5), (REGENERATION, 0.7)], ids=["m/eta", "eta mu"]
+)
+def test_intervals_of_95_percent_cover_it(fleet, direction, left):
+    """Less than a share of the prior's sigma is left; eta mu is known to 16 % before."""
     deviates = []
     for world, found in fleet:
         mean, covariance = found.mixture()
         std = math.sqrt(direction @ covariance @ direction)
         deviates.append(float(direction @ (world.state - mean)) / std)
-        assert std < 0.5 * np.linalg.norm(direction * found.prior.std)
+        assert std < left * np.linalg.norm(direction * found.prior.std)
     assert 0.85 <= np.mean(np.abs(deviates) < 1.96) <= 1.0, deviates
     assert abs(np.mean(deviates)) < 3.5 / math.sqrt(CARS)
 
@@ -186,9 +189,13 @@ def test_another_drive_keeps_some_of_the_last_and_learns_how_much_drives_differ(
 
 
 def test_how_drives_differ_is_learned_from_many(vehicle, drives):
-    """Tyres that are the same each day: their spread shrinks."""
-    car = CarFilter(vehicle)
-    world = World(vehicle, 3)
+    """Tyres that are the same each day: their spread shrinks.
+
+    Of a car whose own load is hardly known, as at the paper's start: where it is known to 400 W
+    before, what lies 2 sigma off looks like each drive's own.
+    """
+    car = CarFilter(vehicle.as_published)
+    world = World(vehicle.as_published, 3)
     for state in DRIVE_STD:
         world.state[state] = 0.0
     for _ in range(12):

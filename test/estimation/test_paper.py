@@ -18,10 +18,16 @@ from evpinn_ros.estimation.paper import (
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return load_vehicle("tesla_model_3_lr").as_published
 
 
 def teach(learner: PaperLearner, drive, first=0, last=None) -> PaperLearner:
@@ -47,6 +53,14 @@ def loss(learner: PaperLearner, drive, first, last) -> tuple[float, float]:
         data += (power / POWER_SCALE - said) ** 2 / len(pairs)
         physics += (believed - said) ** 2 / len(pairs)
     return data, physics
+
+
+def test_it_starts_where_the_paper_does():
+    """Not at the priors of the vehicle file (eq. 24)."""
+    car = load_vehicle("tesla_model_3_lr")
+    found = PaperLearner(car).parameters().parameters
+    assert tuple(found[name].value for name in LEARNED) == (0.7, 0.5, 1823.0, 0.0096, 0.23)
+    assert found["mass"].value != car.initial.mass
 
 
 def test_the_paper_s_numbers():

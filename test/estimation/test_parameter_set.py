@@ -89,8 +89,8 @@ def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
 
 
 def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
-    """A normal logarithm cut off at 1, of 10 % sigma about 1.05."""
-    source = told(prior, 0.05, eta=math.log(1.05))
+    """A normal logarithm cut off at 1, of 3 % sigma about 1.05."""
+    source = told(prior, 0.2, eta=math.log(1.05))
     found = parameter_set(0, source).parameters["eta"]
     assert found.lower < found.value < found.upper <= 1.0
     assert found.lower < 0.98 and found.upper > 0.99 and found.std > 0.0

@@ -16,7 +16,7 @@ PERIOD = 0.1  # s
 
 @pytest.fixture(scope="session")
 def vehicle() -> Vehicle:
-    return load_vehicle("tesla_model_3_lr")
+    return load_vehicle("tesla_model_3_lr").as_published
 
 
 @pytest.fixture(scope="session")

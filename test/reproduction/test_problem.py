@@ -17,7 +17,7 @@ from evpinn_ros.reproduction.problem import (
     chronological_split,
     random_split,
 )
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 WIDTHS = (2, 7, 7, 1)
@@ -77,6 +77,7 @@ def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwo
 
 
 def test_initial_values_are_those_of_eq_24(problem: Problem) -> None:
+    problem = Problem(problem.log, load_vehicle("tesla_model_3_lr"), problem.split)
     values = problem.values(torch.zeros(5, dtype=torch.float64))
     assert values[:5] == pytest.approx((0.7, 0.5, 1823.0, 0.0096, 0.23))
     assert problem.p_aux == pytest.approx(900.0, abs=60.0)  # the median at standstill

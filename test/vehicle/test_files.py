@@ -74,8 +74,9 @@ def test_every_file_of_the_package_loads(name):
 
 def test_values_of_the_paper():
     three, s = load_vehicle("tesla_model_3_lr"), load_vehicle("tesla_model_s")
-    assert three.initial == Parameters(0.7, 0.5, 1823.0, 0.0096, 0.23, 1100.0)  # eq. 24
-    assert s.initial == Parameters(0.7, 0.5, 2250.0, 0.0096, 0.23, 390.0)  # eq. 25
+    starts = [car.as_published.initial for car in (three, s)]
+    assert starts[0] == Parameters(0.7, 0.5, 1823.0, 0.0096, 0.23, 1100.0)  # eq. 24
+    assert starts[1] == Parameters(0.7, 0.5, 2250.0, 0.0096, 0.23, 390.0)  # eq. 25
     assert (three.frontal_area, s.frontal_area) == (2.22, 2.40)  # section III.D
     assert {car.air_density for car in (three, s)} == {1.17}
     assert {car.beta for car in (three, s)} == {-0.045}  # eq. 20
@@ -90,7 +91,7 @@ def test_values_of_the_paper():
     ],
 )
 def test_values_of_table_vi(name, row):
-    start = load_vehicle(name).initial
+    start = load_vehicle(name).as_published.initial
     assert (start.eta, start.mass, start.c_rr, start.c_d) == row
 
 
@@ -233,6 +234,19 @@ def test_whatever_is_done_to_a_good_file(tmp_path_factory, start, length, new):
 def test_a_profile_of_ones_own_lies_beside_the_vehicle_file(tmp_path, said, meant):
     (tmp_path / "car.yaml").write_text(f"can_profile: {said}\n" + GOOD)
     assert load_vehicle(tmp_path / "car.yaml").can_profile == (meant or str(tmp_path / said))
+
+
+def test_a_start_of_the_paper_is_not_the_prior(car):
+    plain = load_vehicle(car(GOOD))
+    assert plain.as_published is plain
+    start = GOOD[GOOD.index("parameters") :].replace("parameters", "paper_start")
+    path = car(GOOD + start.replace("value: 0.8", "value: 0.7"))
+    vehicle = load_vehicle(path)
+    assert (vehicle.initial.eta, vehicle.as_published.initial.eta) == (0.8, 0.7)
+    write_vehicle(path, vehicle)
+    assert load_vehicle(path).paper_start == vehicle.paper_start
+    with pytest.raises(InputError, match=r"a_car\.yaml:15: .*paper_start: 'c_d' is missing"):
+        load_vehicle(car(GOOD + start.replace("  c_d:", "  c_w:")))
 
 
 CORRELATED = GOOD + "correlations: {source: a sheet, mass: {c_rr: 0.2, c_d: -0.5}}\n"
