@@ -294,7 +294,10 @@ class OnlineEstimator:
                     self._learner.observe(event.sample, event.power)
                     self._news = True
             case Interval():
-                if self.enabled and self._stuck.why_not(event.start_ns, event.end_ns) is None:
+                # Of a silent battery nothing is learned, and its energy must have no holes.
+                silent = math.isnan(event.energy)
+                believed = silent or self._stuck.why_not(event.start_ns, event.end_ns) is None
+                if self.enabled and believed:
                     self._news |= self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed

@@ -179,9 +179,10 @@ def test_a_parameter_of_a_type_that_there_is_not_ends_no_node(bench, kind):
     """rclpy raises in its own callback, and one request ended the node."""
     node = bench.start(EnergyNode)
     names = {SetParameters: "set_parameters", SetParametersAtomically: "set_parameters_atomically"}
+    usual = node.values["nominal_speed"]
     wrong = Parameter(name="nominal_speed", value=ParameterValue(type=200))
     answer = bench.call(kind, f"/ev/energy/{names[kind]}", parameters=[wrong])
-    assert not getattr(answer, "results", None) and node.values["nominal_speed"] == NOMINAL_SPEED
+    assert not getattr(answer, "results", None) and node.values["nominal_speed"] == usual
     (fault,) = node.health().faults
     assert fault.endswith(f"{names[kind]}: ValueError")
     node._faults.clear()  # the bench demands that there are none
