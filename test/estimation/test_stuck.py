@@ -96,7 +96,7 @@ def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(mon
         readings = list(open_source(URBAN, car).readings())
         for reading in readings:
             now = (reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS
-            if isinstance(reading, BatteryReading) and now > 2.0 or now > 100.0:
+            if (isinstance(reading, BatteryReading) and now > 2.0) or now > 100.0:
                 continue
             if isinstance(reading, SpeedReading) and 60.0 < now < 68.0:
                 reading = replace(reading, speed=12.0)
