@@ -112,7 +112,8 @@ def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros2:
     paths = {
         "AMENT_PREFIX_PATH": [prefix, os.environ.get("AMENT_PREFIX_PATH", sys.prefix)],
         "PYTHONPATH": [package, *([found] if found else []), os.environ.get("PYTHONPATH", "")],
-        "PATH": [folder / "bin", os.environ["PATH"]],
+        # Scripts begin with `env python3`: that of this environment.
+        "PATH": [folder / "bin", Path(sys.executable).parent, os.environ["PATH"]],
     }
     (folder / "bin").mkdir()
     if found is not None:
