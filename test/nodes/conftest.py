@@ -20,6 +20,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import encode
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.messages import Level
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
@@ -56,8 +57,10 @@ class Bench:
         self._publishers: dict[Topic, Any] = {}
 
     def start(self, make: Callable[..., GuardedNode], **parameters: Any) -> Any:
-        """Make a node under test."""
+        """Make a node under test; drives reach it faster than real time, so updates are awaited."""
         values = {"vehicle": VEHICLE, **parameters}
+        if make is EstimatorNode:
+            values.setdefault("wait_for_update", True)
         node = make(namespace=NAMESPACE, parameter_overrides=overrides(values))
         self.nodes.append(node)
         self.executor.add_node(node)

@@ -73,7 +73,7 @@ def stamp_of(sent):
 
 def equal(bench, drive, policy):
     """Play messages to nodes and to the cores; gives the cores."""
-    estimator = bench.start(EstimatorNode, wait_for_update=True, time_jump_policy=policy.value)
+    estimator = bench.start(EstimatorNode, time_jump_policy=policy.value)
     energy = bench.start(EnergyNode, time_jump_policy=policy.value)
     bench.listen(*HEARD)
     core = chain(JumpRule(policy))

@@ -51,7 +51,7 @@ def drive(bench, node, tenths, **also):
 
 def test_the_estimator_learns_from_odometry_alone(bench):
     node = bench.start(EstimatorNode)
-    bench.listen(topics.POWER_PREDICTED)
+    bench.listen(topics.POWER_PREDICTED, topics.DIAGNOSTICS)
     drive(bench, node, range(60))
     bench.settle()
     assert len(bench.heard[topics.POWER_PREDICTED]) > 50

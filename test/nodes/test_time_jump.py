@@ -31,7 +31,7 @@ def play(bench, estimator, energy, messages):
 
 
 def test_a_bag_in_a_loop_gives_the_same_numbers_again(bench, urban):
-    estimator = bench.start(EstimatorNode, wait_for_update=True)
+    estimator = bench.start(EstimatorNode)
     energy = bench.start(EnergyNode)
     bench.listen(*OUTPUTS)
     drive = [(topic, message) for topic, _, message in urban(30.0)]
@@ -51,7 +51,7 @@ def efficiency(node):
 
 @pytest.mark.parametrize("policy", ["hold", "ignore"])
 def test_other_policies_keep_what_was_learned(bench, urban, policy):
-    estimator = bench.start(EstimatorNode, wait_for_update=True, time_jump_policy=policy)
+    estimator = bench.start(EstimatorNode, time_jump_policy=policy)
     energy = bench.start(EnergyNode, time_jump_policy=policy)
     bench.listen(topics.POWER_SMOOTHED, topics.POWER_MEASURED)
     drive = [(topic, message) for topic, _, message in urban(12.0)]
