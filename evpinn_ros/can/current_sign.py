@@ -32,7 +32,7 @@ class CurrentSign:
     @property
     def told(self) -> bool:
         """Whether there was enough pulling away, braking or charging to judge by."""
-        return self._driving.told or self._charging.told
+        return self._driving.judged or self._charging.judged
 
     @property
     def suspicion(self) -> str | None:

@@ -19,14 +19,14 @@ COVERAGE = 0.9
 GAUSSIAN_QUANTILE = 1.6449  # of |z| at COVERAGE
 RATE = 0.02  # of the logarithm: up by 0.9 of it after a miss, down by 0.1 of it otherwise
 RATIO_RANGE = (0.05, 20.0)
-RECENT = 600  # samples over which coverage is told, a minute at 10 Hz
+RECENT = 600  # samples over which coverage is reported, a minute at 10 Hz
 KEPT = 40.0  # cases that `Chance` is learned from
 PRIOR_CASES = 8.0  # that its prior, true sigmas, weighs
 
 
 @dataclass(slots=True)
 class Chance:
-    """How far something strays by chance: `count` cases seen, sum of `squares` of sigmas."""
+    """Scatter of normalised errors: `count` cases seen, sum of `squares` of sigmas."""
 
     count: float = 0.0
     squares: float = 0.0

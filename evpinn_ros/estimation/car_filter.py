@@ -8,7 +8,7 @@ Slope that no sensor reports is the derivative of a height that stays bounded: a
 process along the road (Rasmussen and Williams, 2006, eq. 4.17), so it has no mean and does not
 compete with rolling resistance. Where height is measured, the process is the error of that height.
 
-While the battery is silent, the predicted energy is a state too: its covariance with all others
+During a battery dropout the predicted energy is a state too: its covariance with all others
 makes its interval exact, however long that lasts.
 """
 
@@ -24,10 +24,10 @@ import numpy as np
 from evpinn_ros.estimation.car_state import (
     CABIN_TIME,
     CAR,
-    DRIVE_BELIEF,
     DRIVE_KEPT,
     DRIVE_STD,
     DRIVES_KEPT,
+    PRIOR_DRIVES,
     ROLL_WARM_TIME,
     SIZE,
     State,
@@ -65,10 +65,10 @@ LOAD_TIME = 300.0  # s
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
 STANDING_NOISE = 150.0  # W over `NOISE_TIME`, what no state explains
-FORCE_NOISE = 40.0  # N over `NOISE_TIME`, likewise while moving
+FORCE_NOISE = 40.0  # N over `NOISE_TIME`, the same while moving
 NOISE_TIME = 1.5  # s within which that forgets itself
 SHARE_NOISE = 0.03  # of the throughput: efficiency is a map, not a number
-BRAKE_NOISE = 0.2  # of the braking energy: how much of it friction takes, no signal tells
+BRAKE_NOISE = 0.2  # of the braking energy: no signal shows the share that friction takes
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
 SCALE_RANGE = (0.05, 50.0)
 MOTOR_NOISE = 0.05  # of the motor's energy, 1-sigma of torque times speed against the wheels
@@ -104,7 +104,7 @@ class CarFilter:
         self._evidence = np.zeros(count)
         self._scale = np.ones(count)
         self._drive_variance = {state: std**2 for state, std in DRIVE_STD.items()}
-        self._drives = DRIVE_BELIEF
+        self._drives = PRIOR_DRIVES
         self.intervals = 0
         self._seconds = 0.0  # of this drive
         self.state = replace_states(self.state, self._drive_variance)
@@ -116,7 +116,7 @@ class CarFilter:
         """Another drive: another road, and other offsets, of which some is as it was.
 
         The variance of what is of a drive is learned from the drive that was (expectation
-        maximisation with a prior of `DRIVE_BELIEF` drives).
+        maximisation with a prior of `PRIOR_DRIVES` drives).
         """
         if self.intervals:
             whole = self.mixture()
@@ -154,7 +154,7 @@ class CarFilter:
         weights = self.weights
         self.state = condition(self.state, seen, outlier_variance(seen, noise, OUTLIER))
         if abs(interval.distance) > STANDSTILL_SPEED * interval.duration:
-            self._judge(seen)  # a standing car says nothing of slopes, winds and their noise
+            self._judge(seen)  # a standing car is not informative on slopes, winds and their noise
         self.intervals += 1
         mean = float(weights @ seen.residual)
         away = seen.residual - mean
@@ -194,14 +194,14 @@ class CarFilter:
 
     @property
     def warmth(self) -> Warmth:
-        """How cold tyres and cabin still are."""
+        """Coldness of tyres and cabin now."""
         return Warmth(
             math.exp(-self._seconds / ROLL_WARM_TIME), math.exp(-self._seconds / CABIN_TIME)
         )
 
     @property
     def constants(self) -> Constants:
-        """What is not learned of the car."""
+        """Constants of the car that are not learned."""
         return self._constants
 
     @property
@@ -258,7 +258,7 @@ class CarFilter:
             np.all(np.isfinite(evidence))
             and np.all((scale >= SCALE_RANGE[0]) & (scale <= SCALE_RANGE[1]))
             and np.all((variances >= 0.0) & (variances <= 1e8))
-            and DRIVE_BELIEF <= drives <= DRIVES_KEPT
+            and PRIOR_DRIVES <= drives <= DRIVES_KEPT
             and 0.0 <= seconds <= 1e7
         ):
             raise ValueError("the saved filter is out of range")

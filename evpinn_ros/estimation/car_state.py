@@ -1,4 +1,4 @@
-"""What is learned of a car and of a drive: the states, their priors and how long each holds.
+"""States learned of a car and of a drive, their priors and how long each holds.
 
 Two levels. What belongs to the *car* lasts. What belongs to the *drive* (wind, tyres, an
 auxiliary load) has a variance of its own, learned from drive to drive, and fades over the drives
@@ -79,10 +79,10 @@ CABIN_TIME = 600.0  # s in which a cabin gets its temperature
 MILD_CELSIUS = 20.0  # neither heated nor cooled
 
 # 1-sigma of what is of one drive, how much of it the next drive still has (the season, a roof
-# box), and how many drives that belief weighs when it is learned.
+# box), and how many drives this prior counts as when the variance is learned.
 DRIVE_STD = {State.ROLL_DRIVE: 0.10, State.AUX_DRIVE: 250.0}
 DRIVE_KEPT = 0.8
-DRIVE_BELIEF = 4.0
+PRIOR_DRIVES = 4.0
 DRIVES_KEPT = 30.0
 
 

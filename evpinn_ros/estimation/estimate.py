@@ -1,4 +1,4 @@
-"""What the estimator says: values that nodes publish and commands print."""
+"""Estimates: values that nodes publish and commands print."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from evpinn_ros.vehicle.identifiable import Identifiable
 
 
 class State(str, Enum):
-    """How far a parameter can be trusted.
+    """Trustworthiness of a parameter.
 
-    `unestimated` while the data say next to nothing of it; `estimating` while they still learn
-    it, or as long as it is mostly prior; `valid` when the data determine it and the value is
-    possible; `stale` when the battery has been silent for long; `invalid` when the signals
+    `unestimated` while the data hold next to no information on it; `estimating` while they still
+    learn it, or as long as it is mostly prior; `valid` when the data determine it and the value is
+    possible; `stale` after a long battery dropout; `invalid` when the signals
     contradict each other, or the value lies where no car of this model can be.
     """
 
@@ -35,7 +35,7 @@ class ParameterEstimate:
         std: 1-sigma.
         prior_share: 0 when all from data, 1 when all from the prior.
         lower: bound from the combinations and eta, mu <= 1, or the limit of the parameter.
-        upper: likewise.
+        upper: the same.
         state: how far to trust it.
         progress: percent of the way to a combination that the data determine.
     """
@@ -86,7 +86,7 @@ class ParameterSet:
 
 
 class PowerKind(str, Enum):
-    """Which of the power topics a value belongs to."""
+    """Power topic that a value belongs to."""
 
     MEASURED = "measured"
     PREDICTED = "predicted"

@@ -47,23 +47,23 @@ from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import RegenForm
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
-BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # silence after which power is only predicted
+BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
 SENSOR_STD = 30.0  # W, 1-sigma of measured power near zero: pack sensors of traction batteries
-SENSOR_SHARE = 0.01  # and of the reading; typical, no car says it on its bus
-STALE_AFTER_NS = 300 * NANOSECONDS  # silence after which parameters count as stale
+SENSOR_SHARE = 0.01  # and of the reading; typical; no car reports it on its bus
+STALE_AFTER_NS = 300 * NANOSECONDS  # dropout after which parameters count as stale
 
 Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class Mode(str, Enum):
-    """Which learner: see `estimation.pinn` and `estimation.paper`."""
+    """Choice of learner: `estimation.pinn` or `estimation.paper`."""
 
     HYBRID = "hybrid"
     PAPER = "paper"
 
 
 class Activity(str, Enum):
-    """What the estimator is doing."""
+    """Present activity of the estimator."""
 
     WAITING = "waiting"
     LEARNING = "learning"
@@ -73,7 +73,7 @@ class Activity(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorSettings:
-    """How to estimate.
+    """Settings of an estimator.
 
     Attributes:
         mode: hybrid or paper.
@@ -92,23 +92,23 @@ class EstimatorSettings:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorStatus:
-    """What a person wants to know of the estimator.
+    """Status of the estimator for diagnostics.
 
     Attributes:
         activity: what it is doing.
         dropped: readings not used, by reason.
         gated: samples not learned from, by reason.
         updates: windowed updates begun.
-        accepted: updates adopted.
-        rejected: updates not adopted, by reason.
+        accepted: updates accepted.
+        rejected: updates rejected, by reason.
         durations: seconds that each of the latest updates took (`worker.DURATIONS_KEPT`).
         report: changes of payload and suspicions.
-        progress: percent told of each parameter.
-        states: how far each parameter can be believed.
+        progress: percent learned of each parameter.
+        states: trustworthiness of each parameter.
         seen: samples learned from, by speed and acceleration.
         band_coverage: share of recent samples inside the 90 % band, by kind of prediction.
         newest_ns: stamp of the newest speed, None before the first.
-        unknown: optional inputs that tell nothing (see `Road.unknown`).
+        unknown: optional inputs without data (see `Road.unknown`).
         stuck: name of the signal that repeats one value (see `signals.stuck`), or None.
     """
 
@@ -161,7 +161,7 @@ class OnlineEstimator:
         self._begin_time()
 
     def begin_next_drive(self) -> None:
-        """What comes is another drive of this car; likewise."""
+        """Begin another drive of this car; the same holds for the stamps."""
         self.handle_time_jump()
         self._learner.end_drive()
 
@@ -189,8 +189,8 @@ class OnlineEstimator:
         taken = self._stream.dropped.total() == before
         if taken:
             self._stuck.push(reading)
-        believed = taken and self._stuck.suspected != BATTERY_STUCK
-        if isinstance(reading, BatteryReading) and believed:
+        usable = taken and self._stuck.suspected != BATTERY_STUCK
+        if isinstance(reading, BatteryReading) and usable:
             power = self._stream.measured_power(reading)
             if power is not None:
                 sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power)
@@ -207,11 +207,11 @@ class OnlineEstimator:
         return found.stale() if self._silent_for(STALE_AFTER_NS) else found
 
     def linear_power(self) -> LinearPower | None:
-        """What forecasts of plans need of the car; None in the paper's mode."""
+        """Linear power model for forecasts of plans; None in the paper's mode."""
         return self._learner.linear_power(self._stream.celsius)
 
     def evidence(self) -> Evidence:
-        """What the data alone say of the parameters (see `estimation.evidence`)."""
+        """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
         return self._learner.evidence()
 
     def noticed(self) -> LearnerReport:
@@ -294,10 +294,10 @@ class OnlineEstimator:
                     self._learner.observe(event.sample, event.power)
                     self._news = True
             case Interval():
-                # Of a silent battery nothing is learned, and its energy must have no holes.
-                silent = math.isnan(event.energy)
-                believed = silent or self._stuck.why_not(event.start_ns, event.end_ns) is None
-                if self.enabled and believed:
+                # Nothing is learned in a dropout, and its energy must have no holes.
+                dropout = math.isnan(event.energy)
+                usable = dropout or self._stuck.why_not(event.start_ns, event.end_ns) is None
+                if self.enabled and usable:
                     self._news |= self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
@@ -325,7 +325,7 @@ class OnlineEstimator:
                 self._bands[kind].learn(sample, event.power - prediction.power, prediction.sigma)
 
     def _tick(self, stamp_ns: int) -> Iterator[ParameterSet]:
-        """Once a second: adopt the last update, begin the next, publish the parameters."""
+        """Once a second: accept the last update, begin the next, publish the parameters."""
         if self._tick_ns is None:
             self._tick_ns = stamp_ns
         if stamp_ns - self._tick_ns < UPDATE_PERIOD_NS:
@@ -364,7 +364,7 @@ class OnlineEstimator:
             self._worker.submit(work)
 
     def _silent_for(self, duration_ns: int) -> bool:
-        """Whether the battery has been silent for this long, by stamps."""
+        """True if the battery has dropped out for this long, by stamps."""
         newest_ns, battery_ns = self._stream.newest_ns, self._stream.battery_ns
         if newest_ns is None or battery_ns is None:
             return True

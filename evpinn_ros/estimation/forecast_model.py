@@ -28,7 +28,7 @@ LEAST_VARIANCE = 1e-12  # of the largest direction's; less is rounding
 def linear_power(
     car: CarFilter, reported: ReportedLoads, vehicle: Vehicle, celsius: float | None
 ) -> LinearPower:
-    """What was learned of the car at an ambient temperature, None where unknown.
+    """Linear power model of the car at an ambient temperature, None where unknown.
 
     Loads that the car reports go from what they are now to what `ReportedLoads` expects, as its
     wandering load does. The slope of the present road is none of a plan's.

@@ -1,4 +1,4 @@
-"""Linear algebra of Gaussian beliefs in batches: predict and condition, knowing nothing of cars.
+"""Linear algebra of Gaussians in batches: predict and condition, independent of cars.
 
 Arrays carry leading axes for the hypotheses of a bank: means have shape (..., n), covariances
 (..., n, n). Functions are pure: they return new arrays.
@@ -107,7 +107,7 @@ def outlier_variance(seen: Innovation, noise: np.ndarray, limit: float) -> np.nd
 
 
 def is_possible(state: Gaussian) -> bool:
-    """Whether a mean and a covariance are finite, of a size, symmetric and not negative."""
+    """True if mean and covariance are finite, of a size, symmetric and not negative."""
     mean, covariance = state
     if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
         return False

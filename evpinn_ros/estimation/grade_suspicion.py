@@ -19,7 +19,7 @@ SUSPECT_SIGMAS, CLEAR_SIGMAS = -3.0, 0.0  # of the climb that energy shows over 
 
 
 class GradeSuspicion:
-    """Whether reported grade has the wrong sign: to climb costs energy.
+    """Detector of a reported grade of the wrong sign: to climb costs energy.
 
     Regressed is the climb that the battery's energy shows on the one that is reported, over the
     road: 1 as it should be, -1 with the sign flipped, 0 for a report that has nothing to do with
@@ -27,7 +27,7 @@ class GradeSuspicion:
     """
 
     def __init__(self) -> None:
-        """Nothing seen, nothing suspected."""
+        """Start without data."""
         self.suspected = False
         self._sums = np.zeros(6)  # of 1, x, y, x^2, x y and y^2 along the road, m
 
@@ -58,7 +58,7 @@ class GradeSuspicion:
         """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
         sums = np.array(state["sums"], dtype=float)
         if sums.shape != self._sums.shape or not np.isfinite(sums).all():
-            raise ValueError("the saved suspicion of grade does not fit")
+            raise ValueError("the saved sums of the grade detector do not fit")
         self.suspected, self._sums = bool(state["suspected"]), sums
 
     def _sigmas(self) -> float | None:

@@ -1,4 +1,4 @@
-"""What the two modes have in common: the interface the online estimator drives."""
+"""Interface of the two modes, which the online estimator drives."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class PowerPrediction(NamedTuple):
 
 
 class LearnerReport(NamedTuple):
-    """What a learner noticed of the car and its signals.
+    """Detections of a learner on the car and its signals.
 
     Attributes:
         payload_change: the last change of payload, None when none was found.
         payload_changes: changes found.
         payload_changes_withdrawn: of them, changes that later data took back.
-        suspicion: name of a fault of the signals that the data speak for, or None.
+        suspicion: name of a fault of the signals that the data suggest, or None.
     """
 
     payload_change: PayloadChange | None = None
@@ -70,22 +70,22 @@ class Learner(Protocol):
         """Work of one windowed update on a snapshot, safe to run in another thread, or None."""
 
     def consider(self, candidate: Any) -> str | None:
-        """Adopt the result of an update, or return the reason why not."""
+        """Accept the result of an update, or return the reason why not."""
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
 
     def evidence(self) -> Evidence:
-        """What the data alone say of the parameters (see `estimation.evidence`)."""
+        """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
 
     def linear_power(self, celsius: float | None) -> LinearPower | None:
-        """What forecasts of plans need of the car at an ambient temperature, None where unknown.
+        """Linear power model for forecasts at an ambient temperature, None where unknown.
 
         None when it is no linear model.
         """
 
     def report(self) -> LearnerReport:
-        """What was noticed of the car and its signals."""
+        """Detections so far."""
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time; keep what was learned."""
@@ -101,7 +101,7 @@ class Learner(Protocol):
 
 
 def gate(sample: Sample, power: float) -> str | None:
-    """Why a sample may not be learned from, or None."""
+    """Reason not to learn from a sample, or None."""
     if sample.speed < REVERSE_SPEED:
         return "reverse"
     if abs(sample.speed) < STANDSTILL_SPEED and power < CHARGING_POWER:

@@ -1,6 +1,6 @@
-"""Where the data lay: how much was learned from at each speed and acceleration.
+"""Data coverage: time learned from at each speed and acceleration.
 
-A parameter that acts at speeds never driven is prior, whatever its value says: drag wants a
+A parameter that acts at speeds never driven is prior, whatever its value: drag wants a
 motorway, mass wants acceleration.
 """
 

@@ -7,7 +7,7 @@ Adam's memory are taken up where they were (warm start) and trained a fixed numb
 the window.
 
 `PaperOptimizer.GAUSS_NEWTON` minimises the same loss over the same network and window. As for any
-power the best parameters are a small least-squares problem (the priors hold what no data tell),
+power the best parameters are a small least-squares problem (priors hold what no data determine),
 it solves for them at the measured power, where the minimum of eq. 22 has them if the network can
 follow, and brings the network to (P + lambda P_physics) / (1 + lambda) by Levenberg-Marquardt in
 the space of residuals (`estimation.gauss_newton`). What the paper leaves open is settled so:
@@ -176,7 +176,7 @@ class PaperLearner:
         return lambda: self._train(before, data)
 
     def consider(self, candidate: Trained) -> str | None:
-        """Adopt every finite update, as the paper does."""
+        """Accept every finite update, as the paper does."""
         if not (
             torch.isfinite(candidate.network.vector()).all()
             and torch.isfinite(candidate.log_scale).all()
@@ -189,7 +189,7 @@ class PaperLearner:
     def parameters(self) -> ParameterSet:
         """Present estimate, its 1-sigma from the curvature of the physics loss and the priors.
 
-        No prior holds the paper's parameters: where the data say nothing, Adam lets them drift.
+        No prior holds the paper's parameters: without data, Adam lets them drift.
         So what lies off the prior without the data's support counts as error too.
         """
         values = self._values(self._trained)

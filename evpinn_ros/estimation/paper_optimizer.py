@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class PaperOptimizer(str, Enum):
-    """How `estimation.paper` trains the network and the parameters on its window."""
+    """Optimizer of `estimation.paper` for the network and the parameters on its window."""
 
     ADAM = "adam"  # as published
     GAUSS_NEWTON = "gauss_newton"  # the same network and loss, much nearer to the minimum

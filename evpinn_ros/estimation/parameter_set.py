@@ -85,7 +85,7 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
 
 
 def deviations(source: Published) -> dict[str, float]:
-    """How far each parameter lies from its prior, in prior sigmas."""
+    """Distance of each parameter from its prior, in prior sigmas."""
     std = np.sqrt(np.diagonal(source.prior.covariance))
     away = (source.now.mean - source.prior.mean) / np.maximum(std, 1e-12)
     return dict(zip(PARAMETER_NAMES, away.tolist(), strict=True))
@@ -169,7 +169,7 @@ def _value(name: str, index: int, source: Published) -> tuple[float, float, Limi
     """Value, 1-sigma and hard limits of a parameter.
 
     eta and mu cannot exceed 1: theirs is a normal distribution of the logarithm cut off there,
-    and near the bound its interval says more than value and sigma.
+    and near the bound its interval is more informative than value and sigma.
     """
     mean = float(source.now.mean[index])
     std = math.sqrt(max(0.0, float(source.now.covariance[index, index])))
@@ -190,9 +190,9 @@ def _value(name: str, index: int, source: Published) -> tuple[float, float, Limi
 def _bounds(name: str, limits: Limits, combined: Mapping[str, _Combined], area: float) -> Limits:
     """Bounds that need no prior of an absolute value: eta <= 1 and mu <= 1 bound the rest.
 
-    With q = eta mu known, eta and mu lie in [q, 1], hence mass in [q, 1] m/eta and likewise C_d;
-    each combination is widened by `BOUND_SIGMAS`. Until the data determine a combination, the
-    limits of the parameter stand.
+    With q = eta mu known, eta and mu lie in [q, 1], hence mass in [q, 1] m/eta, and C_d in the
+    same way; each combination is widened by `BOUND_SIGMAS`. Until the data determine a
+    combination, the limits of the parameter stand.
     """
     regeneration = combined["regeneration"]
     if name in ("c_rr", "p_aux") or regeneration.share > ESTIMATING_BELOW:

@@ -7,7 +7,7 @@ conditioned once a second on the intervals that ended in it, in a thread beside 
 same filter solved again over a window of the last minute, linearised anew, was measured and gains
 nothing. The network's weights return to their prior within ten seconds: its sliding window.
 
-While the battery is silent the network fades and the energy of the intervals, with the exact
+During a battery dropout the network fades and the energy of the intervals, with the exact
 heights and speeds of the weak form, leads: power is corrected by what it missed.
 """
 
@@ -54,7 +54,7 @@ CHARGING = -500.0  # W at standstill, below it the battery is being charged
 
 
 class LearnedCar:
-    """All that is learned of a car from intervals, as one value that an update replaces.
+    """Everything learned of a car from intervals, as one value that an update replaces.
 
     Attributes:
         filter: the states of car and drive.
@@ -135,7 +135,7 @@ class LearnedCar:
         self.payload.forget_time()
 
     def is_finite(self) -> bool:
-        """Whether every number is one."""
+        """True if every number is finite."""
         state = self.filter.state
         return bool(np.isfinite(state.mean).all() and np.isfinite(state.covariance).all())
 
@@ -144,7 +144,7 @@ class EnergyDebt:
     """Power that makes up for what the intervals show the published power missed.
 
     Intervals have heights around a place and exact kinetic energy, but end some seconds ago. While
-    the battery is silent, published power is moved so that its integral follows theirs.
+    the battery drops out, published power is moved so that its integral follows theirs.
     """
 
     def __init__(self) -> None:
@@ -153,7 +153,7 @@ class EnergyDebt:
         self._energy = self._start = self._paid = self._owed = 0.0
 
     def repay(self, stamp_ns: int, power: float) -> float:
-        """What to add to a power, W, at a moment."""
+        """Correction to add to a power, W, at a moment."""
         step = 0.0
         if self._history:
             step = min(max((stamp_ns - self._history[-1][0]) / NANOSECONDS, 0.0), MAX_STEP)
@@ -168,7 +168,7 @@ class EnergyDebt:
         self._start, self._owed, self._paid = self._at(end_ns), 0.0, 0.0
 
     def owe(self, end_ns: int, energy: float) -> None:
-        """The intervals say that so much, J, was spent from the last settlement until here."""
+        """Energy that the intervals account for since the last settlement, J."""
         self._owed = energy - (self._at(end_ns) - self._start)
 
     def _at(self, stamp_ns: int) -> float:
@@ -183,7 +183,7 @@ class PinnLearner:
     """See the module's text."""
 
     def __init__(self, vehicle: Vehicle, *, seed: int = 0) -> None:
-        """Start at the vehicle's priors, with a network that says zero."""
+        """Start at the vehicle's priors, with a network whose output is zero."""
         self._vehicle = vehicle
         self._network = ResidualNetwork(seed)
         self._suspicion = SignSuspicion()
@@ -213,10 +213,10 @@ class PinnLearner:
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of physics and network, W, and of the energy since the battery, 1-sigma, J."""
         power, lasting = self._physics(sample)
-        said = self._network.correct(sample)
-        power += said.power
+        correction = self._network.correct(sample)
+        power += correction.power
         noise = self._car.filter.force_noise() * sample.speed
-        sigma = math.hypot(lasting, noise, STANDING_NOISE, said.sigma)
+        sigma = math.hypot(lasting, noise, STANDING_NOISE, correction.sigma)
         if sample.newest:
             return PowerPrediction(power, sigma)
         power += self._debt.repay(sample.stamp_ns, power)
@@ -274,11 +274,11 @@ class PinnLearner:
         return self._states.judge(now, deviations(found), suspected=self._suspicion.suspected)
 
     def linear_power(self, celsius: float | None) -> LinearPower:
-        """The car as forecasts take it."""
+        """Linear power model of the car for forecasts."""
         return linear_power(self._car.filter, self._car.loads, self._vehicle, celsius)
 
     def evidence(self) -> Evidence:
-        """What the data alone say of the parameters, for populations of cars."""
+        """Likelihood of the parameters without their prior, for populations of cars."""
         return evidence_of(self._car.filter, self._car.sums)
 
     def report(self) -> LearnerReport:
@@ -296,7 +296,7 @@ class PinnLearner:
         self._adopt(self._car)
 
     def end_drive(self) -> None:
-        """What comes is another drive."""
+        """Begin another drive."""
         self.forget_window()
         self._car.begin_drive()
         self._adopt(self._car)
@@ -356,7 +356,7 @@ class PinnLearner:
         return float(found.energy[0]), math.sqrt(max(variance, 0.0))
 
     def _suspected(self) -> str | None:
-        """The signal whose sign the data contradict; without current nothing tells of grade."""
+        """Signal whose sign the data contradict; without current no grade can be checked."""
         if self._suspicion.suspected:
             return CURRENT_SIGN
         return GRADE_SIGN if self._car.grade.suspected else None
@@ -370,7 +370,7 @@ class PinnLearner:
 
 
 def _why_not(interval: Interval) -> str | None:
-    """Why an interval may not be learned from, or None."""
+    """Reason not to learn from an interval, or None."""
     if interval.steps.distance.min() < REVERSED:
         return "reverse"
     standing = interval.distance < STANDSTILL_SPEED * interval.duration

@@ -34,13 +34,13 @@ LASTING = slice(0, State.AUX)  # states of car and drive
 
 @dataclass(slots=True)
 class EnergySums:
-    """What was spent so far, of the most probable hypothesis, and how cold it was.
+    """Energy spent so far, by the most probable hypothesis, and the cold it was spent in.
 
     Attributes:
         driven: at the wheels where they drive, J.
         driven_force: integral of (force over mass)^2 there, m^2/s^3.
-        braked: likewise where they brake, J.
-        braked_force: likewise.
+        braked: the same where they brake, J.
+        braked_force: the same.
         recovered: of `braked`, what recuperation can take, J.
         distance: of this drive, m.
         cold_tyres: of it, how much is to be added for tyres not yet warm, m.
@@ -95,11 +95,11 @@ class EnergySums:
 
 
 class Published(NamedTuple):
-    """The six parameters, eta, mu, mass and C_d as logarithms, with what the prior said.
+    """The six parameters, eta, mu, mass and C_d as logarithms, with their prior.
 
     Attributes:
         now: mean, shape (6,), and covariance, shape (6, 6).
-        prior: likewise, before any drive.
+        prior: the same, before any drive.
         frontal_area: m^2.
     """
 
@@ -129,7 +129,7 @@ def mass_over_eta(car: CarFilter, sums: EnergySums) -> tuple[float, float]:
 
 
 def evidence_of(car: CarFilter, sums: EnergySums) -> Evidence:
-    """What the data alone say of the published parameters, all but p_aux as logarithms.
+    """Likelihood of the published parameters without their prior, all but p_aux as logarithms.
 
     The states are those of car and drive; published parameters stand in place of the first six.
     """
@@ -154,7 +154,7 @@ def evidence_of(car: CarFilter, sums: EnergySums) -> Evidence:
 
 
 def _affine(car: CarFilter, sums: EnergySums, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How the published parameters follow the states about a mean: (6, SIZE) and (6,)."""
+    """Affine map from the states to the published parameters about a mean: (6, SIZE) and (6,)."""
     matrix, offset = np.zeros((6, SIZE)), np.zeros(6)
     matrix[:, PARAMETERS] = np.eye(6)
     eta, mu = math.exp(mean[State.ETA]), math.exp(mean[State.MU])

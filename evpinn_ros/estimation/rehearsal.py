@@ -1,8 +1,8 @@
 """Dropouts of the battery that did not happen: how far the sigma of energy is to be trusted.
 
-While the battery speaks, a copy of the filter goes on without it for `LENGTH` of driving. Then
-what the copy said is held against what was drawn, and the next copy begins. The sigma of a real
-dropout is scaled by how these errors spread (`calibration.Chance`): roads, weather and polled
+While the battery is measured, a copy of the filter goes on without it for `LENGTH` of driving.
+Then its prediction is compared with the energy drawn, and the next copy begins. The sigma of a
+real dropout is scaled by how these errors spread (`calibration.Chance`): roads, weather and polled
 signals err in ways of their own that no variance of the filter holds.
 """
 
@@ -56,6 +56,6 @@ class Rehearsal:
         self._seconds += interval.duration
         self._distance += abs(interval.distance)
         if self._seconds >= LENGTH and self._distance >= LEAST_DISTANCE:
-            said, sigma = without.unmeasured()
-            self.chance.learn(min(abs(self._drawn - said) / sigma, MOST_DEVIATE))
+            predicted, sigma = without.unmeasured()
+            self.chance.learn(min(abs(self._drawn - predicted) / sigma, MOST_DEVIATE))
             self.end()

@@ -1,4 +1,4 @@
-"""What the loads that a car reports, its heater and air conditioning, will draw.
+"""Forecast of the loads that a car reports, its heater and air conditioning.
 
 At an ambient temperature T, a time t into a drive, the mean load is
 
@@ -51,7 +51,7 @@ class ReportedLoads:
 
     @property
     def reports(self) -> bool:
-        """Whether the car ever reported a load."""
+        """True once the car has reported a load."""
         return self._reported
 
     def push(self, load: float, celsius: float | None, step: float) -> None:
@@ -70,7 +70,7 @@ class ReportedLoads:
         self._begin_drive()
 
     def expected(self, celsius: float | None) -> ExpectedLoads:
-        """What to expect at an ambient temperature from now on."""
+        """Expected load at an ambient temperature from now on."""
         if not self._reported:
             return ExpectedLoads(0.0, 0.0, 0.0)
         mean, covariance = self._with_drive()
@@ -113,7 +113,7 @@ class ReportedLoads:
     def _with_drive(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and covariance of the five and of what is of this drive, by its mean load so far.
 
-        So much of a drive says so much of it: the variance of its mean falls with its length.
+        The variance of a drive's mean falls with the length driven.
         """
         mean, covariance = np.append(self._mean, 0.0), np.zeros((6, 6))
         covariance[:-1, :-1], covariance[-1, -1] = self._covariance, DRIVE_STD**2
@@ -122,12 +122,13 @@ class ReportedLoads:
         features = np.append(self._features / self._seconds, 1.0)
         along = covariance @ features
         variance = features @ along + DRIVE_STD**2 * SETTLING / self._seconds
-        surprise = self._energy / self._seconds - features @ mean
-        return mean + along * (surprise / variance), covariance - np.outer(along, along) / variance
+        innovation = self._energy / self._seconds - features @ mean
+        gain = along / variance
+        return mean + gain * innovation, covariance - np.outer(gain, along)
 
 
 def _features(celsius: float | None, seconds: float) -> np.ndarray:
-    """What the five are multiplied with; where nothing tells it is a mild day."""
+    """Features of the five coefficients; an unknown temperature counts as a mild day."""
     away = 0.0 if celsius is None else celsius - HEATED_BELOW
     cold, warm, first = max(0.0, -away), max(0.0, away), math.exp(-seconds / SETTLING)
     return np.array([1.0, cold, cold * first, warm, warm * first])

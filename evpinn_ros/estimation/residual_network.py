@@ -4,13 +4,13 @@ Battery power is P = P_physics(x) + v N(u; w), with N a network of one hidden la
 paper) of speed, acceleration and its profile. All weights are learned by an extended Kalman filter
 at every sample: Gauss-Newton with an arrival cost, one step a sample (Bell and Cathey, 1993).
 
-The prior pulls N to zero, so physics says what it can say (lambda of eq. 22 is the noise's
+The prior pulls N to zero, so physics explains what it can (lambda of eq. 22 is the noise's
 variance over that of the prior). Whether the network counts is learned: it stands beside one that
-says zero, and the two are weighted by their evidence.
+is zero, and the two are weighted by their evidence.
 
 The prior is also what weights return to, within `MEMORY`: the network holds what this road, this
 wind and this place in the map of efficiency have beside the physics. So the last seconds are its
-window, the prior its arrival cost, and it is gone soon after the battery fell silent. A network
+window, the prior its arrival cost, and it is gone soon after a dropout begins. A network
 that lasts was measured beside it and makes dropouts worse (docs/benchmarks.md).
 """
 
@@ -30,12 +30,12 @@ INPUTS = 2 + PROFILE
 INPUT_CENTRE = np.array([10.0, 0.0, *([0.0] * PROFILE)])  # m/s, m/s^2
 INPUT_SCALE = np.array([15.0, 1.2, *([0.5] * PROFILE)])
 SPREAD = np.array([1.2, 1.2, *([0.7] * PROFILE)])  # 1-sigma of the first input weights
-REACH = 1000.0  # N, 1-sigma of the force that the network may say
+REACH = 1000.0  # N, 1-sigma of the force that the network may add
 MEMORY = 10.0  # s of driving in which weights return to the prior
 WEIGHT_STD = 0.5  # of input weights about where they start
 STANDING_NOISE = 150.0  # W, 1-sigma of a sample's power that nothing explains
-FORCE_NOISE = 60.0  # N, likewise while moving
-CORRELATED = 5.0  # samples of 10 Hz that say the same
+FORCE_NOISE = 60.0  # N, the same while moving
+CORRELATED = 5.0  # samples of 10 Hz that count as one
 EVIDENCE_TIME = 300.0  # s of driving over which the networks are judged
 TEMPERATURE = 9.0  # by which the evidence of one sample is blunted: heavy tails
 MOST_LOSS = 20.0
@@ -45,14 +45,14 @@ MOST_EVIDENCE = 1e6  # no saved one is larger
 
 
 class Correction(NamedTuple):
-    """What the network adds to the power of physics, W, and its 1-sigma, W."""
+    """Power that the network adds to that of physics, W, and its 1-sigma, W."""
 
     power: float
     sigma: float
 
 
 class ResidualNetwork:
-    """One network, beside one that says nothing."""
+    """One network, beside one whose output is zero."""
 
     def __init__(self, seed: int = 0) -> None:
         """Start at the prior, with random input weights."""
@@ -65,15 +65,15 @@ class ResidualNetwork:
         outer_std = np.full(UNITS, REACH / math.sqrt(UNITS))
         self._prior = np.concatenate((inner_std, outer_std, [REACH])) ** 2
         self._weights, self._covariance = self._start.copy(), np.diag(self._prior)
-        self._evidence = 0.0  # logarithm of the odds against the silent network
+        self._evidence = 0.0  # logarithm of the odds against the zero network
 
     @property
     def share(self) -> float:
-        """Probability that the network says more than nothing."""
+        """Probability that the network explains more than the zero network."""
         return 1.0 / (1.0 + math.exp(-min(max(self._evidence, -MOST_ODDS), MOST_ODDS)))
 
     def correct(self, sample: Sample) -> Correction:
-        """What the network says of a sample, weighted by its evidence."""
+        """Power that the network adds at a sample, weighted by its evidence."""
         force, gradient = self._output(sample)
         reach = self.share * abs(sample.speed)
         variance = float(gradient @ self._covariance @ gradient)
@@ -87,7 +87,7 @@ class ResidualNetwork:
         self._covariance[np.diag_indices_from(self._covariance)] += (1.0 - keep**2) * self._prior
 
     def learn(self, sample: Sample, residual: float, duration: float) -> None:
-        """Learn what physics left, W, of a sample that stands for some s."""
+        """Learn the residual of physics, W, of a sample that stands for some s."""
         v = abs(sample.speed)
         if v < STANDSTILL_SPEED:
             return
@@ -118,7 +118,7 @@ class ResidualNetwork:
         self._evidence = evidence
 
     def _output(self, sample: Sample) -> tuple[float, np.ndarray]:
-        """Force that the network says, N, and its gradient, shape (weights,)."""
+        """Output of the network, a force, N, and its gradient, shape (weights,)."""
         profile = sample.profile or (0.0,) * PROFILE
         raw = np.array([sample.speed, sample.acceleration, *profile])
         inputs = (raw - INPUT_CENTRE) / INPUT_SCALE

@@ -1,4 +1,4 @@
-"""What was learned, kept between drives: JSON, written atomically, read with suspicion."""
+"""Learned state kept between drives: JSON, written atomically, validated when read."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What a saved state may hold: every number of it is declared here with its range.
+"""Schema of a saved state: every number of it is declared here with its range.
 
 Whoever adds to a state adds it here: a state with other keys is refused, and the tests save and
-restore one. Shapes are those of a state that nothing was learned for. What ranges cannot say
+restore one. Shapes are those of a state that nothing was learned for. What ranges cannot express
 (a covariance is none, a car far from its vehicle file) the parts themselves refuse.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from evpinn_ros.estimation.calibration import RATIO_RANGE
 from evpinn_ros.estimation.car_filter import SCALE_RANGE
-from evpinn_ros.estimation.car_state import DRIVE_BELIEF, DRIVES_KEPT
+from evpinn_ros.estimation.car_state import DRIVES_KEPT, PRIOR_DRIVES
 from evpinn_ros.estimation.gaussian import MOST
 from evpinn_ros.estimation.published import MOST_ENERGY, SUMS
 from evpinn_ros.estimation.residual_network import MOST_EVIDENCE
@@ -51,7 +51,7 @@ HYBRID = {
         "evidence": SUM,
         "scale": Range(*SCALE_RANGE),
         "drive_variance": Range(0.0, 1e8),
-        "drives": Range(DRIVE_BELIEF, DRIVES_KEPT),
+        "drives": Range(PRIOR_DRIVES, DRIVES_KEPT),
         "intervals": Range(0, 10**12, whole=True),
         "seconds": Range(0.0, 1e7),
     },

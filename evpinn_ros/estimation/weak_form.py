@@ -7,7 +7,7 @@ Each step of an interval spends, with wheel energy
 
 T / eta where T > 0 and mu T where T < 0, and beside it the loss of a drivetrain that turns, that
 of force squared, and the standing load. Recuperation fades out below `FADE_SPEED`. Where the bus
-tells motor torque, the motor's energy stands in for T / (what the gears lose), and T is itself
+reports motor torque, the motor's energy stands in for T / (what the gears lose), and T is itself
 measured by it. Instantaneous power is the energy of one step of 1 s, so there is one equation.
 """
 
@@ -26,11 +26,11 @@ from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import CREEPING, FADE_END, FADE_SPEED, MOST_FORCE
 from evpinn_ros.vehicle.physics import GRAVITY
 
-LEAST_STEP = 0.5  # m, over less no force is told
+LEAST_STEP = 0.5  # m, over less the force is not resolved
 
 
 class Constants(NamedTuple):
-    """What is not learned of a car: m^2, 1, and the rolling resistance that C_RR is a share of."""
+    """Constants of a car that are not learned: m^2, 1, and the C_rr of which C_RR is a share."""
 
     frontal_area: float
     rotating_mass_factor: float
@@ -45,7 +45,7 @@ class Constants(NamedTuple):
 
 
 class Warmth(NamedTuple):
-    """How cold tyres and cabin still are, 1 at the start of a drive to 0."""
+    """Coldness of tyres and cabin, from 1 at the start of a drive to 0."""
 
     tyres: float
     cabin: float
@@ -59,9 +59,9 @@ class Spent(NamedTuple):
         gradient: by the states, shape (K, SIZE).
         throughput: sum of the size of what drives and brakes, J, shape (K,).
         wheel_drive: energy of the wheels where they drive, J, shape (K,).
-        wheel_brake: likewise where they brake, positive J.
+        wheel_brake: the same where they brake, positive J.
         force_drive: integral of (force over mass)^2 where they drive, m^2/s^3, shape (K,).
-        force_brake: likewise where they brake.
+        force_brake: the same where they brake.
         recovered: share of the braking energy that recuperation can take, shape (K,).
     """
 

@@ -1,4 +1,4 @@
-"""Where updates are computed: at once in replay, in a thread beside the callbacks on board."""
+"""Workers that compute updates: at once in replay, in a thread beside the callbacks on board."""
 
 from __future__ import annotations
 
@@ -104,5 +104,5 @@ class ThreadWorker:
         self._future = None
 
     def close(self) -> None:
-        """Begin nothing more; the work under way, whose result nobody wants, holds nobody up."""
+        """Begin nothing more; do not wait for the work under way, whose result is not needed."""
         self._executor.shutdown(wait=False, cancel_futures=True)

@@ -7,7 +7,7 @@ from bisect import bisect_left
 import numpy as np
 
 REACH = 75.0  # m to either side over which heights are averaged; GNSS and barometers stray
-LEAST_STEP = 0.5  # m between two heights that are kept; a car that stands tells nothing new
+LEAST_STEP = 0.5  # m between two heights that are kept; a standing car adds none
 LENGTH = 2000.0  # m of road kept
 KNOWN_WITHIN = 300.0  # m since the last height, then the height counts as unknown
 
@@ -37,11 +37,11 @@ class HeightProfile:
                 del column[:surplus]
 
     def known_at(self, odometer: float) -> bool:
-        """Whether heights are measured where the car is."""
+        """True if heights are measured where the car is."""
         return bool(self._odometer) and odometer - self._odometer[-1] < KNOWN_WITHIN
 
     def reaches(self, odometer: float) -> bool:
-        """Whether heights are measured up to a place, so that its average changes no more."""
+        """True if heights are measured up to a place, so that its average changes no more."""
         return bool(self._odometer) and self._odometer[-1] >= odometer
 
     def mean_around(self, odometer: float) -> float | None:

@@ -46,7 +46,7 @@ class Steps(NamedTuple):
         kinetic: difference of v^2 / 2, J/kg.
         climb: difference of height, m; 0 where unknown.
         motor_drive: energy of the motor where it drives, J, NaN while unknown.
-        motor_brake: likewise where it brakes, positive J.
+        motor_brake: the same where it brakes, positive J.
     """
 
     duration: np.ndarray
@@ -181,16 +181,16 @@ class IntervalBuilder:
             self._edges = [edge]
 
     def _ready(self, end: _Edge) -> bool:
-        """Whether all is known, by what may come no more: whatever the order of arrival."""
+        """True if all is known, by what may come no more: whatever the order of arrival."""
         settled_ns = self._speed.newest_ns - self._settled_ns
         if settled_ns - end.stamp_ns > WAIT_NS:
             return True
         after_ns = self._battery.next_ns(end.stamp_ns)
         battery = after_ns is not None and after_ns <= settled_ns
-        silent = settled_ns - end.stamp_ns > self._battery.gap_ns
+        dropout = settled_ns - end.stamp_ns > self._battery.gap_ns
         known = self._height.known_at(self._odometer)
         height = not known or self._height.reaches(end.odometer + REACH)
-        return (battery or silent) and height
+        return (battery or dropout) and height
 
     def _interval(self, edges: list[_Edge]) -> Interval:
         start, end = edges[0], edges[-1]

@@ -4,7 +4,7 @@
   using speed up to `smoothing_lag` after it.
 - `CausalDifferentiator`: acceleration at the newest moment, which has no future to smooth over. It
   learns, from speed alone, the linear combination of past speed differences that best foretells
-  what the smoother will say once it knows more.
+  the output of the smoother once later readings are in.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SMOOTHING_BACK = 0.5  # s of past speed in the local quadratic
 MIN_POINTS = 3  # of a local quadratic: as many as it has coefficients
 LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as "that lag later"
 
-# Spans around a moment of which the acceleration profile tells the slope of speed, s after it.
+# Spans around a moment whose slope of speed is in the acceleration profile, s after it.
 PROFILE_EDGES = np.array([(0.1, 0.3), (-0.3, -0.1), (-0.6, -0.4)])
 PROFILE = len(PROFILE_EDGES)
 
@@ -67,7 +67,7 @@ class SpeedTrack(SignalTrack):
 
         Args:
             start_ns: stamp of a speed.
-            end_ns: likewise, later.
+            end_ns: the same, later.
             head_wind: m/s, see `Sample`.
         """
         first, last = bisect_left(self.stamps, start_ns), bisect_right(self.stamps, end_ns)
@@ -94,7 +94,7 @@ class SpeedTrack(SignalTrack):
 
         Returns:
             Both, or NaN for the acceleration while there are fewer than `MIN_POINTS` speeds, or
-            these lie too close together to tell it.
+            these lie too close together to determine it.
         """
         last = bisect_right(self.stamps, until_ns)
         first = bisect_left(self.stamps, stamp_ns - int(SMOOTHING_BACK * NANOSECONDS) - 1)
@@ -153,7 +153,7 @@ class CausalDifferentiator:
 
     Recursive least squares (Haykin, Adaptive Filter Theory, ch. 10, without forgetting) of the
     smoothed acceleration on the last speed differences. No battery signal is used, so it works
-    and goes on learning while the battery is silent.
+    and goes on learning during a dropout.
     """
 
     def __init__(self) -> None:

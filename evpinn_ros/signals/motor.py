@@ -1,4 +1,4 @@
-"""Mechanical power of the motor, where a bus tells its torque."""
+"""Mechanical power of the motor, where a bus reports its torque."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sensor said at one moment: the values that enter every core of this package.
+"""Readings of a sensor at one moment: the values that enter every core of this package.
 
 Stamps are integer nanoseconds of the moment the car measured the value, never of arrival. Units
 are SI (REP-103). A reading holds no policy: range checks belong to whoever made it, ordering and

@@ -1,4 +1,4 @@
-"""What is known of the road and the air: grade, density, wind, known auxiliary loads."""
+"""Road and air: grade, density, wind, known auxiliary loads."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MAX_AUXILIARY = 50_000.0  # W
 HEATED_BELOW = 20.0  # degrees Celsius outside; that of the room in degree days (VDI 3807)
 GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
 STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
-WIND_STALE_AFTER = 600.0  # s; weather stations tell a mean of ten minutes
+WIND_STALE_AFTER = 600.0  # s; weather stations report a mean of ten minutes
 REFERENCE_CELSIUS = 20.0  # at which vehicle files state air density
 KELVIN = 273.15
 GAS_CONSTANT = 287.05  # J/(kg K), of dry air
@@ -54,7 +54,7 @@ RoadReading: TypeAlias = (
 
 
 def why_impossible(reading: RoadReading) -> str | None:
-    """Why a reading cannot be true, or None."""
+    """Reason why a reading is impossible, or None."""
     match reading:
         case TemperatureReading():
             possible, what = TEMPERATURES[0] <= reading.celsius <= TEMPERATURES[1], "temperature"
@@ -89,7 +89,7 @@ def density_of_air(reference: float, celsius: float | None, pascal: float | None
 
 
 class GradeSource(str, Enum):
-    """Where grade comes from. `auto` takes the IMU if it speaks, else altitude, else none."""
+    """Source of grade. `auto` takes the IMU if there is one, else altitude, else none."""
 
     AUTO = "auto"
     NONE = "none"
@@ -98,7 +98,7 @@ class GradeSource(str, Enum):
 
 
 class Conditions(NamedTuple):
-    """What the surroundings are at a moment.
+    """Surroundings at a moment.
 
     Attributes:
         air_density: kg/m^3.
@@ -200,7 +200,7 @@ class Road:
         """Places, m by the odometer, and heights of the road there, m, not yet given.
 
         Altitudes stand at their own stamps, whenever they come; the integral of pitch stands in
-        for them where the IMU speaks, and goes on from the last of them.
+        for them where the IMU gives them, and goes on from the last of them.
 
         Args:
             stamps: ns, increasing, of moments up to now.
@@ -232,20 +232,20 @@ class Road:
         return wind.head
 
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
-        """Which of grade, temperature, pressure, wind and loads no input tells."""
-        told = {
+        """Those of grade, temperature, pressure, wind and loads that no input gives."""
+        given = {
             "grade": self._fresh_pitch(stamp_ns) or self._altitude_ns is not None,
             "temperature": self._celsius is not None,
             "pressure": self._pascal is not None,
             "wind": self._wind is not None,
             "loads": self._auxiliary is not None,
         }
-        return tuple(name for name, known in told.items() if not known)
+        return tuple(name for name, known in given.items() if not known)
 
     def known_auxiliary(self, stamp_ns: int) -> float:
         """Power of the auxiliary loads the car reports, W, 0 while unknown.
 
-        A heater that reports kilowatts on a warm day is not believed: on five of six real drives
+        A heater that reports kilowatts on a warm day is not plausible: on five of six real drives
         above 20 degrees none of it was drawn, below all of it.
         """
         loads = self._auxiliary
@@ -292,7 +292,7 @@ class _Hill:
         self._covariance[1, 1] += 2 * SLOPE_STD**2 * distance / SLOPE_LENGTH
 
     def see(self, altitude: float) -> None:
-        """Take an altitude, m; those of one place say nothing new."""
+        """Take an altitude, m; those of one place add nothing."""
         if self._mean is None:
             self._mean = np.array([altitude, 0.0])
             return

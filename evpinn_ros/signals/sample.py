@@ -24,7 +24,7 @@ class Sample:
             m/s^2; empty where nothing of it is.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature of the air outside, None while unknown.
-        motor_power: mechanical power of the motor, W, NaN where no bus tells it.
+        motor_power: mechanical power of the motor, W, NaN where no bus reports it.
         newest: whether it is the newest moment, whose future is unknown.
     """
 

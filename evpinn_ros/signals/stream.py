@@ -43,14 +43,14 @@ from evpinn_ros.signals.sample import (
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
 MAX_SPEED = 100.0  # m/s, no production car
 MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
-MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and no power is told
+MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and there is no power
 MAX_VOLTAGE = 2000.0  # V
 MAX_CURRENT = 5000.0  # A
 
 
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
-    """How readings become samples.
+    """Settings by which readings become samples.
 
     Attributes:
         smoothing_lag: s of future speed the smoothed samples may use.
@@ -115,7 +115,7 @@ class SampleStream:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Optional inputs that tell nothing (see `Road.unknown`)."""
+        """Optional inputs without data (see `Road.unknown`)."""
         return self._road.unknown(self.newest_ns or 0)
 
     @property
@@ -130,7 +130,7 @@ class SampleStream:
 
     @property
     def battery_gap_ns(self) -> int:
-        """Nanoseconds without the battery after which it counts as silent, by its own rate."""
+        """Nanoseconds without the battery after which a dropout begins, by its own rate."""
         return self._battery.gap_ns
 
     def measured_power(self, reading: BatteryReading) -> float | None:
@@ -213,7 +213,7 @@ class SampleStream:
             yield SmoothedSample(sample)
 
     def _due(self, stamp_ns: int) -> bool:
-        """Whether a moment is far enough from the last one sampled."""
+        """True if a moment is far enough from the last one sampled."""
         if self._last_moment_ns is None:
             return True
         step = stamp_ns - self._last_moment_ns
@@ -279,7 +279,7 @@ class SampleStream:
 
 
 def _why_unusable(reading: BatteryReading) -> str | None:
-    """Why a battery reading tells no power, or None; voltage or current may be missing."""
+    """Reason why a battery reading gives no power, or None; voltage or current may be missing."""
     voltage, current = reading.voltage, reading.current
     if math.isnan(voltage) and math.isnan(current):
         return "battery_unmeasured"

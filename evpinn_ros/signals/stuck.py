@@ -1,4 +1,4 @@
-"""A sensor that repeats one value while the other says that the car does something else."""
+"""A sensor that repeats one value while the other shows that the car does something else."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ MOVING = 2.0  # m/s
 
 
 class StuckSuspicion:
-    """Whether speed or battery repeat one value to the last bit, against what the other tells."""
+    """Detector of a speed or battery that repeats one value while the other changes."""
 
     def __init__(self) -> None:
-        """Nothing seen, nothing suspected."""
+        """Start without data."""
         self._speed, self._battery = _Repeats(), _Repeats()
         # Why, since when and until when a signal repeated: what lies behind is learned from later.
         self._spoilt: deque[tuple[str, int, int]] = deque(maxlen=SPOILT_KEPT)
@@ -62,7 +62,7 @@ class StuckSuspicion:
         return SPEED_STUCK if moving and self._speed.swing > self._speed_limits[1] else None
 
     def why_not(self, begin_ns: int, end_ns: int) -> str | None:
-        """Why nothing may be learned of a time that lies behind, or None."""
+        """Reason not to learn of a time that lies behind, or None."""
         for reason, first_ns, last_ns in self._spoilt:
             if begin_ns <= last_ns + SETTLES_NS and end_ns >= first_ns - SETTLES_NS:
                 return reason
@@ -79,7 +79,7 @@ class StuckSuspicion:
         self._spoilt.append((reason, found.since_ns, found.newest_ns))
 
     def _in_doubt(self) -> bool:
-        """Whether the speed repeats in motion, if not long enough to be suspected."""
+        """True if the speed repeats in motion, if not long enough to be suspected."""
         speed, fine = self._speed.value, self._step < FINE
         if not (isinstance(speed, float) and abs(speed) > MOVING):
             return False
@@ -89,12 +89,12 @@ class StuckSuspicion:
 
     @property
     def _speed_limits(self) -> tuple[float, float]:
-        """How long a speed repeats, s, through which swing of power, W, before it is suspected."""
+        """Duration, s, and swing of power, W, from which a repeating speed is suspected."""
         return (LONG, POWER_SWING) if self._step < FINE else (COARSE_LONG, COARSE_SWING)
 
 
 class _Repeats:
-    """How long a value repeats, and through what another one went meanwhile."""
+    """Repetition of one value, and the range of another one meanwhile."""
 
     def __init__(self) -> None:
         self.value: Any = None

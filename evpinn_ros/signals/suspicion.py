@@ -16,14 +16,14 @@ SUSPECT_BELOW, CLEAR_ABOVE = -0.5, 0.0  # of the share of power that goes with i
 MOVING = 2.0  # m/s
 
 CHARGE_STEP = 0.02  # of state of charge: more than it creeps by itself while a battery rests
-CHARGE_ENERGY = 1e6  # J: below this a step says more of the car's bookkeeping than of current
+CHARGE_ENERGY = 1e6  # J: below this a step shows the car's bookkeeping rather than current
 STANDING = 0.1  # m/s
 HIGHEST_AT_REST = 20e3  # W, more than heating cabin and battery takes together
 AT_REST_MEMORY = 30.0  # s
 
 
 class SignSuspicion:
-    """Whether current has the wrong sign: to accelerate costs power, in every car.
+    """Detector of current of the wrong sign: to accelerate costs power, in every car.
 
     Followed is the sum of power signed by acceleration over the sum of its size, wherever the car
     pulls away or brakes with more than `HARD`: about +0.9 as it should be, -0.9 with the sign
@@ -31,12 +31,12 @@ class SignSuspicion:
 
     Attributes:
         suspected: the verdict.
-        told: whether there was enough to judge by.
+        judged: whether there was enough to judge by.
     """
 
     def __init__(self) -> None:
-        """Nothing seen, nothing suspected."""
-        self.suspected = self.told = False
+        """Start without data."""
+        self.suspected = self.judged = False
         self._with = self._size = self._seconds = 0.0
 
     def push(self, sample: Sample, power: float, step: float) -> None:
@@ -51,24 +51,24 @@ class SignSuspicion:
             return
         share = self._with / self._size
         self.suspected = bool(share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW))
-        self.told = True
+        self.judged = True
 
     def export(self) -> dict[str, Any]:
         """State to save."""
         sums = [self._with, self._size, self._seconds]
-        return {"suspected": self.suspected, "told": self.told, "sums": sums}
+        return {"suspected": self.suspected, "told": self.judged, "sums": sums}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
         with_, size, seconds = (float(value) for value in state["sums"])
         if not all(map(math.isfinite, (with_, size, seconds))):
-            raise ValueError("the saved suspicion of current is not finite")
-        self.suspected, self.told = bool(state["suspected"]), bool(state["told"])
+            raise ValueError("the saved sums of the current detector are not finite")
+        self.suspected, self.judged = bool(state["suspected"]), bool(state["told"])
         self._with, self._size, self._seconds = with_, size, seconds
 
 
 class ChargeSuspicion:
-    """Whether current has the wrong sign: charging fills the battery, drawing empties it.
+    """Detector of current of the wrong sign: charging fills the battery, drawing empties it.
 
     Two rules. Each `CHARGE_STEP` of the state of charge must go with the sign of the energy that
     flowed meanwhile, moving or not; and a car at rest does not draw more than `HIGHEST_AT_REST`
@@ -76,17 +76,17 @@ class ChargeSuspicion:
 
     Attributes:
         suspected: the verdict.
-        told: whether there was enough to judge by.
+        judged: whether there was enough to judge by.
     """
 
     def __init__(self) -> None:
-        """Nothing seen, nothing suspected."""
-        self.suspected = self.told = False
+        """Start without data."""
+        self.suspected = self.judged = False
         self._charge = math.nan
         self._drawn = self._at_rest = 0.0
 
     def push(self, power: float, charge: float, speed: float, step: float) -> None:
-        """Learn from what the car tells of `step` seconds.
+        """Learn from the readings of `step` seconds.
 
         Args:
             power: drawn from the battery, W.
@@ -99,7 +99,7 @@ class ChargeSuspicion:
         keep = math.exp(-step / AT_REST_MEMORY) if standing else 0.0
         self._at_rest = keep * self._at_rest + (1.0 - keep) * (power if standing else 0.0)
         if abs(self._at_rest) > HIGHEST_AT_REST:
-            self.suspected, self.told = self._at_rest > 0.0, True
+            self.suspected, self.judged = self._at_rest > 0.0, True
 
     def _follow_charge(self, drawn: float, charge: float) -> None:
         self._drawn += drawn
@@ -109,5 +109,5 @@ class ChargeSuspicion:
         if not abs(change) >= CHARGE_STEP:  # nor when it is not known
             return
         if abs(self._drawn) >= CHARGE_ENERGY:
-            self.suspected, self.told = change * self._drawn > 0.0, True
+            self.suspected, self.judged = change * self._drawn > 0.0, True
         self._charge, self._drawn = charge, 0.0

@@ -1,16 +1,16 @@
-"""Tells time that jumped back, as when a bag starts over, from stamps that are merely wrong.
+"""Distinguish time that jumped back, as when a bag starts over, from stamps that are merely wrong.
 
 The one rule for it: nodes, replays and whoever feeds a stream of samples put a `StampGuard` before
-it and do at a `Jump` what their `JumpPolicy` says; behind it time does not go back.
+it and do at a `Jump` what their `JumpPolicy` states; behind it time does not go back.
 
-Stamps decide, because only they say where in the stream the jump is. One stamp that leaps proves
+Stamps decide, because only they show where in the stream the jump is. One stamp that leaps proves
 nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
 the estimator forget a car. When the node's own clock went back as well, one is enough.
 
-A time that was left goes silent: a bag that starts over no longer plays its end. Where stamps leap
-to and fro between two times there are two publishers, and to follow both would be a jump at every
-turn. So from the first return on the one followed now is kept, and what continues the other is
-dropped and counted, until nothing else has come for a while.
+A time that was left has no more readings: a bag that starts over no longer plays its end. Where
+stamps leap to and fro between two times there are two publishers, and to follow both would be a
+jump at every turn. So from the first return on the one followed now is kept, and what continues
+the other is dropped and counted, until nothing else has come for a while.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SECOND_PUBLISHER = "stamps_of_a_second_publisher"
 
 
 class JumpPolicy(str, Enum):
-    """What to do when time jumps back; to ignore it is to drop what is late."""
+    """Reaction to time that jumps back; to ignore it is to drop what is late."""
 
     RESET = "reset"
     HOLD = "hold"
@@ -41,7 +41,7 @@ class JumpPolicy(str, Enum):
 
 
 class JumpRule(NamedTuple):
-    """What to do when time jumps, and the s by which a stamp may differ without being a leap."""
+    """Reaction to a jump of time, and the s by which a stamp may differ without being a leap."""
 
     policy: JumpPolicy = JumpPolicy.RESET
     threshold: float = 2.0
@@ -69,17 +69,17 @@ class _Left:
     Attributes:
         newest_ns: its newest stamp.
         ahead: whether it lies ahead of the time that is followed now.
-        heard_ns: newest stamp of the time followed now when this one was last heard.
-        in_a_row: stamps of its leader since the leader of the time followed now spoke.
+        seen_ns: newest stamp of the time followed now at the latest stamp of this one.
+        in_a_row: stamps of its leader since the last one of the leader of the time followed now.
     """
 
     newest_ns: int
     ahead: bool
-    heard_ns: int
+    seen_ns: int
     in_a_row: int = 0
 
     def continued_by(self, stamp_ns: int, leap_ns: int) -> bool:
-        """Whether a stamp that leaps by this much goes on where this time was left."""
+        """True if a stamp that leaps by this much goes on where this time was left."""
         return (leap_ns > 0) == self.ahead and 0 <= stamp_ns - self.newest_ns <= LEFT_NS
 
 
@@ -149,11 +149,11 @@ class StampGuard:
                 yield from self._leap(stamp_ns, leap_ns)
 
     def _of_a_second_publisher(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
-        """Whether a stamp belongs to a time that was left and is not to be followed again."""
+        """True if a stamp belongs to a time that was left and is not to be followed again."""
         left = self._continued(stamp_ns, leap_ns)
         if left is None or not self._came_back:
             return False
-        left.newest_ns, left.heard_ns = stamp_ns, stamp_ns - leap_ns
+        left.newest_ns, left.seen_ns = stamp_ns, stamp_ns - leap_ns
         left.in_a_row += source == self._leader
         if left.in_a_row > TAKES_OVER:
             self._left.remove(left)
@@ -163,13 +163,13 @@ class StampGuard:
     def _continued(self, stamp_ns: int, leap_ns: int) -> _Left | None:
         """The time left lately that a leaping stamp continues."""
         now_ns = stamp_ns - leap_ns
-        self._left = [each for each in self._left if now_ns - each.heard_ns <= LEFT_NS]
+        self._left = [each for each in self._left if now_ns - each.seen_ns <= LEFT_NS]
         self._came_back &= bool(self._left)
         return next((x for x in self._left if x.continued_by(stamp_ns, leap_ns)), None)
 
     @property
     def _usual_ns(self) -> int:
-        """How far a stamp may be ahead by the last two steps of the leader."""
+        """Largest lead of a stamp by the last two steps of the leader."""
         return USUAL_STEPS * min(self._steps, default=0)
 
     def _confirmed(self, source: object, stamp_ns: int, leap_ns: int, threshold_ns: int) -> bool:
@@ -180,7 +180,7 @@ class StampGuard:
             return False
         if source == self._leader:
             return 0 <= stamp_ns - before[-1] <= AGREE_NS
-        # A leader that speaks clears what is held, so this one has gone on without it for long.
+        # A reading of the leader clears what is kept, so this one has gone on without it for long.
         return leap_ns > 0 and stamp_ns - before[0] >= threshold_ns
 
     def _hold(self, held: _Held) -> None:

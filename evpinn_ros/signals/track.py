@@ -83,7 +83,7 @@ class SignalTrack:
         return self.values[index - 1] + share * (self.values[index] - self.values[index - 1])
 
     def covers(self, start_ns: int, end_ns: int) -> bool:
-        """Whether readings around and within a span leave no gap."""
+        """True if readings around and within a span leave no gap."""
         first = bisect_right(self.stamps, start_ns) - 1
         last = bisect_left(self.stamps, end_ns)
         if first < 0 or last == len(self.stamps):

@@ -30,17 +30,17 @@ UNKNOWN = [math.nan] * 600
 )
 def test_charge_goes_with_the_energy(power, charges, suspected):
     found = fed(power, charges)
-    assert found.told and found.suspected is suspected
+    assert found.judged and found.suspected is suspected
 
 
 @pytest.mark.parametrize("charges", [RISING[:150], UNKNOWN, [0.7] * 600])
 def test_too_little_says_nothing(charges):
-    assert not fed(11_000.0, charges).told
+    assert not fed(11_000.0, charges).judged
 
 
 def test_bookkeeping_at_rest_is_no_charging():
     """A rested battery's charge is corrected upwards while a light burns."""
-    assert not fed(100.0, RISING).told
+    assert not fed(100.0, RISING).judged
 
 
 @pytest.mark.parametrize(
@@ -55,15 +55,15 @@ def test_bookkeeping_at_rest_is_no_charging():
 )
 def test_a_car_at_rest_draws_little(power, speed, told, suspected):
     found = fed(power, UNKNOWN[:120], speed=speed)
-    assert (found.told, found.suspected) == (told, suspected)
+    assert (found.judged, found.suspected) == (told, suspected)
 
 
 def test_a_moment_of_much_is_no_charging():
-    assert not fed(80_000.0, UNKNOWN[:5], speed=0.0).told
+    assert not fed(80_000.0, UNKNOWN[:5], speed=0.0).judged
 
 
 def test_the_verdict_is_withdrawn():
     found = fed(11_000.0, RISING)
     for charge in (RISING[-1] - 0.0001 * second for second in range(600)):
         found.push(11_000.0, charge, math.nan, 1.0)
-    assert found.told and not found.suspected
+    assert found.judged and not found.suspected
