@@ -22,6 +22,7 @@ from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.gaussian import replace_states
+from evpinn_ros.estimation.learner import gate_interval
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
@@ -99,7 +100,7 @@ def read_car(data: str, key: str) -> RecordedCar:
     for drive in car.drives:
         stream = SampleStream(StreamSettings(), car.vehicle.air_density, car.vehicle.motor_ratio)
         found = [e for r in drive.readings for e in stream.push(r) if isinstance(e, Interval)]
-        drives.append([each for each in found if not math.isnan(each.energy)])
+        drives.append([e for e in found if not math.isnan(e.energy) and gate_interval(e) is None])
     return RecordedCar(key, car.vehicle, [drive for drive in drives if drive])
 
 

@@ -16,6 +16,7 @@ from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
+REVERSE_STEP = -0.1  # m, the same for a step of an interval
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
 STATE_VERSION = 6
 
@@ -105,5 +106,15 @@ def gate(sample: Sample, power: float) -> str | None:
     if sample.speed < REVERSE_SPEED:
         return "reverse"
     if abs(sample.speed) < STANDSTILL_SPEED and power < CHARGING_POWER:
+        return "charging"
+    return None
+
+
+def gate_interval(interval: Interval) -> str | None:
+    """Reason not to learn from an interval, or None."""
+    if interval.steps.distance.min() < REVERSE_STEP:
+        return "reverse"
+    standing = interval.distance < STANDSTILL_SPEED * interval.duration
+    if standing and interval.energy < CHARGING_POWER * interval.duration:
         return "charging"
     return None

@@ -28,7 +28,12 @@ from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.forecast_model import linear_power
 from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN, GradeSuspicion
-from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
+from evpinn_ros.estimation.learner import (
+    LearnerReport,
+    PowerPrediction,
+    gate,
+    gate_interval,
+)
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
 from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.estimation.published import EnergySums, evidence_of, published
@@ -42,15 +47,13 @@ from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.suspicion import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
-from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED
+from evpinn_ros.vehicle.physics import GRAVITY
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
 MAX_STEP = 10.0  # s one sample may stand for
 PARKED = 600.0  # s without speed, then it is another drive
 CATCH_UP = 10.0  # s over which power makes up for what the intervals show it missed
 HISTORY = 1000  # published samples that intervals are compared with
-REVERSED = -0.1  # m, a step of an interval that goes back further is not learned from
-CHARGING = -500.0  # W at standstill, below it the battery is being charged
 
 
 class LearnedCar:
@@ -95,7 +98,7 @@ class LearnedCar:
         """Take one more interval, its battery measured or not."""
         conditions = interval.conditions
         self.loads.push(conditions.load, conditions.celsius, interval.duration)
-        reason = _why_not(interval)
+        reason = gate_interval(interval)
         if reason is not None:
             self.gated[reason] += 1
             return
@@ -367,13 +370,3 @@ class PinnLearner:
         if last is None:
             return SAMPLE_STEP
         return min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
-
-
-def _why_not(interval: Interval) -> str | None:
-    """Reason not to learn from an interval, or None."""
-    if interval.steps.distance.min() < REVERSED:
-        return "reverse"
-    standing = interval.distance < STANDSTILL_SPEED * interval.duration
-    if standing and interval.energy < CHARGING * interval.duration:
-        return "charging"
-    return None
