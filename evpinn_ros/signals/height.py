@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,47 @@ REACH = 75.0  # m to either side over which heights are averaged; GNSS and barom
 LEAST_STEP = 0.5  # m between two heights that are kept; a standing car adds none
 LENGTH = 2000.0  # m of road kept
 KNOWN_WITHIN = 300.0  # m since the last height, then the height counts as unknown
+STUCK_AFTER = 1000.0  # m with one altitude; even a flat road is not that level to the digit
+STEEPEST = 0.3  # rise over run of the steepest streets
+LEAP = 30.0  # m more than that between two altitudes; GNSS strays less once it has a fix
+
+
+class Rise(NamedTuple):
+    """Rise of the road, m, and the odometer where it began, m."""
+
+    since: float
+    height: float
+
+
+class AltitudeCheck:
+    """Rise of the road from one altitude to the next, and only where they are measured.
+
+    A receiver without a fix repeats one altitude, often 0, and leaps once it has one. A logged
+    altitude that never moves would otherwise make a hilly commute flat.
+    """
+
+    def __init__(self) -> None:
+        """Start without an altitude."""
+        self._last: tuple[float, float] | None = None  # odometer and altitude, m
+        self._moved_at: float | None = None  # odometer where it last changed, m
+
+    @property
+    def moves(self) -> bool:
+        """True while the altitude changes along the road."""
+        if self._last is None or self._moved_at is None:
+            return False
+        return self._last[0] - self._moved_at <= STUCK_AFTER
+
+    def rise(self, odometer: float, altitude: float) -> Rise | None:
+        """Rise since the last altitude: 0 over a leap, None while the altitude is stuck."""
+        place, before = self._last or (odometer, altitude)
+        self._last, found = (odometer, altitude), altitude - before
+        if found:
+            self._moved_at = odometer
+        if not self.moves:
+            return None
+        leaps = abs(found) > LEAP + STEEPEST * abs(odometer - place)
+        return Rise(place, 0.0 if leaps else found)
 
 
 class HeightProfile:

@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from evpinn_ros.signals.height import LEAP, STEEPEST, AltitudeCheck
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -168,7 +169,7 @@ class Road:
 
     def _begin_heights(self) -> None:
         self._odometer = self._height = 0.0  # m
-        self._datum: float | None = None  # m of height above altitude, None while pitch leads
+        self._check = AltitudeCheck()
         self._placed_ns = -(2**63)  # up to here heights were given
 
     def grade(self, stamp_ns: int) -> float:
@@ -209,16 +210,18 @@ class Road:
         step, self._odometer = odometers[-1] - self._odometer, odometers[-1]
         if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamps[-1]):
             self._height += step * math.sin(self.grade(stamps[-1]))
-            self._datum, self._placed_ns = None, stamps[-1]
+            self._check, self._placed_ns = AltitudeCheck(), stamps[-1]
             yield odometers[-1], self._height
         elif self._source in (GradeSource.AUTO, GradeSource.FIX):
             since_ns = max(self._placed_ns, stamps[0] - 1)
             for stamp_ns in self._altitudes.within(since_ns, stamps[-1] + 1):
-                altitude = self._altitudes.at(stamp_ns) or 0.0
-                if self._datum is None:
-                    self._datum = self._height - altitude
-                self._height, self._placed_ns = altitude + self._datum, stamp_ns
-                yield float(np.interp(stamp_ns, stamps, odometers)), self._height
+                place = float(np.interp(stamp_ns, stamps, odometers))
+                rise = self._check.rise(place, self._altitudes.at(stamp_ns) or 0.0)
+                self._placed_ns = stamp_ns
+                if rise is not None:
+                    yield rise.since, self._height  # not given yet where the altitude was stuck
+                    self._height += rise.height
+                    yield place, self._height
 
     def air_density(self) -> float:
         """Air density, kg/m^3: that of the vehicle file until temperature or pressure is known."""
@@ -234,7 +237,7 @@ class Road:
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
         """Those of grade, temperature, pressure, wind and loads that no input gives."""
         given = {
-            "grade": self._fresh_pitch(stamp_ns) or self._altitude_ns is not None,
+            "grade": self._fresh_pitch(stamp_ns) or self._check.moves,
             "temperature": self._celsius is not None,
             "pressure": self._pascal is not None,
             "wind": self._wind is not None,
@@ -297,6 +300,9 @@ class _Hill:
             self._mean = np.array([altitude, 0.0])
             return
         if self._road < ALTITUDE_STEP:
+            return
+        if abs(altitude - self._mean[0]) > LEAP + STEEPEST * self._road:
+            self._mean[0], self._road = altitude, 0.0  # a receiver that found itself: no slope
             return
         noise = ALTITUDE_STD**2 * max(1.0, ALTITUDE_LENGTH / self._road)
         self._road = 0.0

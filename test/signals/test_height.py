@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from evpinn_ros.signals.height import KNOWN_WITHIN, LENGTH, REACH, HeightProfile
+from evpinn_ros.signals.height import (
+    KNOWN_WITHIN,
+    LEAP,
+    LENGTH,
+    REACH,
+    STUCK_AFTER,
+    AltitudeCheck,
+    HeightProfile,
+)
 
 
 def driven(height, places) -> HeightProfile:
@@ -45,3 +53,20 @@ def test_only_so_much_road_is_kept():
     found = driven(lambda x: 0.1 * x, np.arange(0.0, 20_000.0, 5.0))
     assert found.mean_around(19_000.0) == pytest.approx(1900.0)
     assert found.mean_around(20_000.0 - 3 * LENGTH) is None
+
+
+def test_an_altitude_counts_once_it_has_moved_and_until_it_is_stuck():
+    check = AltitudeCheck()
+    assert check.rise(0.0, 0.0) is None and check.rise(50.0, 0.0) is None
+    assert check.rise(100.0, 2.0) == (50.0, 2.0) and check.moves
+    assert check.rise(100.0 + STUCK_AFTER, 2.0) == (100.0, 0.0)
+    assert check.rise(101.0 + STUCK_AFTER, 2.0) is None and not check.moves
+    assert check.rise(150.0 + STUCK_AFTER, 5.0) == (101.0 + STUCK_AFTER, 3.0)
+
+
+def test_a_leap_is_no_rise():
+    check = AltitudeCheck()
+    check.rise(0.0, 0.0)
+    assert check.rise(10.0, LEAP).height == LEAP
+    assert check.rise(20.0, 1000.0).height == 0.0
+    assert check.rise(30.0, 1001.0).height == 1.0
