@@ -70,7 +70,7 @@ def drive(state: LiveState) -> float:
             if topic not in (SPEED, BATTERY) or now - begin > SECONDS:
                 continue
             state.take(topic, record.message, now)
-            for output in chain.push(to_reading(topic.type_name, record.message)):
+            for output in chain.add_reading(to_reading(topic.type_name, record.message)):
                 for said, message in as_messages(output):
                     if said in WATCHED:
                         state.take(said, message, now)

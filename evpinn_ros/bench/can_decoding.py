@@ -211,7 +211,7 @@ def equal_live(capture: Capture, folder: Path) -> bool:
 
 
 def _decode(decoder: Decoder, frames: Iterable[CanFrame]) -> list[Reading]:
-    return [reading for frame in frames for reading in decoder.push(frame)]
+    return [reading for frame in frames for reading in decoder.decode(frame)]
 
 
 def _equal(battery: list[BatteryReading], by_hand: list[tuple[float, float]]) -> int:

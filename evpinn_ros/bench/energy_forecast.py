@@ -145,5 +145,5 @@ def _measured(readings: Iterable[Reading]) -> float:
     integral = EnergyIntegral()
     for reading in readings:
         if isinstance(reading, BatteryReading):
-            integral.push(reading.stamp_ns, reading.power)
+            integral.append(reading.stamp_ns, reading.power)
     return integral.energy

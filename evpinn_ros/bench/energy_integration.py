@@ -96,7 +96,7 @@ def day_row() -> IntegrationRow:
     power = 8e3 + 15e3 * np.random.default_rng(SEED).standard_normal(DAY * 10 + 1)
     integral, terms = EnergyIntegral(), []
     for tick, watts in enumerate(power.tolist()):
-        step = integral.push(tick * NANOSECONDS // 10, watts)
+        step = integral.append(tick * NANOSECONDS // 10, watts)
         if step is not None:
             terms.append(step.energy)
     exact = math.fsum(terms)
@@ -130,16 +130,16 @@ def _metered(power: np.ndarray) -> float:
     for index in range(0, len(power), 10):
         stamp_ns, watts = index * NANOSECONDS // SAMPLE_RATE, float(power[index])
         if index % SAMPLE_RATE == 0 and (index == 0 or random.random() > GAP_SHARE):
-            meter.push_measured(stamp_ns, watts, 0.0)
+            meter.add_measured(stamp_ns, watts, 0.0)
         noise = kept * noise + NOISE * math.sqrt(1 - kept**2) * random.standard_normal()
-        meter.push_predicted(stamp_ns, (1 + PRIOR_SHARE) * watts + noise, NOISE)
+        meter.add_predicted(stamp_ns, (1 + PRIOR_SHARE) * watts + noise, NOISE)
     return meter.state.consumed
 
 
 def _integral(time: np.ndarray, power: np.ndarray) -> float:
     integral = EnergyIntegral()
     for t, watts in zip(time.tolist(), power.tolist(), strict=True):
-        integral.push(round(t * NANOSECONDS), watts)
+        integral.append(round(t * NANOSECONDS), watts)
     return integral.energy
 
 
@@ -206,7 +206,7 @@ def _through_the_chain(
             if reading.stamp_ns >= next_ns and end_ns - next_ns >= SILENCE * NANOSECONDS:
                 silent.append(_without_battery(chain, readings, index, SILENCE))
                 next_ns += round(STRIDE * NANOSECONDS)
-            for _ in chain.push(reading):
+            for _ in chain.add_reading(reading):
                 pass
         chain.begin_next_drive()
     return silent, whole, slow
@@ -223,7 +223,7 @@ def _without_battery(
         if reading.stamp_ns - begin_ns > seconds * NANOSECONDS:
             break
         if not isinstance(reading, BatteryReading):
-            for _ in fork.push(reading):
+            for _ in fork.add_reading(reading):
                 pass
     after = fork.account.state
     # From the battery's last word, or the first prediction, to the last prediction.
@@ -261,8 +261,8 @@ def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[s
                 continue
             for meter in meters.values():
                 measured = output.kind is PowerKind.MEASURED
-                push = meter.push_measured if measured else meter.push_predicted
-                push(output.stamp_ns, output.power, output.sigma)
+                add = meter.add_measured if measured else meter.add_predicted
+                add(output.stamp_ns, output.power, output.sigma)
     states = {each.value: meter.state for each, meter in meters.items()}
     truth = _battery(readings, readings[0].stamp_ns, next(iter(states.values())).stamp_ns)
     return {
@@ -287,7 +287,7 @@ def _battery(readings: Sequence[Reading], begin_ns: int, end_ns: int) -> EnergyI
     integral = EnergyIntegral()
     for reading in readings:
         if isinstance(reading, BatteryReading) and begin_ns <= reading.stamp_ns <= end_ns:
-            integral.push(reading.stamp_ns, reading.power)
+            integral.append(reading.stamp_ns, reading.power)
     return integral
 
 
@@ -331,9 +331,9 @@ def _kilometres(drives: Sequence[Sequence[Reading]]) -> Iterator[Stretch]:
         energy, road, last = EnergyIntegral(), EnergyIntegral(), Stretch(0.0, 0.0)
         for reading in readings:
             if isinstance(reading, BatteryReading):
-                energy.push(reading.stamp_ns, reading.power)
+                energy.append(reading.stamp_ns, reading.power)
             elif isinstance(reading, SpeedReading):
-                road.push(reading.stamp_ns, abs(reading.speed))
+                road.append(reading.stamp_ns, abs(reading.speed))
             if road.drawn - last.distance >= 1e3:
                 here = Stretch(road.drawn, energy.energy)
                 yield Stretch(here.distance - last.distance, here.energy - last.energy)
@@ -350,9 +350,9 @@ def _capacity_rows(
         gauge.begin_anew()
         for reading in readings:
             if isinstance(reading, BatteryReading):
-                integral.push(reading.stamp_ns, reading.power)
+                integral.append(reading.stamp_ns, reading.power)
                 taken = Uncertain(before + integral.energy, 0.0)
-                gauge.push(reading.stamp_ns, reading.state_of_charge, taken, 0.0)
+                gauge.update(reading.stamp_ns, reading.state_of_charge, taken, 0.0)
         before += integral.energy
     if gauge.learned:
         for word, joules in (("", gauge.capacity.value), (", 1-sigma", gauge.capacity.sigma)):

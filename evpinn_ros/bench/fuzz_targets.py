@@ -221,7 +221,7 @@ def _frames(path: Path) -> None:
     profile = _profiles()[data[0] % len(_profiles())] if data else _profiles()[0]
     bridge = CanBridge(profile, guard=FitGuard(profile, _profiles()))
     for frame in _cut(data):
-        bridge.push(frame)
+        bridge.decode(frame)
     bridge.finish()
     bridge.status(seeds.START)
 

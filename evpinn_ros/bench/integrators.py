@@ -157,7 +157,7 @@ def divided(drive: PowerSeries) -> PowerSeries:
 def _integral(drive: PowerSeries) -> EnergyIntegral:
     integral = EnergyIntegral(float(np.ptp(drive.time)) + 1.0)
     for time, power in zip(drive.time.tolist(), drive.power.tolist(), strict=True):
-        integral.push(round(time * NANOSECONDS), power)
+        integral.append(round(time * NANOSECONDS), power)
     return integral
 
 

@@ -62,7 +62,7 @@ class Predictions:
         """Take a prediction, W, for a stamp that lies `time` after the start of the drive, s."""
         self._rows[kind].add(time, power, sigma, lag)
         if kind is PowerKind.SMOOTHED:
-            self._integral.push(stamp_ns, power)
+            self._integral.append(stamp_ns, power)
             # The Runge-Kutta network integrates no peer: its column stays unknown.
             self._energy.add(time, self._integral.energy, math.nan)
 
@@ -92,7 +92,7 @@ class OnlineBenchmark:
         self._moments: list[tuple[PowerKind, int, float]] = []
         self._stream_s = 0.0
 
-    def push(self, reading: Reading) -> float:
+    def add_reading(self, reading: Reading) -> float:
         """Take one reading; returns s since the first."""
         self._history.add_reading(reading)
         begin = self._clock()

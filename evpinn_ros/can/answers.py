@@ -40,7 +40,7 @@ class AnswerDecoder:
         self._charge_stamp_ns = 0
         self._charge = math.nan
 
-    def push(self, answer: Answer) -> tuple[Reading, ...]:
+    def decode(self, answer: Answer) -> tuple[Reading, ...]:
         """The readings that this answer makes or completes."""
         readings: list[Reading] = []
         values = self._values(answer)

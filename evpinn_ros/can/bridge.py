@@ -104,15 +104,15 @@ class CanBridge:
         self.poller = Poller(profile, send) if profile.requests else None
         self._answers = 0
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings a frame makes known, its own and those held back so far; never raises."""
         if self.poller is not None and self.poller.hears(frame):
             self._answers += 1
-            readings = self.poller.push(frame)
+            readings = self.poller.decode(frame)
             if self._guard is not None:
                 readings = self._guard.pass_answer(readings)
         else:
-            readings = self._decoder.push(frame)
+            readings = self._decoder.decode(frame)
             if self.poller is not None:
                 self.poller.note(frame, readings)
             if self._guard is not None:
@@ -137,10 +137,10 @@ class CanBridge:
     def _watched(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
         for reading in readings:
             if self._sign is not None:
-                self._sign.push(reading)
+                self._sign.add_reading(reading)
             for name, arrivals in self._arrivals.items():
                 if isinstance(reading, _KINDS[name]):
-                    arrivals.push(reading.stamp_ns)
+                    arrivals.record(reading.stamp_ns)
         return readings
 
     def status(self, now_ns: int) -> BridgeStatus:
@@ -192,7 +192,7 @@ class _Arrivals:
         self._last_ns: int | None = None
         self._period_ns = math.nan
 
-    def push(self, stamp_ns: int) -> None:
+    def record(self, stamp_ns: int) -> None:
         self._count += 1
         if self._last_ns is not None:
             self._learn(stamp_ns - self._last_ns)

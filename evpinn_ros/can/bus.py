@@ -295,7 +295,7 @@ class BusReader:
             self._believed = self._interface in OUR_CLOCK and seconds > EPOCH_S
         if self._believed:
             return nanoseconds(seconds)
-        return self._clock.push(nanoseconds(seconds), self._now_ns())
+        return self._clock.convert(nanoseconds(seconds), self._now_ns())
 
     def _close(self, state: BusState) -> None:
         bus, self._bus = self._bus, None

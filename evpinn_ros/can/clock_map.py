@@ -34,7 +34,7 @@ class ClockMap:
         self._offset_ns = self._device_ns = self._now_ns = self._stamp_ns = 0
         self._started = False
 
-    def push(self, device_ns: int, now_ns: int) -> int:
+    def convert(self, device_ns: int, now_ns: int) -> int:
         """The moment of a frame on the node's clock, ns.
 
         Args:

@@ -109,7 +109,7 @@ class ControlUnit:
             params=LINK_OPTIONS,
         )
 
-    def push(self, frame: CanFrame, now_s: float) -> Answer | None:
+    def receive(self, frame: CanFrame, now_s: float) -> Answer | None:
         """The answer that this frame completes; never raises.
 
         Args:

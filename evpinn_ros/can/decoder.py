@@ -50,7 +50,7 @@ class _DroppedError(Exception):
 
 
 class Decoder:
-    """Decodes the frames of one bus. `push` never raises: what cannot be used is counted.
+    """Decodes the frames of one bus. `decode` never raises: what cannot be used is counted.
 
     Attributes:
         known: frames with an id of the profile.
@@ -84,7 +84,7 @@ class Decoder:
                 reader = _Reader(quantity, rule, maker)
                 self._readers.setdefault(rule.key, []).append(reader)
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings in a frame, none when it is of another id or may not be used."""
         readers = self._readers.get((frame.can_id, frame.extended))
         if readers is None:

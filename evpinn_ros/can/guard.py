@@ -78,7 +78,7 @@ class FitGuard:
         """What may be published now that a frame, with these readings in it, was decoded."""
         if self._comparing:
             for decoder in self._decoders.get((frame.can_id, frame.extended), ()):
-                decoder.push(frame)
+                decoder.decode(frame)
         if self._begin_ns is None and self.evidence.frames:
             self._begin_ns = frame.stamp_ns
         begin_ns = frame.stamp_ns if self._begin_ns is None else self._begin_ns

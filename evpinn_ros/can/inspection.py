@@ -130,7 +130,7 @@ class Inspection:
         self._last_ns = 0
         self._candidates = [_Candidate(profile) for profile in profiles]
 
-    def push(self, frame: CanFrame) -> None:
+    def add_frame(self, frame: CanFrame) -> None:
         """Take a frame; never raises."""
         self._frames += 1
         if self._first_ns is None:
@@ -140,11 +140,11 @@ class Inspection:
             self._bits[index] += bits
         key = (frame.can_id, frame.extended)
         if key in self._ids or len(self._ids) < MOST_IDS:
-            self._ids.setdefault(key, _Id()).push(frame)
+            self._ids.setdefault(key, _Id()).add_frame(frame)
         else:
             self._uncounted += 1
         for candidate in self._candidates:
-            candidate.push(frame)
+            candidate.add_frame(frame)
 
     def report(self, end_ns: int | None = None) -> BusReport:
         """What was found; ages count to `end_ns`, or to the newest frame."""
@@ -174,7 +174,7 @@ class _Id:
         self._last_ns = 0
         self._mean = self._squares = 0.0
 
-    def push(self, frame: CanFrame) -> None:
+    def add_frame(self, frame: CanFrame) -> None:
         self._lengths[len(frame.data)] += 1
         if self._count:
             interval = (frame.stamp_ns - self._last_ns) / NANOSECONDS
@@ -209,17 +209,17 @@ class _Candidate:
         self._values: dict[str, _Values] = {}
         self._sign = CurrentSign()
 
-    def push(self, frame: CanFrame) -> None:
+    def add_frame(self, frame: CanFrame) -> None:
         for reading in self._readings(frame):
-            self._sign.push(reading)
+            self._sign.add_reading(reading)
             for name, value in _named_values(reading):
-                self._values.setdefault(name, _Values()).push(value)
+                self._values.setdefault(name, _Values()).record(value)
 
     def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
         if self._asked.hears(frame):
-            return self._asked.push(frame)
+            return self._asked.decode(frame)
         if (frame.can_id, frame.extended) in self._keys:
-            return self._decoder.push(frame)
+            return self._decoder.decode(frame)
         return ()
 
     def fit(self) -> ProfileFit:
@@ -260,9 +260,9 @@ class _Asked:
     def hears(self, frame: CanFrame) -> bool:
         return self._poller.hears(frame)
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         self._frames[frame.can_id, frame.extended] += 1
-        readings = self._poller.push(frame)
+        readings = self._poller.decode(frame)
         for reading in readings:
             self._good.update(name for name, _ in _named_values(reading))
         return readings
@@ -288,7 +288,7 @@ class _Values:
         self._newest = math.nan
         self._lowest, self._highest = math.inf, -math.inf
 
-    def push(self, value: float) -> None:
+    def record(self, value: float) -> None:
         self._count += 1
         self._newest = value
         self._lowest, self._highest = min(self._lowest, value), max(self._highest, value)

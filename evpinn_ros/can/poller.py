@@ -50,7 +50,7 @@ class PollStatus:
 class Poller:
     """One question at a time to each control unit of a profile.
 
-    `run` is for a thread of its own, `push` for the thread that reads the bus; `stop` and
+    `run` is for a thread of its own, `decode` for the thread that reads the bus; `stop` and
     `status` may be called from any other.
 
     Attributes:
@@ -97,17 +97,17 @@ class Poller:
         """Whether the frame is (part of) an answer that the profile knows."""
         return (frame.can_id, frame.extended) in self._units
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings that this frame completes; never raises."""
         with self._changed:
             now_s = self._clock()
             self._heard(frame, now_s)
             unit = self._units[frame.can_id, frame.extended]
             answers = unit.answers
-            answer = unit.push(frame, now_s)
+            answer = unit.receive(frame, now_s)
             if unit.answers > answers:
                 self._restraint.answered()
-            readings = () if answer is None else self._decoder.push(answer)
+            readings = () if answer is None else self._decoder.decode(answer)
             self._observe(readings, now_s)
             if answer is not None and not math.isnan(self._decoder.auxiliary_voltage):
                 self._restraint.auxiliary(self._decoder.auxiliary_voltage, now_s)

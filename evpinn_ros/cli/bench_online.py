@@ -119,7 +119,7 @@ def _run(log: Log, names: Sequence[str]) -> tuple[Run, str | None]:
     reported = 0.0
     with progress_bar(log.path.name, total=None) as progress:
         for reading in source.readings():
-            done = benchmark.push(reading)
+            done = benchmark.add_reading(reading)
             if done - reported >= PROGRESS_STEP:
                 progress(done)
                 reported = done

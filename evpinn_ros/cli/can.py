@@ -99,7 +99,7 @@ def inspect(
         if bitrate is not None:
             options["bitrate"] = bitrate
         interface = interface or "socketcan"
-        reader = BusReader(interface, str(channel), inspection.push, time.time_ns, **options)
+        reader = BusReader(interface, str(channel), inspection.add_frame, time.time_ns, **options)
         name, end_ns, problem = f"{interface} {channel}", *_listen(reader, seconds or LISTEN)
     _print(name, inspection.report(end_ns), bitrate or BITRATE, as_json_text)
     if problem is not None:
@@ -114,7 +114,7 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
         first_ns = frame.stamp_ns if first_ns is None else first_ns
         if seconds is not None and frame.stamp_ns - first_ns > seconds * NANOSECONDS:
             break
-        inspection.push(frame)
+        inspection.add_frame(frame)
     for kind, count in sorted(log.skipped.items()):
         note(f"{path}: {count} frames left out: {kind}")
     return log.problem

@@ -132,7 +132,7 @@ class EnergyAccount:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all, as if nothing had ever been pushed."""
+        """Forget all, as if nothing had ever been counted."""
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
@@ -173,20 +173,20 @@ class EnergyAccount:
         self.begin_next_stretch()
         self.reset_trip()
 
-    def push_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
+    def add_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
         if not power_is_possible(power, sigma):
             self.refused["power_out_of_range"] += 1
             return
         self._see(stamp_ns)
-        self.meter.push_measured(stamp_ns, power, sigma)
+        self.meter.add_measured(stamp_ns, power, sigma)
         ended = self.meter.last_silence
         if ended is not None and ended is not self._seen:
             self._seen = ended
             self.reconciled = reconcile(ended, UNKNOWN)
             self._awaits_charge = (ended, self._charge_before)
 
-    def push_predicted(
+    def add_predicted(
         self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
     ) -> bool:
         """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
@@ -194,22 +194,22 @@ class EnergyAccount:
             self.refused["power_out_of_range"] += 1
             return False
         self._see(stamp_ns)
-        self.meter.push_predicted(stamp_ns, power, sigma, energy_sigma)
+        self.meter.add_predicted(stamp_ns, power, sigma, energy_sigma)
         return True
 
-    def push_speed(self, stamp_ns: int, speed: float) -> None:
+    def add_speed(self, stamp_ns: int, speed: float) -> None:
         """Take a speed, m/s."""
         if not speed_is_possible(speed):
             self.refused["speed_out_of_range"] += 1
             return
-        self.trip.push(stamp_ns, speed, self.meter.state.consumed)
+        self.trip.update(stamp_ns, speed, self.meter.state.consumed)
 
-    def push_battery(self, reading: BatteryReading) -> None:
+    def add_battery(self, reading: BatteryReading) -> None:
         """Take what the battery tells of itself: state of charge, voltage and current."""
-        self.battery.push(reading)
-        self.push_charge(reading.stamp_ns, reading.state_of_charge)
+        self.battery.add_reading(reading)
+        self.add_charge(reading.stamp_ns, reading.state_of_charge)
 
-    def push_charge(self, stamp_ns: int, charge: float) -> None:
+    def add_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
         if not 0.0 <= charge <= 1.0:
             return
@@ -220,7 +220,9 @@ class EnergyAccount:
         lifetime, silent = self.lifetime(), self.meter.silent_at(stamp_ns)
         if not silent:
             self._charge_before = charge
-        self.gauge.push(stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s)
+        self.gauge.update(
+            stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s
+        )
 
     def _see(self, stamp_ns: int) -> None:
         self._newest_ns = max(self._newest_ns, stamp_ns)
@@ -235,7 +237,7 @@ class EnergyAccount:
         error = silence.bridge.energy - by_charge.value
         known = math.hypot(silence.short_sigma, by_charge.sigma)
         if found.comparable:
-            self.meter.lasting.push(error, known, silence.bridge.gross)
+            self.meter.lasting.update(error, known, silence.bridge.gross)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
         self._correction += found.correction

@@ -96,7 +96,7 @@ class BatteryModel:
         """Charge of the full battery, Q, A s."""
         return self._gauge.capacity
 
-    def push(self, reading: BatteryReading) -> None:
+    def add_reading(self, reading: BatteryReading) -> None:
         """Take a reading; of what no battery has, nothing."""
         if 0.0 <= reading.state_of_charge <= 1.0:
             self._charge = reading.state_of_charge
@@ -104,13 +104,13 @@ class BatteryModel:
         if not (MIN_VOLTAGE <= voltage <= MAX_VOLTAGE and abs(current) <= MAX_CURRENT):
             return
         dropped = self._current.dropped
-        self._current.push(reading.stamp_ns, current)
+        self._current.append(reading.stamp_ns, current)
         if self._current.dropped > dropped or math.isnan(self._charge):
             return
         if not self.samples:
             self._begin(voltage)
         taken = Uncertain(self._current.energy, 0.0)
-        self._gauge.push(reading.stamp_ns, self._charge, taken, self._current.gap_s)
+        self._gauge.update(reading.stamp_ns, self._charge, taken, self._current.gap_s)
         if reading.stamp_ns - self._learned_ns >= LEARN_EVERY * NANOSECONDS:
             self._learn(reading.stamp_ns, voltage, current)
 

@@ -97,7 +97,7 @@ class ChargeGauge:
         """1-sigma of one reading, 0..1, from the size of its steps."""
         return self._step / math.sqrt(12.0)
 
-    def push(
+    def update(
         self, stamp_ns: int, charge: float, consumed: Uncertain, unmeasured_s: float | None
     ) -> None:
         """Take a state of charge; one that is not within 0..1 says nothing.

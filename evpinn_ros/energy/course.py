@@ -86,12 +86,12 @@ class Course:
         self._predictions: deque[Prediction] = deque(maxlen=WAITING)
         self._steps: deque[MeasuredStep] = deque(maxlen=WAITING)
 
-    def push_predicted(self, prediction: Prediction) -> Iterator[Correction]:
+    def add_predicted(self, prediction: Prediction) -> Iterator[Correction]:
         """Take a prediction newer than the last; gives the steps that it completes."""
         self._predictions.append(prediction)
         return self._completed()
 
-    def push_measured(self, step: MeasuredStep) -> Iterator[Correction]:
+    def add_measured(self, step: MeasuredStep) -> Iterator[Correction]:
         """Take a step newer than the last; gives it if it is complete."""
         self._steps.append(step)
         return self._completed()

@@ -45,7 +45,7 @@ class EnergyState:
     """What the meter says at one moment. Drawn energy is positive.
 
     Attributes:
-        stamp_ns: newest stamp pushed, 0 before the first.
+        stamp_ns: newest stamp counted, 0 before the first.
         measured: integral of measured power, sigma from the sensor's; power NaN while silent.
         predicted: quadrature of predicted power; for sigma see `energy.uncertainty`. The part of
             it that lasts is counted for the time the battery was silent.
@@ -120,7 +120,7 @@ class EnergyMeter:
         self.reset()
 
     def reset(self) -> None:
-        """Set everything to zero, as if nothing had ever been pushed."""
+        """Set everything to zero, as if nothing had ever been counted."""
         self._measured = EnergyIntegral(self._timeout)
         self._predicted = EnergyIntegral(self._max_gap)
         self._rknn, self._rknn_power = CompensatedSum(), math.nan
@@ -140,7 +140,7 @@ class EnergyMeter:
         self._energy_sigma = math.nan
         self._anchor = self._predicted_parts()
 
-    def push_predicted(
+    def add_predicted(
         self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
     ) -> None:
         """Take one prediction of power.
@@ -154,25 +154,25 @@ class EnergyMeter:
         """
         self._energy_sigma = energy_sigma
         dropped = self._predicted.dropped
-        step = self._predicted.push(stamp_ns, power)
+        step = self._predicted.append(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if self._silent_since_ns is None:
             self._silent_since_ns = stamp_ns
         if self._predicted.dropped == dropped:
-            self._correct(self._course.push_predicted(Prediction(stamp_ns, power, sigma)))
+            self._correct(self._course.add_predicted(Prediction(stamp_ns, power, sigma)))
         if step is None:
             return
         energy = float(self._network.step(step.power, step.power_next, step.dt))
         self._rknn.add(energy)
         self._rknn_power = energy / step.dt
-        self._predicted_error.push(sigma, step.dt)
-        self._silence_error.push(sigma, step.dt)
+        self._predicted_error.integrate(sigma, step.dt)
+        self._silence_error.integrate(sigma, step.dt)
 
-    def push_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
+    def add_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
         dropped, last_ns = self._measured.dropped, self._measured.last_stamp_ns
         last_power = self._measured.last_power
-        step = self._measured.push(stamp_ns, power)
+        step = self._measured.append(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if self._measured.dropped > dropped:
             return
@@ -183,10 +183,10 @@ class EnergyMeter:
             line = Step((stamp_ns - last_ns) / NANOSECONDS, last_power, power)
             if line.dt <= LONGEST:
                 dropout = MeasuredStep(last_ns, stamp_ns, line, ended.bridge)
-                self._correct(self._course.push_measured(dropout))
+                self._correct(self._course.add_measured(dropout))
         else:
-            self._measured_error.push(sigma, step.dt)
-            self._correct(self._course.push_measured(MeasuredStep(last_ns, stamp_ns, step)))
+            self._measured_error.integrate(sigma, step.dt)
+            self._correct(self._course.add_measured(MeasuredStep(last_ns, stamp_ns, step)))
         self._silent_since_ns = stamp_ns
         self._silence_error = CorrelatedError(self._tau)
         self._anchor = self._predicted_parts()

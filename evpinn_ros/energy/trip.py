@@ -115,11 +115,11 @@ class TripLog:
         """Time across which speed was silent, s."""
         return self._speed.gap_s
 
-    def push(self, stamp_ns: int, speed: float, energy: float) -> None:
+    def update(self, stamp_ns: int, speed: float, energy: float) -> None:
         """Take a speed, m/s, and the net energy since whenever, J, at that moment."""
         dropped = self._speed.dropped
         # The integral of speed is distance: one way to deal with gaps and doubled stamps.
-        step = self._speed.push(stamp_ns, abs(speed))
+        step = self._speed.append(stamp_ns, abs(speed))
         if self._speed.dropped > dropped:
             return
         if step is not None and self._energy_before is not None:

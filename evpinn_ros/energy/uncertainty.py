@@ -72,7 +72,7 @@ class CorrelatedError:
         """1-sigma of the energy, J."""
         return math.sqrt(self._variance)
 
-    def push(self, sigma: float, dt: float) -> None:
+    def integrate(self, sigma: float, dt: float) -> None:
         """Integrate over dt, s, with a 1-sigma of power, W, constant in it."""
         tau = self._tau
         relaxed = -math.expm1(-dt / tau)  # 1 - exp(-dt / tau)
@@ -110,7 +110,7 @@ class LastingShare:
         squares = PRIOR_SILENCES * PRIOR_SHARE**2 + self.squares
         return math.sqrt(squares / (PRIOR_SILENCES + self.silences))
 
-    def push(self, error: float, known: float, gross: float) -> None:
+    def update(self, error: float, known: float, gross: float) -> None:
         """Take a silence, if it can tell.
 
         Args:

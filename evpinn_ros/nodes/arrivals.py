@@ -44,7 +44,7 @@ class MessageNumbers:
         self._newest: dict[Hashable, int] = {}
         self._fell: dict[Hashable, float] = {}
 
-    def push(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> Told:
+    def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> Told:
         """Take what rclpy tells of a message.
 
         Args:
@@ -79,7 +79,7 @@ class StampWatch:
         """No stamp yet."""
         self._last: tuple[int, float] | None = None
 
-    def push(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
+    def check(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
         """What is wrong with a stamp, None when nothing is.
 
         Args:

@@ -164,7 +164,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
             if not self.active:
                 return
             self.received[topic] += 1
-            lost, by_turns = self._numbers.push(topic, info, self.steady_s())
+            lost, by_turns = self._numbers.record(topic, info, self.steady_s())
             if lost:
                 self.bad[f"{topic.name}: lost"] += lost
             if by_turns:
@@ -261,7 +261,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
             usual: reasons of which nobody need be told now; they are counted all the same.
         """
         bad = {**self.bad, **(dropped or {})}
-        lately = self._lately.push(self.steady_s(), {**bad, **(told_elsewhere or {})})
+        lately = self._lately.update(self.steady_s(), {**bad, **(told_elsewhere or {})})
         told = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
         fault, at = self._newest_fault
         recent = fault if at > self.steady_s() - LATELY else None

@@ -184,7 +184,7 @@ class CanBridgeNode(GuardedNode):
         if self._record is not None:
             self._record.append((self.now_ns(), frame))
         with self._lock:
-            readings = self._bridge.push(frame)
+            readings = self._bridge.decode(frame)
         for reading in readings:
             self.publish(_messages(reading))
 

@@ -54,7 +54,7 @@ class Lately:
         """Nothing counted yet."""
         self._looks: deque[tuple[float, Mapping[str, int]]] = deque([(-math.inf, {})])
 
-    def push(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
+    def update(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
         """What was added in the last `LATELY` seconds by `now`, s, of a clock that never jumps."""
         self._looks.append((now, dict(counts)))
         while self._looks[1][0] <= now - LATELY:

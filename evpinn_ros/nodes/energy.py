@@ -166,15 +166,15 @@ class EnergyNode(GuardedNode):
             if isinstance(passed, Jump):
                 self._on_jump(passed)
             else:
-                self._push(*passed)
+                self._count(*passed)
 
-    def _push(
+    def _count(
         self, topic: Topic, stamp_ns: int, power: float, sigma: float, energy_sigma: float
     ) -> None:
         if topic is topics.POWER_MEASURED:
-            self.account.push_measured(stamp_ns, power, sigma)
+            self.account.add_measured(stamp_ns, power, sigma)
             return
-        if not self.account.push_predicted(stamp_ns, power, sigma, energy_sigma):
+        if not self.account.add_predicted(stamp_ns, power, sigma, energy_sigma):
             return
         self.forecaster.hear_sigma(sigma)
         self.publish(energy_messages(new_message, self.account.state))
@@ -221,9 +221,9 @@ class EnergyNode(GuardedNode):
             if isinstance(passed, Jump):
                 self.account.begin_readings_anew()
             elif isinstance(passed, SpeedReading):
-                self.account.push_speed(passed.stamp_ns, passed.speed)
+                self.account.add_speed(passed.stamp_ns, passed.speed)
             else:
-                self.account.push_battery(passed)
+                self.account.add_battery(passed)
 
     def _on_model(self, message: Any) -> None:
         self.forecaster.hear_model(read_model(message, self._vehicle.key))

@@ -139,7 +139,7 @@ class EstimatorNode(GuardedNode):
             reading = to_reading(topic.type_name, message)
         topic = self.stream(topic)
         if topic is topics.SPEED:
-            wrong = self._stamps.push(reading.stamp_ns, self.now_ns(), self.steady_s())
+            wrong = self._stamps.check(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
                 self.notice("stamps", f"{topic.name}: {wrong}")
         rule = jump_rule(self.values)
@@ -147,9 +147,9 @@ class EstimatorNode(GuardedNode):
             if isinstance(item, Jump):
                 self._on_jump(item)
             else:
-                self._push(item)
+                self._learn(item)
 
-    def _push(self, reading: Reading) -> None:
+    def _learn(self, reading: Reading) -> None:
         for output in self.estimator.push(reading):
             self.publish(output_messages(new_message, output))
 

@@ -123,7 +123,7 @@ def _with_frames(found: Contents, log: CanLog, progress: Progress | None) -> Con
     """Add the profile that fits, and what the drive is by it."""
     inspection = Inspection(bundled_profiles(), BITRATE)
     for frame in islice(log.frames(), INSPECTED):
-        inspection.push(frame)
+        inspection.add_frame(frame)
     report = inspection.report()
     profile = report.best.fit.profile if report.best is not None else None
     names = tuple(car.key for car in _vehicles() if profile and car.can_profile == profile)

@@ -94,7 +94,7 @@ class CanLogSource:
         newest = 0
         for frame in self._log.frames():
             newest = max(newest, frame.stamp_ns)
-            for reading in self._bridge.push(frame):
+            for reading in self._bridge.decode(frame):
                 self._decoded += 1
                 yield reading
             if self._bridge.refusal:

@@ -84,7 +84,7 @@ def tell(
     kept += torque
     kept.sort(key=attrgetter("stamp_ns"))
     decoder = Decoder(profile)
-    readings = (reading for frame in kept for reading in decoder.push(frame))
+    readings = (reading for frame in kept for reading in decoder.decode(frame))
     beside = () if on_bus else motors
     return Told(tuple(kept), (*readings, *beside))
 

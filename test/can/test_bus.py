@@ -88,7 +88,7 @@ def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
     for frame, logged in zip(received, LogFile(log).frames(), strict=True):
         assert abs(frame.stamp_ns - time.time_ns()) < 60 * 10**9
         same_time = CanFrame(logged.stamp_ns, frame.can_id, frame.data, frame.extended)
-        assert repr(live.push(same_time)) == repr(offline.push(logged))
+        assert repr(live.decode(same_time)) == repr(offline.decode(logged))
 
 
 class Adapter:

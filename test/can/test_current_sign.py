@@ -27,7 +27,7 @@ def flipped(reading):
 def watched(readings):
     sign = CurrentSign()
     for reading in readings:
-        sign.push(reading)
+        sign.add_reading(reading)
     return sign
 
 

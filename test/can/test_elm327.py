@@ -71,7 +71,7 @@ class Live:
         self.threads = [threading.Thread(target=run) for run in runs]
 
     def _on_frame(self, frame):
-        self.readings += self.bridge.push(frame)
+        self.readings += self.bridge.decode(frame)
 
     def of(self, kind):
         return [reading for reading in self.readings if isinstance(reading, kind)]

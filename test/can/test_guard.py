@@ -24,13 +24,13 @@ def guarded(name, **kwargs):
 
 
 def run(bridge, frames):
-    readings = [reading for frame in frames for reading in bridge.push(frame)]
+    readings = [reading for frame in frames for reading in bridge.decode(frame)]
     return [*readings, *bridge.finish()]
 
 
 def decoded(name, frames):
     decoder = Decoder(PROFILES[name])
-    return [reading for frame in frames for reading in decoder.push(frame)]
+    return [reading for frame in frames for reading in decoder.decode(frame)]
 
 
 @pytest.mark.parametrize("patient", [False, True])
@@ -46,7 +46,7 @@ def test_a_right_profile_loses_nothing(name, patient, bus):
 def test_a_right_profile_speaks_within_a_second(name, bus):
     _, bridge = guarded(name)
     frames = bus(name)
-    first = next(frame for frame in frames if bridge.push(frame))
+    first = next(frame for frame in frames if bridge.decode(frame))
     assert first.stamp_ns - frames[0].stamp_ns < SECOND
 
 
@@ -194,7 +194,7 @@ def test_noise_under_a_profile_without_checksums_is_refused_before_it_speaks(min
 
 def decoded_by(profile, frames):
     decoder = Decoder(profile)
-    return [reading for frame in frames for reading in decoder.push(frame)]
+    return [reading for frame in frames for reading in decoder.decode(frame)]
 
 
 def test_a_car_that_stands_still_and_never_changes_is_believed(mine):
@@ -208,7 +208,7 @@ def test_a_car_that_stands_still_and_never_changes_is_believed(mine):
 def test_the_end_of_a_short_log_lets_out_what_was_held(mine):
     frame = Encoder(mine).battery(BatteryReading(0, 380.0, -1.0))
     bridge = CanBridge(mine, guard=FitGuard(mine, ALL))
-    assert bridge.push(frame) == ()
+    assert bridge.decode(frame) == ()
     text = bridge.status(0).text
     assert text == "weighing whether the profile fits: 2 readings held back"
     assert len(bridge.finish()) == 2 and bridge.finish() == ()

@@ -134,8 +134,8 @@ def test_the_battery_at_the_end_rests_on_the_capacity_that_was_learned(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
     half = VEHICLE.battery_capacity / 2
-    node.account.gauge.push(1, 0.9, Uncertain(0.0, 0.0), 0.0)
-    node.account.gauge.push(2, 0.5, Uncertain(0.4 * half, 0.0), 0.0)
+    node.account.gauge.update(1, 0.9, Uncertain(0.0, 0.0), 0.0)
+    node.account.gauge.update(2, 0.5, Uncertain(0.4 * half, 0.0), 0.0)
     learned = node.account.gauge.capacity
     assert learned.value < 0.95 * VEHICLE.battery_capacity
     charge(bench, node, 0.5)

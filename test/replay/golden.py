@@ -99,7 +99,7 @@ def outputs(drive: Drive) -> Record:
                 for place, number in enumerate(numbers(message)):
                     record[topic, place, str(due)] = number
             due += EVERY
-        for output in chain.push(reading):
+        for output in chain.add_reading(reading):
             latest |= {topic.name: message for topic, message in messages(output)}
     return record
 

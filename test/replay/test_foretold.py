@@ -96,7 +96,7 @@ def test_energy_has_its_sigma(readings, vehicle):
     )
     for reading in readings[:400]:
         history.add_reading(reading)
-        for output in chain.push(reading):
+        for output in chain.add_reading(reading):
             history.add_output(output)
     drive = history.drive()
     assert drive.energy.shape[1] == 4 and (np.diff(drive.energy[:, 3]) >= 0).all()

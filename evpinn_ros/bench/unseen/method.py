@@ -68,7 +68,7 @@ class OnlineChain:
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
         """The `power/smoothed` that the reading completes, each with the energy up to it."""
         smoothed: PowerEstimate | None = None
-        for output in self._chain.push(reading):
+        for output in self._chain.add_reading(reading):
             if isinstance(output, PowerEstimate) and output.kind is PowerKind.SMOOTHED:
                 smoothed = output
             elif isinstance(output, EnergyState) and smoothed is not None:
