@@ -69,7 +69,7 @@ class McapPart:
         self.written.add(log_time_ns)
 
     def chunk_is_over(self, log_time_ns: int) -> bool:
-        """Whether a message of this time begins another chunk."""
+        """True if a message of this time begins another chunk."""
         if not self.written.count:
             return False
         elapsed = (log_time_ns - self._chunk_ns) / NANOSECONDS

@@ -76,7 +76,7 @@ class FileBytes:
             raise InputError(f"{self.path}: {error.strerror} at byte {begin}") from error
 
     def _load(self, begin: int, wanted: int) -> bytes:
-        """What is wanted, and as much behind it as a window holds and can be read."""
+        """Bytes wanted, and as many behind them as a window holds and can be read."""
         parts, left = [], max(wanted, WINDOW)
         end = begin + wanted
         try:
@@ -146,7 +146,7 @@ class McapScan:
         return ChunkHead(start_ns, end_ns, size, checksum, name.decode(), first, packed)
 
     def believed(self, position: int) -> bool:
-        """Whether a record that may be what was written begins here; the file may cut it."""
+        """True if a plausible record begins here; the file may cut it."""
         head = self.head(position)
         if head is None:
             return False
@@ -174,7 +174,7 @@ class McapScan:
         )
 
     def _is_attachment(self, position: int, end: int) -> bool:
-        """Whether the lengths in the attachment that begins here add up."""
+        """True if the lengths in the attachment that begins here add up."""
         if end > self.size or end - position > LONGEST_CHUNK:
             return False
         at = position + HEAD.size + 16  # behind two times
@@ -201,7 +201,7 @@ class McapScan:
             position = end
 
     def next_record(self, position: int) -> int:
-        """Where the first record from here on begins that can be believed; else the end."""
+        """Position of the first plausible record from here on; else the end."""
         step = WINDOW // 2
         while position < self.size:
             data = self._file.read(position, step + HEAD.size)
@@ -214,7 +214,7 @@ class McapScan:
         return self.size
 
     def begun(self, position: int, following: int, near_ns: int) -> bool:
-        """Whether a record seems to begin here that is damaged itself, up to the following one.
+        """True if a damaged record seems to begin here and to reach up to the following one.
 
         If not, the length of the record before was wrong. `near_ns` is a log time before it.
         """
@@ -237,7 +237,7 @@ class McapScan:
         )
 
     def _certain(self, position: int) -> bool:
-        """Whether the record that begins here is believed without another before it."""
+        """True if the record that begins here is plausible without another before it."""
         if not self.believed(position):
             return False
         opcode, end = self.head(position) or (0, 0)

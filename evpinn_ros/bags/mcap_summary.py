@@ -1,4 +1,4 @@
-"""Where the chunks of a sound MCAP file lie: from the index at its end, by the mcap library."""
+"""Index of the chunks of a sound MCAP file, read from its end by the mcap library."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the
 
 @dataclass(slots=True)
 class SoundFile:
-    """What is known of a file before its messages are read.
+    """Facts of a file that are known before its messages are read.
 
     Attributes:
         definitions: of schemas and channels.
@@ -52,7 +52,7 @@ class SoundFile:
 
 @dataclass(slots=True)
 class Summary:
-    """What the end of a file says; of a damaged one, as far as it can be read.
+    """Summary at the end of a file; of a damaged one, as far as it can be read.
 
     Attributes:
         start: where it begins.
@@ -70,7 +70,7 @@ class Summary:
 
 
 def sound_file(file: FileBytes) -> SoundFile | None:
-    """What the end of a file says of it; None when anything there is missing, or contradicts.
+    """Read the summary at a file's end; None when anything there is missing, or contradicts.
 
     The checksum of the summary must hold, and the records before it must follow each other from
     chunk to chunk as it says; the checksum of a chunk is looked at when that is read.

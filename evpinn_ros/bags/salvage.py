@@ -1,4 +1,4 @@
-"""What a broken MCAP file still holds, piece by piece, and what was lost between the pieces."""
+"""Pieces of a broken MCAP file that are still whole, and the losses between them."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ class Salvage:
             self.stated = summary.statistics.message_count
 
     def _gap(self, begin: int) -> tuple[list[Found], int]:
-        """What lies from a damaged record to the next whole one."""
+        """Loss from a damaged record to the next whole one."""
         opcode, stop = self._scan.head(begin) or (0, self._file.size + 1)
         end = self._scan.next_record(begin + 1)
         if end <= self._indexed_to:

@@ -18,7 +18,7 @@ VERSION = 9  # of metadata.yaml: Jazzy
 
 
 class Storage(str, Enum):
-    """How a rosbag2 bag keeps its messages."""
+    """Storage format of a rosbag2 bag."""
 
     MCAP = "mcap"
     SQLITE3 = "sqlite3"

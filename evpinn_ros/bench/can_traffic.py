@@ -176,11 +176,11 @@ class Worker:
         self._process.join()
 
     def done(self) -> bool:
-        """Whether `result` need not wait."""
+        """True if `result` need not wait."""
         return self._answer.poll()
 
     def result(self) -> Any:
-        """What the function returned.
+        """Result of the function.
 
         Raises:
             InputError: it failed; the process said why.

@@ -63,7 +63,7 @@ class Foretold:
 
     @property
     def covered(self) -> bool:
-        """Whether the 90 % band holds the truth."""
+        """True if the 90 % band holds the truth."""
         return abs(self.forecast_j - self.measured_j) <= GAUSSIAN_QUANTILE * self.sigma_j
 
 

@@ -1,4 +1,4 @@
-"""How well energy is counted: quadrature, gaps, a silent battery, the distance to empty.
+"""Accuracy of counted energy: quadrature, gaps, battery dropouts, the distance to empty.
 
 Recorded drives go through the chain in order, as on board: what was learned is carried over. At
 every `STRIDE` of a drive a copy of the chain goes on without the battery for `SILENCE`, and one
@@ -215,7 +215,7 @@ def _through_the_chain(
 def _without_battery(
     chain: Chain, readings: Sequence[Reading], begin: int, seconds: float
 ) -> Counted:
-    """What a copy of the chain counts from a reading on, the battery withheld."""
+    """Count of a copy of the chain from a reading on, the battery withheld."""
     fork = copy.deepcopy(chain)
     before = fork.account.state
     begin_ns = readings[begin].stamp_ns
@@ -272,7 +272,7 @@ def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[s
 
 
 def _heard_seconds(readings: Sequence[Reading]) -> np.ndarray:
-    """Whether the battery is heard in each second of a drive, shape (n,)."""
+    """Mask of the seconds of a drive in which the battery is measured, shape (n,)."""
     random = np.random.default_rng(SEED)
     seconds = (readings[-1].stamp_ns - readings[0].stamp_ns) // NANOSECONDS + 1
     hears = np.ones(seconds, dtype=bool)

@@ -1,4 +1,4 @@
-"""How quick forecasts of many profiles are, alone and beside FASTSim on drive cycles."""
+"""Speed of forecasts of many profiles, alone and beside FASTSim on drive cycles."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Scaling:
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What the cars were drawn from, logarithms but for p_aux, and what was found of it."""
+    """Distribution the cars were drawn from, logarithms but for p_aux, and its estimate."""
 
     name: str
     mean: float
@@ -153,7 +153,7 @@ def recovered(
 def _learning(
     fleet: list[CarDrives], out: Path, workers: int, stopped: Callable[[], bool]
 ) -> Iterator[int]:
-    """How many cars are done, after each of them, until stopped."""
+    """Count of cars that are done, after each of them, until stopped."""
     with claimed(out), closing(learn_fleet(fleet, out, LocalExecutor(workers))) as outcomes:
         for count, outcome in enumerate(outcomes, start=1):
             if outcome.problem is not None:

@@ -1,4 +1,4 @@
-"""What the learner is held against: the interface of a peer, and peers that learn nothing.
+"""Peers of the learner: their interface, and baselines that learn nothing.
 
 A peer predicts each sample first and learns from it after, in the order of the stream. All peers
 get what the learner gets: speed, acceleration, grade, air density and known auxiliary loads.

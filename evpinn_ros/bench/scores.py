@@ -1,4 +1,4 @@
-"""What the methods are worth: scores of one log, and of all logs together.
+"""Scores of the methods on one log, and on all logs together.
 
 Every number comes from `replay.scoring`; here they are put side by side and added up.
 """

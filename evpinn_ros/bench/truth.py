@@ -1,4 +1,4 @@
-"""How true the published parameters are: simulated cars, whose truth is known.
+"""Errors of the published parameters: simulated cars, whose truth is known.
 
 Readings of a simulated drive go through the stream and the learning of the car, as in the
 estimator of `mode: hybrid`; its network and its power do not touch the parameters and are left
@@ -87,7 +87,7 @@ class Comparison:
 
     @property
     def covered(self) -> bool:
-        """Whether the interval of 95 % holds the truth.
+        """True if the interval of 95 % holds the truth.
 
         What is learned as a logarithm has its interval there: all but C_rr and p_aux.
         """

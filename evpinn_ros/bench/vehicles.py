@@ -1,4 +1,4 @@
-"""What is believed of a car before driving, held against certificates it was not told."""
+"""Priors of a car before driving, compared with certificates that were withheld."""
 
 from __future__ import annotations
 

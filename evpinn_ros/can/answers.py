@@ -76,7 +76,7 @@ class AnswerDecoder:
         return values
 
     def _late(self, stamp_ns: int, part: str) -> list[BatteryReading]:
-        """What waited for its other half in vain, as a reading of its own."""
+        """Reading of a value that waited for its other half in vain."""
         late = {
             name: at
             for name, at in self._waiting.items()

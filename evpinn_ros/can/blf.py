@@ -53,7 +53,7 @@ class _Bounded:
 
 
 def _sound_until(data: bytes) -> int:
-    """Where the first object begins that is shorter than its own header; else the end."""
+    """Position of the first object that is shorter than its own header; else the end."""
     position = 0
     while True:
         position = data.find(_MARK, position, position + 2 * _PADDING)

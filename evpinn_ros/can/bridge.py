@@ -30,7 +30,7 @@ _KINDS: Mapping[str, type[Reading]] = {"speed": SpeedReading, "battery": Battery
 
 @dataclass(frozen=True, slots=True)
 class SignalStatus:
-    """How one quantity arrives.
+    """Arrival of one quantity: count, rate, age.
 
     Attributes:
         count: readings so far.
@@ -127,7 +127,7 @@ class CanBridge:
 
     @property
     def refusal(self) -> str | None:
-        """Why nothing is let out, and what would fit; None while the profile is not refused."""
+        """Reason why nothing is let out, and what would fit; None while nothing is refused."""
         found = self._guard.contradiction if self._guard is not None else None
         if found is None:
             return None
@@ -162,7 +162,7 @@ class CanBridge:
         )
 
     def _fault(self, signals: Mapping[str, SignalStatus]) -> str | None:
-        """What is wrong with the whole bus, most telling first."""
+        """Fault of the whole bus, the most informative first."""
         decoder, guard = self._decoder, self._guard
         if not decoder.known and not self._answers:
             if not decoder.unknown:
@@ -185,7 +185,7 @@ class CanBridge:
 
 
 class _Arrivals:
-    """When the readings of one quantity came, and how often they usually do."""
+    """Arrival times of the readings of one quantity, and their usual interval."""
 
     def __init__(self) -> None:
         self._count = 0

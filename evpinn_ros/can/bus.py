@@ -49,7 +49,7 @@ DRIVERS: Mapping[str, str] = {
     "udp_multicast": "the Python package msgpack",
     "vector": "Vector's XL Driver Library",
 }
-"""What python-can needs beside itself for the adapters people have most."""
+"""Packages that python-can needs beside itself for the adapters people have most."""
 
 INTERFACES = can.VALID_INTERFACES | {elm327.NAME}
 """Drivers of python-can, and our own."""
@@ -71,7 +71,7 @@ epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counte
 
 
 class BusState(Enum):
-    """What the adapter is doing."""
+    """State of the adapter."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -227,7 +227,7 @@ class BusReader:
                 self._take(message)
 
     def _is_off(self, message: Any) -> bool:
-        """Whether the controller took itself off the bus. Few drivers tell their state."""
+        """True if the controller took itself off the bus. Few drivers report their state."""
         if message is not None and self._interface == "socketcan":
             return bool(message.arbitration_id & SOCKETCAN_BUS_OFF)
         return self._bus.state is can.BusState.ERROR

@@ -20,16 +20,16 @@ from evpinn_ros.can.request import Address, RequestRule
 
 ANSWER_TIMEOUT_S = 1.0
 PENDING_TIMEOUT_S = 5.0
-"""How long to wait for an answer, and for one that the control unit asked to be waited for."""
+"""Time to wait for an answer, and for one that the control unit asked to be waited for."""
 
 LONGEST_WAIT_S = 10.0
-"""How long a control unit may go on asking to be waited for."""
+"""Longest time that a control unit may go on asking to be waited for."""
 
 REFUSALS = 3
 """Refusals in a row after which a request is not made again."""
 
 ANSWERS = ("answered", "short_answer", "pending", "busy", "refused")
-"""What a control unit counts when it spoke, and not noise on its id."""
+"""Counters of a control unit's answers, not of noise on its id."""
 
 LOGGER = "evpinn_ros.isotp"
 LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
@@ -56,7 +56,7 @@ SERVICES = {
     service.request_id(): service
     for service in (CurrentData, ReadDataByLocalIdentifier, ReadDataByIdentifier)
 }
-"""How udsoncan writes each of `evpinn_ros.can.request.READ_SERVICES`."""
+"""Name that udsoncan gives each of `evpinn_ros.can.request.READ_SERVICES`."""
 
 
 @dataclass(frozen=True, slots=True)

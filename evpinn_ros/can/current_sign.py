@@ -1,4 +1,4 @@
-"""Whether the current of a bus has the sign that its profile says."""
+"""Check of a bus's current against the sign that its profile declares."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class CurrentSign:
 
     @property
     def told(self) -> bool:
-        """Whether there was enough pulling away, braking or charging to judge by."""
+        """True if there was enough pulling away, braking or charging to judge by."""
         return self._driving.told or self._charging.told
 
     @property
     def suspicion(self) -> str | None:
-        """What is wrong and what to do about it, in one line; None while all is well."""
+        """Detected fault and its remedy, in one line; None while all is well."""
         if self._driving.suspected:
             why = "to accelerate charges the battery"
         elif self._charging.suspected:

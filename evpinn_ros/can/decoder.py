@@ -24,11 +24,11 @@ STUCK_AFTER = 5
 frames repeat a value now and then, so one repetition proves nothing."""
 
 CHARGE_HOLD_NS = 10 * NANOSECONDS
-"""How long a state of charge is told along with later battery readings. Cars send it about once
+"""Time for which a state of charge goes with later battery readings. Cars send it about once
 a second, in another message; at 100 kW it moves less than 0.5 % in this time."""
 
 TORQUE_HOLD_NS = NANOSECONDS // 5
-"""How long the torque of a second motor is added to that of the first. Cars send both 100 times a
+"""Time for which a second motor's torque is added to that of the first. Cars send both 100 times a
 second; logs of slow adapters hold one of each about every 0.1 s."""
 
 ALONE_AFTER_NS = 2 * NANOSECONDS

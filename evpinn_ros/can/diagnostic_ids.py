@@ -57,12 +57,12 @@ _ANSWERS = {tx: rx for pairs in REQUEST_IDS.values() for tx, rx in pairs.items()
 
 
 def is_request_id(can_id: int, extended: bool) -> bool:
-    """Whether testers send on this id, and no control unit of a car does."""
+    """True if testers send on this id, and no control unit of a car does."""
     return can_id in _ANSWERS and extended == (can_id > LAST_11_BIT_ID)
 
 
 def refusal(tx_id: int, rx_id: int, target: int | None, source: int | None) -> str | None:
-    """Why no request may go to a control unit, None where one may.
+    """Reason why no request may go to a control unit, None where one may.
 
     Args:
         tx_id: id of the requests.

@@ -33,9 +33,9 @@ MOST_BYTES = 4096  # without an end of line; 8 bytes of data make 40
 BANNER = re.compile(rb"ELM327|OBDLink|STN\d", re.IGNORECASE)
 FRAME = re.compile(r"(?:[0-9A-F]{3}|[0-9A-F]{8})(?:[0-9A-F]{2}){0,8}")
 SILENT = {"", "OK", "?", "NO DATA", "STOPPED", "BUFFER FULL", "SEARCHING..."}
-"""What the adapter says of itself and no frame: "?" to a command that it does not know."""
+"""Replies of the adapter that are no frame: "?" to a command that it does not know."""
 FAULTS = ("ERROR", "UNABLE TO CONNECT", "BUS BUSY", "FB ", "<")
-"""What it says of a bus that it cannot read; the end of a line that is damaged, after "<"."""
+"""Replies about a bus that it cannot read; the end of a line that is damaged, after "<"."""
 
 START = ("ATE0", "ATL0", "ATS0", "ATH1", "ATCAF1", "ATCFC1", "ATAT1", "ATCSM1")
 NEEDED = frozenset(("ATE0", "ATH1", "ATCAF1"))
@@ -196,7 +196,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             self._commands.append("ATMA")
 
     def _turn_to(self, address: Address) -> Iterator[tuple[str, str]]:
-        """How to ask one control unit, and to hear it alone."""
+        """Commands to ask one control unit, and to receive it alone."""
         yield "ATSP", self._long if address.extended else self._short
         width = 8 if address.extended else 3
         request = f"{address.tx_id:0{width}X}"
@@ -214,7 +214,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             yield "ATFCSM", "1"
 
     def _to_monitor(self) -> Iterator[tuple[str, str]]:
-        """What to monitor: the bits that all ids have in common."""
+        """Filter to monitor by: the bits that all ids have in common."""
         ids = [each for each in self._broadcast or () if each <= LAST_11_BIT_ID]
         yield "ATSP", self._short
         yield "ATCRA", ""
@@ -272,7 +272,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
 
     @staticmethod
     def _until_prompt(port: Any, seconds: float) -> bytes:
-        """What the adapter says up to its prompt, or within a time."""
+        """Reply of the adapter up to its prompt, or within a time."""
         end, said = time.monotonic() + seconds, b""
         port.timeout = PAUSE_S
         while not said.rstrip().endswith(b">") and time.monotonic() < end:

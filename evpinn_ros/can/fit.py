@@ -1,4 +1,4 @@
-"""How well a profile fits the traffic of a bus, and when the traffic contradicts it.
+"""Fit of a profile to the traffic of a bus, and contradictions between the two.
 
 For each message of the profile the frames that say something are counted. A frame that repeats
 the payload before it says nothing new, and neither does "not available". The rest is *good* when
@@ -24,7 +24,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 SILENT_ON_FIT = "not_available"
 JUMPED = "jumped"
 JUMPS: Mapping[str, tuple[float, float]] = {"speed": (1.0, 15.0), "battery": (40.0, 100.0)}
-"""What the first signal of a quantity cannot change by: at once, and in a second more. No tyre
+"""Largest plausible change of a quantity's first signal: at once, and in a second more. No tyre
 holds 15 m/s^2; 500 A through 0.1 ohm move 50 V."""
 SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are not to be trusted
 
@@ -38,7 +38,7 @@ HOLDS = 0.5  # mean share of the messages heard from which on a profile is worth
 
 @dataclass(frozen=True, slots=True)
 class MessageFit:
-    """What the frames of one message say.
+    """Fit of the frames of one message.
 
     Attributes:
         quantity: of the profile: `speed`, `battery`, `state_of_charge`.
@@ -92,7 +92,7 @@ class MessageFit:
 
 @dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """How well one profile fits.
+    """Fit of one profile.
 
     Attributes:
         profile: its key.
@@ -112,7 +112,7 @@ class ProfileFit:
 
     @property
     def holds(self) -> bool:
-        """What was heard of it fits: a log may hold few of its ids."""
+        """True if its received messages fit: a log may hold few of its ids."""
         shares = [message.share for message in self.messages if message.frames]
         return bool(shares) and sum(shares) / len(shares) > HOLDS
 
@@ -140,7 +140,7 @@ class ProfileFit:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Why a profile cannot be the right one.
+    """Reason why a profile cannot be the right one.
 
     Attributes:
         wrong: quantities of the messages that speak against it.
@@ -187,7 +187,7 @@ class Evidence:
         return sum(tally.frames for tally in self._tallies.values())
 
     def fit(self) -> ProfileFit:
-        """What they say so far."""
+        """Fit by the frames so far."""
         messages = (
             MessageFit(
                 quantity,
@@ -245,7 +245,7 @@ def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
 
 
 def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradiction | None:
-    """Whether the traffic contradicts a profile.
+    """Contradiction between the traffic and a profile, None where there is none.
 
     A profile is contradicted when one of its messages fails, unless its checksums prove it and
     no other profile explains the traffic better (a battery that is switched off is no wrong

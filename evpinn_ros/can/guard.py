@@ -32,7 +32,7 @@ MOST_HELD = 10_000  # readings, should all frames bear one stamp
 
 
 class Verdict(Enum):
-    """What is thought of the profile."""
+    """Verdict on the profile."""
 
     UNDECIDED = "weighing whether the profile fits"
     TRUSTED = "the profile fits"
@@ -75,7 +75,7 @@ class FitGuard:
                 self._compare_with(other)
 
     def pass_on(self, frame: CanFrame, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """What may be published now that a frame, with these readings in it, was decoded."""
+        """Readings to publish now that a frame, with these readings in it, was decoded."""
         if self._comparing:
             for decoder in self._decoders.get((frame.can_id, frame.extended), ()):
                 decoder.decode(frame)
@@ -90,7 +90,7 @@ class FitGuard:
         return self.pass_answer(readings)
 
     def pass_answer(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """What may be published of an answer: it echoes the question, so it is not weighed."""
+        """Readings of an answer to publish: it echoes the question, so it is not weighed."""
         if self.verdict is Verdict.REFUSED:
             self.dropped["contradicted"] += len(readings)
             return ()
@@ -135,7 +135,7 @@ class FitGuard:
         return released
 
     def _is_plain(self) -> bool:
-        """Whether all that can be asked of the first frames is there."""
+        """True if all that can be asked of the first frames is there."""
         if self._patient:
             return False
         messages = [each for each in self.evidence.fit().messages if each.quantity in LEADING]
@@ -143,7 +143,7 @@ class FitGuard:
         return plain and any(message.has_checksum for message in messages)
 
     def _is_torn(self) -> bool:
-        """Whether some message neither holds nor fails."""
+        """True if some message neither holds nor fails."""
         messages = self.evidence.fit().messages
         return any(each.bad and not (each.came_right or each.fails) for each in messages)
 

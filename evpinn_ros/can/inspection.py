@@ -1,4 +1,4 @@
-"""What is on a bus: ids, rates, load, values, and which profile fits; one pass, bounded memory."""
+"""Contents of a bus: ids, rates, load, values, fitting profile; one pass, bounded memory."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ValueStatus:
 
 @dataclass(frozen=True, slots=True)
 class ProfileReport:
-    """What one profile makes of the traffic.
+    """Report of one profile on the traffic.
 
     Attributes:
         fit: how well it fits.
@@ -90,7 +90,7 @@ class ProfileReport:
 
 @dataclass(frozen=True, slots=True)
 class BusReport:
-    """What is on a bus.
+    """Report of a bus's contents.
 
     Attributes:
         duration: from the first frame to the end, s.
@@ -147,7 +147,7 @@ class Inspection:
             candidate.add_frame(frame)
 
     def report(self, end_ns: int | None = None) -> BusReport:
-        """What was found; ages count to `end_ns`, or to the newest frame."""
+        """Findings so far; ages count to `end_ns`, or to the newest frame."""
         end_ns = self._last_ns if end_ns is None else end_ns
         first_ns = end_ns if self._first_ns is None else self._first_ns
         duration = (end_ns - first_ns) / NANOSECONDS

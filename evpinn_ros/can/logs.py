@@ -169,7 +169,7 @@ class LogFile:
 
 
 def _is_possible(message: Any) -> bool:
-    """Whether id and data fit into a frame; the readers take any number that they find."""
+    """True if id and data fit into a frame; the readers take any number that they find."""
     last_id = LAST_EXTENDED_ID if message.is_extended_id else LAST_ID
     possible = 0 <= message.arbitration_id <= last_id and len(message.data) <= LONGEST_DATA
     return possible and abs(message.timestamp) < LAST_TIME

@@ -23,13 +23,13 @@ from evpinn_ros.can.restraint import Leave, Restraint
 from evpinn_ros.signals.readings import Reading
 
 LISTEN_FIRST_S = 1.0
-"""How long the bus is heard before the first question: whoever else sends on its id is found."""
+"""Time to listen before the first question: whoever else sends on its id is found."""
 
 ECHO_S = 1.0
-"""How late an adapter may show us a frame of our own."""
+"""Longest delay after which an adapter may show us a frame of our own."""
 
 LONGEST_SLEEP_S = 0.2
-"""How long `run` may take to notice `stop`, and the end of a rest."""
+"""Longest time that `run` may take to see `stop`, and the end of a rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class Poller:
         self._stopped = threading.Event()
 
     def hears(self, frame: CanFrame) -> bool:
-        """Whether the frame is (part of) an answer that the profile knows."""
+        """True if the frame is (part of) an answer that the profile knows."""
         return (frame.can_id, frame.extended) in self._units
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
@@ -137,7 +137,7 @@ class Poller:
         self._stopped.set()
 
     def status(self) -> PollStatus:
-        """Whether it asks, why not, and the counters so far."""
+        """Status of polling, a reason when it rests, and the counters so far."""
         with self._changed:
             counters: Counter[str] = sum(
                 (unit.counters for unit in self._units.values()), Counter()
@@ -206,7 +206,7 @@ class Poller:
             self._changed.notify()
 
     def _is_foreign(self, frame: CanFrame, now_s: float) -> bool:
-        """Whether somebody else sends where we do; some adapters echo what we sent ourselves."""
+        """True if somebody else sends where we do; some adapters echo what we sent ourselves."""
         if (frame.can_id, frame.extended) not in self._asked_ids:
             return False
         sent_s = self._sent_s.get((frame.can_id, frame.extended, frame.data), -math.inf)

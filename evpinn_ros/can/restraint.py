@@ -1,4 +1,4 @@
-"""When to stop asking, and when to ask again: whoever is asked stays awake, and draws 12 V power.
+"""Pauses of polling, and their end: whoever is asked stays awake, and draws 12 V power.
 
 A stop ends when the car is seen awake: it moves, or its bus, after a silence, carries the traffic
 of many ids again. Each time that this was followed by no answer, the next time is believed later,
@@ -43,7 +43,7 @@ IDLE_FOR_S = 600.0
 
 
 class Leave(Enum):
-    """What may be asked: everything, the 12 V battery alone, nothing."""
+    """Leave to ask: everything, the 12 V battery alone, nothing."""
 
     ALL = auto()
     AUXILIARY = auto()

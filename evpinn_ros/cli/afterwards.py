@@ -20,7 +20,7 @@ from evpinn_ros.errors import InputError
 
 POLL_S = 0.2
 CUT_SHORT_S = 20.0
-"""How long a report may take that was told to end; a service manager kills after 90 s."""
+"""Time that a report may take after SIGTERM; a service manager kills after 90 s."""
 
 TERMINATED = 143  # 128 + SIGTERM, as shells have it
 

@@ -39,7 +39,7 @@ JOULES_PER_WH = 3600.0
 
 
 class Part(str, Enum):
-    """What can be measured by itself."""
+    """Part that can be measured by itself."""
 
     INTEGRATORS = "integrators"
     COUNTING = "counting"

@@ -100,7 +100,7 @@ def _battery_cells(row: BatteryRow) -> Iterator[str]:
 
 
 def counting(cars: Sequence[Sequence[Log]]) -> list[dict[str, Any]]:
-    """How well the chain counts (`bench.energy_integration`); show and give the figures."""
+    """Count by the chain (`bench.energy_integration`); show and give the figures."""
     rows = integration_rows(cars, time.thread_time)
     shown = [
         (f"{row.name} ({row.cases})", f"{row.figure:.3g} {row.unit}", row.goal) for row in rows

@@ -1,4 +1,4 @@
-"""What `evpinn can inspect` found, for people and for scripts."""
+"""Findings of `evpinn can inspect`, for people and for scripts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees: results on stdout, everything else on stderr, progress on a terminal."""
+"""Output to a person: results on stdout, everything else on stderr, progress on a terminal."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _finite(found: Any) -> Any:
 
 
 class RateColumn(ProgressColumn):
-    """How fast it goes: times real time for seconds of a drive, else so many a second."""
+    """Speed of the work: times real time for seconds of a drive, else so many a second."""
 
     def __init__(self, unit: str) -> None:
         """Of what is counted."""

@@ -87,7 +87,7 @@ def _lines(found: Contents) -> Iterator[str]:
 
 
 def _start(found: Contents, begin_ns: int) -> str:
-    """When it began, as far as it tells."""
+    """Start of a recording, as far as it is known."""
     if found.dated == "":
         return ", undated"
     day = ", the day by the file's name" if found.dated == "name" else ""

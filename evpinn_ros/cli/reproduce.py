@@ -40,7 +40,7 @@ QUICK_ENERGY_EPOCHS = 1000
 
 
 class Device(str, Enum):
-    """Where to train."""
+    """Device to train on."""
 
     CPU = "cpu"
     CUDA = "cuda"

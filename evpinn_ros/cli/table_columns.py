@@ -1,4 +1,4 @@
-"""What was made of the columns of a table, in words."""
+"""Use made of the columns of a table, in words."""
 
 from __future__ import annotations
 

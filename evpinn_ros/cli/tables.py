@@ -64,7 +64,7 @@ def titled_table(title: str) -> PlainTable:
 
 
 def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> PlainTable:
-    """What was measured, beside its goal: (name, measured, goal)."""
+    """Table of figures, each beside its goal: (name, measured, goal)."""
     table = titled_table(title)
     table.add_column("")
     for column in ("measured", "goal"):

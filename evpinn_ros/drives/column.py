@@ -100,7 +100,7 @@ def _of_app(quantity: str, header: Sequence[str]) -> dict[int, float]:
 
 
 def is_complete(quantities: set[str]) -> bool:
-    """Whether all that is needed is there: other columns of such a file are not guessed at."""
+    """True if all that is needed is there: other columns of such a file are not guessed at."""
     battery = "power" in quantities or {"voltage", "current"} <= quantities
     return battery and {"time", "speed"} <= quantities
 

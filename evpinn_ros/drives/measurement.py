@@ -70,7 +70,7 @@ def signals_of(path: Path, folder: Path) -> Path | None:
 
 
 def holds_signals(path: Path) -> bool:
-    """Whether an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
+    """True if an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
     with TemporaryDirectory() as folder:
         return signals_of(path, Path(folder)) is not None
 

@@ -299,7 +299,7 @@ class TableDrive:
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
     def _start(self) -> tuple[int, str]:
-        """What is added to the times of the clock, ns, and what tells the date."""
+        """Offset to add to the times of the clock, ns, and the source of the date."""
         clock = self.clock
         stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
         known = stamps[stamps != NONE]
@@ -328,7 +328,7 @@ def _batched(rows: Iterator[tuple[int, list[str]]]) -> Iterator[Batch]:
 
 
 def _styles(survey: Survey) -> dict[int, Style]:
-    """How the numbers of each column are written; where one does not tell, as in the others."""
+    """Number style of each column; an undecided one takes that of the others."""
     found = {place: style_of(cells) for place, cells in survey.cells.items()}
     told = Counter(style for style in found.values() if style is not None)
     common = told.most_common(1)[0][0] if told else POINT

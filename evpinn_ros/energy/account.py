@@ -36,7 +36,7 @@ SUMMARY_NS = NANOSECONDS  # between two summaries
 
 
 class Totals(NamedTuple):
-    """What was counted over some time.
+    """Totals counted over some time.
 
     Attributes:
         drawn: J.
@@ -228,7 +228,7 @@ class EnergyAccount:
         self._newest_ns = max(self._newest_ns, stamp_ns)
 
     def _by_charge(self, silence: Silence, before: float, after: float) -> Uncertain:
-        """What the state of charge says of a dropout; nothing where no car can do that."""
+        """Energy of a dropout by the state of charge; nothing where no car can do that."""
         found = self.gauge.energy_between(before, after)
         return found if abs(found.value) <= MAX_POWER * silence.duration else UNKNOWN
 
@@ -253,7 +253,7 @@ class EnergyAccount:
         return replace(state, consumed=state.consumed + self._correction, consumed_sigma=sigma)
 
     def since_reset(self) -> Totals:
-        """What was counted since the last reset."""
+        """Totals since the last reset."""
         state, stretch = self.state, self.trip.total
         return Totals(
             drawn=state.consumed + state.regenerated.energy,
@@ -266,7 +266,7 @@ class EnergyAccount:
         )
 
     def lifetime(self) -> Totals:
-        """What was counted since ever."""
+        """Totals since the first start."""
         return self._before_reset.plus(self.since_reset())
 
     def charge(self) -> Uncertain:

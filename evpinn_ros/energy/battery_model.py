@@ -83,7 +83,7 @@ class BatteryModel:
 
     @property
     def known(self) -> bool:
-        """Whether there is enough of it to forecast with."""
+        """True if there is enough of it to forecast with."""
         return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
 
     @property
@@ -122,7 +122,7 @@ class BatteryModel:
         self._covariance = np.diag((scale * PRIOR_SHARE) ** 2)
 
     def _scale(self, voltage: float) -> np.ndarray:
-        """What the shares of priors and drifts are of: U twice, V, and the prior of R, Ohm."""
+        """Scales of the shares of priors and drifts: U twice, V, and the prior of R, Ohm."""
         full = self._capacity / voltage
         hour = (USUAL_CHARGE if math.isnan(full) else full) / 3600
         return np.array([voltage, voltage, RESISTANCE_SHARE * voltage / hour])
@@ -189,7 +189,7 @@ class BatteryModel:
         return 2 * power / (voltage + root)  # the stable form, also for R = 0
 
     def exported(self) -> dict[str, Any]:
-        """What `restore` needs."""
+        """State that `restore` needs."""
         return {
             "samples": self.samples,
             "state": self._state.tolist(),

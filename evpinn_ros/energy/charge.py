@@ -36,7 +36,7 @@ class Uncertain(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether there is a value."""
+        """True if there is a value."""
         return math.isfinite(self.value)
 
 
@@ -155,7 +155,7 @@ class ChargeGauge:
         self.capacity = Uncertain(value, sigma)
 
     def projected(self, stamp_ns: int) -> bool:
-        """Whether the state of charge at this moment is no reading but follows from energy."""
+        """True if the state of charge at this moment is no reading but follows from energy."""
         return self._last is not None and stamp_ns - self._last.stamp_ns > CHARGE_TIMEOUT_NS
 
     def charge(self, stamp_ns: int, consumed: Uncertain) -> Uncertain:
@@ -194,7 +194,7 @@ class ChargeGauge:
         return Uncertain(charge.value * self.capacity.value, sigma)
 
     def exported(self) -> dict[str, Any]:
-        """What `restore` needs: what was learned, not what was heard."""
+        """State that `restore` needs: what was learned, not the readings."""
         learned = self.learned > 0
         return {
             "capacity": list(self.capacity) if learned else None,

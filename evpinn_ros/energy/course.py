@@ -63,7 +63,7 @@ class MeasuredStep(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What is to be added to what has been counted for a step, and its variance, J^2."""
+    """Correction to what has been counted for a step, and its variance, J^2."""
 
     bridge: Bridge
     variance: float
@@ -109,7 +109,7 @@ class Course:
         return self._predictions[-1].stamp_ns >= stamp_ns
 
     def _correction(self, step: MeasuredStep) -> Correction | None:
-        """What the predictions around and in a step add to what was counted for it."""
+        """Correction by the predictions around and in a step to what was counted for it."""
         near = [*self._predictions]
         end = next(i for i, each in enumerate(near) if each.stamp_ns >= step.end_ns)
         near = near[: end + 1]

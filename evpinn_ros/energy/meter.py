@@ -1,4 +1,4 @@
-"""What was consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
+"""Energy consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
 The measured integral stays where it is while the battery is silent; the predicted ones go on
 from speed alone, and bridge the silence. Between two samples of a slow battery the prediction
@@ -26,7 +26,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 
 
 class Integrator(str, Enum):
-    """What integrates the predicted power that stands in for the battery."""
+    """Integrator of the predicted power that stands in for the battery."""
 
     RKNN = "rknn"
     TRAPEZOID = "trapezoid"
@@ -42,7 +42,7 @@ class Flow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EnergyState:
-    """What the meter says at one moment. Drawn energy is positive.
+    """State of the meter at one moment. Drawn energy is positive.
 
     Attributes:
         stamp_ns: newest stamp counted, 0 before the first.
@@ -213,13 +213,13 @@ class EnergyMeter:
         return Silence(stamp_ns, self._silence(stamp_ns), bridge, short, sigma)
 
     def silent_at(self, stamp_ns: int) -> bool:
-        """Whether the battery has said nothing within its timeout before this stamp."""
+        """True if the battery gave nothing within its timeout before this stamp."""
         heard = self._measured.last_stamp_ns is not None
         return not heard or self._silence(stamp_ns) > self._measured.longest_step
 
     @property
     def measuring(self) -> bool:
-        """Whether the battery has been heard within its timeout."""
+        """True if the battery was measured within its timeout."""
         return not self.silent_at(self._newest_ns)
 
     @property

@@ -1,4 +1,4 @@
-"""What a planner means to drive: time, distance, speed and elevation along one trip or many.
+"""Plan of a planner: time, distance, speed and elevation along one trip or many.
 
 Between two points distance is the cubic that has the given speeds at its ends, so that legs agree
 with their length, their climb and their speeds at once.

@@ -1,4 +1,4 @@
-"""What a plan costs by a linear model of the car (`vehicle.linear_power`), with its variance.
+"""Energy of a plan by a linear model of the car (`vehicle.linear_power`), with its variance.
 
 The variance of the energy of a trip adds up
 

@@ -24,7 +24,7 @@ CONTRADICTION = 3.0  # sigma
 
 
 class Verdict(str, Enum):
-    """What became of a silence."""
+    """Verdict on a dropout."""
 
     PREDICTED = "predicted: no state of charge to compare"
     SHORT = "predicted: too short for the state of charge to tell"
@@ -53,7 +53,7 @@ class Reconciled(NamedTuple):
 
     @property
     def comparable(self) -> bool:
-        """Whether the two statements are of the same time."""
+        """True if the two statements are of the same time."""
         return self.verdict in (Verdict.JOINED, Verdict.CONTRADICTED)
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Bridge(NamedTuple):
-    """What the prediction says of a silence, or of many.
+    """Prediction for a dropout, or for many.
 
     Attributes:
         energy: net, J.
@@ -30,7 +30,7 @@ class Bridge(NamedTuple):
         return Bridge(*(a + b for a, b in zip(self, other, strict=True)))
 
     def less(self, other: Bridge) -> Bridge:
-        """What came since another."""
+        """Difference to an earlier one."""
         return Bridge(*(a - b for a, b in zip(self, other, strict=True)))
 
 

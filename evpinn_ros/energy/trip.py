@@ -44,12 +44,12 @@ class DistanceWindow:
 
     @property
     def known(self) -> bool:
-        """Whether the whole length has been driven."""
+        """True if the whole length has been driven."""
         return self.total.distance >= self.length
 
     @property
     def total(self) -> Stretch:
-        """All that it spans."""
+        """Sum of its whole span."""
         buckets = (*self._full, Stretch(self._distance.value, self._energy.value))
         return Stretch(*(math.fsum(column) for column in zip(*buckets, strict=True)))
 

@@ -1,4 +1,4 @@
-"""How an error of power grows into an error of energy.
+"""Growth of an error of power into an error of energy.
 
 Model: the error of power is sigma(t) u(t), with u a stationary Gauss-Markov process of unit
 variance and correlation exp(-|s| / tau). The error of energy then is a double integral that has a
@@ -83,7 +83,7 @@ class CorrelatedError:
 
 
 class LastingShare:
-    """How much of the gross energy predicted over a silence of the battery stays wrong.
+    """Share of the gross energy predicted over a battery dropout that stays wrong.
 
     A prior of `PRIOR_SHARE`, which weighs as `PRIOR_SILENCES`, averaged with the silences whose
     energy the state of charge told afterwards. While the battery speaks nothing is to be learned

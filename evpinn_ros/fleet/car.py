@@ -45,7 +45,7 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class CarTask:
-    """What a worker needs.
+    """Task of a worker.
 
     Attributes:
         drives: of which car.
@@ -114,7 +114,7 @@ class _Input:
         return self.start_ns, str(self.path)
 
     def row(self) -> dict[str, Any]:
-        """What the row of the drive begins with."""
+        """First cells of the drive's row."""
         return {
             "path": str(self.path),
             "fingerprint": self.fingerprint,
@@ -221,7 +221,7 @@ def _evidence(vehicle: Vehicle, state: dict[str, Any] | None) -> Evidence:
 
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
-    """What the present program has of a car of this very vehicle file; empty if nothing."""
+    """Saved result of the present program for a car of this very vehicle file; empty if none."""
     found = _read(folder / RESULT_FILE)
     return found if found.get("basis") == _basis(vehicle) else {}
 

@@ -1,4 +1,4 @@
-"""What cars of one model have in common: mean and spread of their parameters (empirical Bayes).
+"""Common distribution of cars of one model: mean and spread of their parameters (empirical Bayes).
 
 Each car's parameters are a draw from N(mean, spread), in logarithms but for p_aux, which may be
 zero. Of each car only the likelihood counts (`estimation.evidence`), so a car that learned nothing
@@ -104,7 +104,7 @@ class Population:
         return Prior(value, std, f"{source}: worth {told.cars:.1f} cars")
 
     def _along(self, direction: np.ndarray) -> Told:
-        """What is told of a sum of parameters, `direction` in their own units."""
+        """Estimate of a sum of parameters, `direction` in their own units."""
         scaled = direction * self._scale
         spreads = scaled @ self._root
         variance = float(spreads @ spreads)

@@ -55,7 +55,7 @@ POPULATION_COLUMNS = {
 
 @dataclass
 class Summary:
-    """What a person is told of a fleet.
+    """Summary of a fleet for a person.
 
     Attributes:
         populations: by vehicle model.

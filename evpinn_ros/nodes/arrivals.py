@@ -1,4 +1,4 @@
-"""What the arrival of messages tells: which were lost, and whose stamps leap. Knows no ROS."""
+"""Faults of arriving messages: lost ones, and leaping stamps. Knows no ROS."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEAP = (
 
 
 class Told(NamedTuple):
-    """What the number of a message tells.
+    """Loss that the number of a message shows.
 
     Attributes:
         lost: messages of its publisher, right before it.
@@ -80,7 +80,7 @@ class StampWatch:
         self._last: tuple[int, float] | None = None
 
     def check(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
-        """What is wrong with a stamp, None when nothing is.
+        """Fault of a stamp, None when there is none.
 
         Args:
             stamp_ns: of a message.

@@ -1,4 +1,4 @@
-"""What every node here has: checked parameters, guarded callbacks, counters, diagnostics."""
+"""Base of every node here: checked parameters, guarded callbacks, counters, diagnostics."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
         raise NotImplementedError
 
     def phases(self) -> Iterable[Status]:
-        """What is logged when it changes; nothing in it may count or grow old."""
+        """Text that is logged when it changes; nothing in it may count or grow old."""
         return ()
 
     def begun(self, text: str, known: Iterable[Status] = ()) -> None:
@@ -151,7 +151,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
             self._outlets[topic] = factory.advertise(self, topic, partial(self._refused_by, topic))
 
     def advertises(self, topic: Topic) -> bool:
-        """Whether there is a publisher for a topic."""
+        """True if there is a publisher for a topic."""
         return topic in self._outlets
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
@@ -253,7 +253,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
         told_elsewhere: Mapping[str, int] | None = None,
         usual: Collection[str] = (),
     ) -> Health:
-        """What went wrong so far.
+        """Faults so far.
 
         Args:
             dropped: messages that were not used, by reason.

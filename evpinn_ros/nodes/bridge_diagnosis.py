@@ -1,4 +1,4 @@
-"""How the CAN bridge is doing, decided without ROS."""
+"""Status of the CAN bridge, decided without ROS."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
 
 
 def poll_status(poll: PollStatus, experimental: bool) -> Status:
-    """Whether the car is asked, and why not."""
+    """Status of asking the car."""
     text = f"experimental profile: {poll.text}" if experimental else poll.text
     level = Level.OK if poll.ok and not experimental else Level.WARN
     return Status("polling", level, text, dict(poll.counters))

@@ -43,7 +43,7 @@ VEHICLE = "tesla_model_3_lr"
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What the bridge made of a full bus.
+    """Results of the bridge on a full bus.
 
     Attributes:
         seconds: of traffic.

@@ -107,7 +107,7 @@ class CanBridgeNode(GuardedNode):
         return statuses
 
     def phases(self) -> list[Status]:
-        """What /diagnostics tell, but how every bus begins."""
+        """Messages of /diagnostics, but for how every bus begins."""
         return [each for each in self._statuses(WELL) if each.text not in BEGINNINGS]
 
     def close(self) -> None:

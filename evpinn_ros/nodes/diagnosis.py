@@ -1,4 +1,4 @@
-"""How a node is doing, as /diagnostics tells it, decided without ROS.
+"""Status of a node, as /diagnostics shows it, decided without ROS.
 
 Each node has a module beside this one with its pure function: state in, `Status` out.
 """
@@ -29,7 +29,7 @@ class Status(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What went wrong in a node.
+    """Faults of a node.
 
     Attributes:
         bad: messages not used, by reason.
@@ -55,7 +55,7 @@ class Lately:
         self._looks: deque[tuple[float, Mapping[str, int]]] = deque([(-math.inf, {})])
 
     def update(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
-        """What was added in the last `LATELY` seconds by `now`, s, of a clock that never jumps."""
+        """Counts added in the last `LATELY` seconds by `now`, s, of a monotonic clock."""
         self._looks.append((now, dict(counts)))
         while self._looks[1][0] <= now - LATELY:
             self._looks.popleft()

@@ -117,7 +117,7 @@ class EnergyNode(GuardedNode):
         return [meter_status(report), charge_status(report), plan_status(report)]
 
     def phases(self) -> list[Status]:
-        """What is metered, and what forecasts rest on."""
+        """Metered input, and the basis of forecasts."""
         return energy_phases(self._report(WELL))
 
     def _report(self, health: Health) -> EnergyReport:

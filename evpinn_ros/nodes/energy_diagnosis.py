@@ -1,4 +1,4 @@
-"""How the energy node is doing, decided without ROS."""
+"""Status of the energy node, decided without ROS."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ JOULES_PER_WH = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class EnergyReport:
-    """All that the diagnosis of the energy node rests on.
+    """Basis of the energy node's diagnosis.
 
     Attributes:
         state: of the meter, corrected where a silence was reconciled.
@@ -81,7 +81,7 @@ def meter_status(report: EnergyReport) -> Status:
 
 
 def energy_phases(report: EnergyReport) -> list[Status]:
-    """What is logged when it changes: nothing in it counts."""
+    """Text that is logged when it changes: nothing in it counts."""
     basis = f"forecasts rest on the {report.basis.value}"
     return [Status("meter", *_meter_verdict(report), {}), Status("plan", Level.OK, basis, {})]
 
@@ -118,7 +118,7 @@ def _silence_values(reconciled: Reconciled | None) -> dict[str, object]:
 
 
 def charge_status(report: EnergyReport) -> Status:
-    """What is known of the battery's charge, and how far it goes."""
+    """State of the battery's charge, and the distance it suffices for."""
     account = report.account
     values = {
         "state_of_charge": rounded(account.charge.value),
@@ -147,7 +147,7 @@ def _wh(joules: float) -> object:
 
 
 def plan_status(report: EnergyReport) -> Status:
-    """How plans are answered."""
+    """Status of answering plans."""
     values = {
         "answered": report.answered,
         "refused": report.refused,
@@ -181,6 +181,6 @@ def answered_status(answer: Answer) -> Status:
 
 
 def _air_values(air: Air) -> dict[str, object]:
-    """What forecasts take from the air outside; what is not told is that of the vehicle file."""
+    """Air outside as forecasts take it; unknown values are those of the vehicle file."""
     named = zip(("air_celsius", "air_pascal", "head_wind_mps"), air, strict=True)
     return {name: "unknown" if value is None else rounded(value) for name, value in named}

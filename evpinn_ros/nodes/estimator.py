@@ -95,7 +95,7 @@ class EstimatorNode(GuardedNode):
         return [estimator_status(self._report(health))]
 
     def phases(self) -> list[Status]:
-        """What it does, what is valid, changes of payload."""
+        """Activity, validity, and changes of payload."""
         return estimator_phases(self._report(WELL))
 
     def _report(self, health: Health) -> EstimatorReport:
@@ -177,7 +177,7 @@ class EstimatorNode(GuardedNode):
 
 
 def _usual(status: EstimatorStatus) -> tuple[str, ...]:
-    """Why readings are dropped that nobody need be told of.
+    """Reasons for dropping readings that are usual and no fault.
 
     A battery may tell its state of charge alone, as long as others tell power.
     """

@@ -1,4 +1,4 @@
-"""How the estimator is doing, decided without ROS."""
+"""Status of the estimator, decided without ROS."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RECENT = 60  # updates whose median duration is told
 
 @dataclass(frozen=True, slots=True)
 class EstimatorReport:
-    """All that the diagnosis of the estimator rests on.
+    """Basis of the estimator's diagnosis.
 
     Attributes:
         status: of the core.
@@ -81,7 +81,7 @@ def estimator_status(report: EstimatorReport) -> Status:
 
 
 def estimator_phases(report: EstimatorReport) -> list[Status]:
-    """What is logged when it changes: nothing in it counts."""
+    """Text that is logged when it changes: nothing in it counts."""
     states, noticed = report.status.states, report.status.report
     valid = [name for name, state in states.items() if state is State.VALID]
     phases = [Status("estimate", *_estimator_verdict(report), {})]
@@ -118,7 +118,7 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
 
 
 def _noticed(report: LearnerReport) -> dict[str, object]:
-    """What was noticed of the car and its signals."""
+    """Detections of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
         "payload_changes": report.payload_changes,

@@ -1,4 +1,4 @@
-"""What rclpy needs to speak of a `Topic`: message classes, quality of service, endpoints."""
+"""Parts of rclpy for a `Topic`: message classes, quality of service, endpoints."""
 
 from __future__ import annotations
 

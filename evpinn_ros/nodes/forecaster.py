@@ -75,7 +75,7 @@ class Answer:
 
 
 class Basis(str, Enum):
-    """What forecasts rest on, and where it was heard; each is better than those before."""
+    """Basis of forecasts, and its topic; each is better than those before."""
 
     VEHICLE_FILE = "vehicle file"
     COMBINATIONS = "estimate/identifiable"
@@ -133,7 +133,7 @@ class Forecaster:
             self._residual_variance += (sigma**2 - self._residual_variance) / RESIDUAL_MEMORY
 
     def air(self, now_ns: int) -> Air:
-        """What is known of the air now; a clock that went back makes nothing younger."""
+        """Air at this moment; a clock that went back makes nothing younger."""
         temperature = self._fresh(TemperatureReading, now_ns)
         pressure = self._fresh(PressureReading, now_ns)
         wind = self._fresh(WindReading, now_ns)
@@ -184,7 +184,7 @@ class Forecaster:
         model: PowerModel,
         air: tuple[float, float],
     ) -> dict[str, Uncertain]:
-        """What a plan takes more than those asked together with it, by their names, J."""
+        """Energy of a plan beyond those asked together with it, by their names, J."""
         if asked.together is None or asked.together != self._together:
             self._together, self._others = asked.together, {}
         basis = self._model, self._combined, self._sigmas, air

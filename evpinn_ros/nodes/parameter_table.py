@@ -53,7 +53,7 @@ class Parameter:
     verify: Callable[[str], object] | None = None
 
     def problem(self, value: object) -> str | None:
-        """Why a value is refused, None when it is not."""
+        """Reason why a value is refused, None when it is not."""
         if type(value) is not type(self.default):
             return f"{self.name} = {value} must be {TYPE_NAMES[type(self.default)]}"
         if isinstance(value, (int, float)) and not self.lower <= value <= self.upper:

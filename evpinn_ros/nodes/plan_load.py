@@ -1,4 +1,4 @@
-"""How soon the node `energy` answers a plan: its executable and a planner, a process each.
+"""Delay of the node `energy` in answering a plan: its executable and a planner, a process each.
 
 The planner publishes and hears bytes, for what it does with a message is no part of the answer.
 """
@@ -39,7 +39,7 @@ PAUSE = 0.02  # s between plans
 
 
 class RoundLoad(NamedTuple):
-    """How soon plans asked together are all answered with their differences, and a refusal, ms."""
+    """Delay until plans asked together are all answered with differences, and a refusal, ms."""
 
     rounds: int
     plans: int
@@ -50,7 +50,7 @@ class RoundLoad(NamedTuple):
 
 
 class PlanLoad(NamedTuple):
-    """How many plans of how many points were answered, and after how many ms.
+    """Count and size of plans that were answered, and their delays in ms.
 
     Attributes:
         node_ms: of the processor that the node took for one, whatever else the machine did.

@@ -52,7 +52,7 @@ class StateKeeper:
 
     @property
     def start(self) -> str | None:
-        """What the owner goes on from; None where nothing was restored."""
+        """State that the owner goes on from; None where nothing was restored."""
         return None if self._loaded is None else f"continues from {self._path}"
 
     def start_over(self) -> None:
@@ -114,6 +114,6 @@ def state_path(text: str) -> Path | None:
 
 
 def _aside(path: Path) -> list[Path]:
-    """Where refused files are kept, the newest first."""
+    """Places of refused files, the newest first."""
     first = path.with_name(path.name + ".refused")
     return [first, *(first.with_name(f"{first.name}.{n}") for n in range(2, REFUSED_KEPT + 1))]

@@ -78,7 +78,7 @@ class Topic:
         return self.name if self.name.startswith("/") else f"{namespace.rstrip('/')}/{self.name}"
 
     def matches(self, full_name: str) -> bool:
-        """Whether a full name is this topic, under any namespace."""
+        """True if a full name is this topic, under any namespace."""
         return full_name == self.name or full_name.endswith(f"/{self.name.lstrip('/')}")
 
 

@@ -1,4 +1,4 @@
-"""What a recording holds: `evpinn info`."""
+"""Contents of a recording: `evpinn info`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class TopicContents:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a recording holds.
+    """Contents of a recording.
 
     Attributes:
         path: of it.
@@ -155,7 +155,7 @@ def _with_drive(
 
 
 def _of_table(source: Source) -> dict[str, Any]:
-    """What is known of a table beside its readings."""
+    """Facts of a table beside its readings."""
     if not isinstance(source, DriveSource):
         return {}
     drive = source.drive
@@ -168,7 +168,7 @@ def _of_table(source: Source) -> dict[str, Any]:
 
 
 def _has_readings(path: Path) -> bool:
-    """Whether a bag has topics of ours, which are believed before its frames are."""
+    """True if a bag has topics of ours, which are preferred to its frames."""
     try:
         open_source(path, load_vehicle(GENERIC))
     except InputError:

@@ -1,4 +1,4 @@
-"""What happened on a drive that a person should know when reading its curves."""
+"""Events of a drive that a person should know when reading its curves."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUSPICIONS = {
 
 
 class EventKind(str, Enum):
-    """What kind of event."""
+    """Kind of an event."""
 
     PAYLOAD = "payload"
     SUSPICION = "suspicion"

@@ -30,7 +30,7 @@ class Foretold(NamedTuple):
 
     @property
     def covered(self) -> bool:
-        """Whether the 90 % band of the forecast holds what was measured."""
+        """True if the 90 % band of the forecast holds what was measured."""
         return abs(self.forecast - self.measured) <= GAUSSIAN_QUANTILE * self.sigma
 
 
@@ -96,6 +96,6 @@ def _inside(rows: np.ndarray, span: Span) -> np.ndarray:
 
 
 def _whole(rows: np.ndarray, span: Span) -> bool:
-    """Whether a series has no gap anywhere in the span."""
+    """True if a series has no gap anywhere in the span."""
     times = np.concatenate(([span.begin], rows[:, 0], [span.end]))
     return len(rows) > 1 and bool(np.diff(times).max() <= MAX_MEASURED_STEP)

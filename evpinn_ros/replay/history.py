@@ -1,4 +1,4 @@
-"""What a replay leaves behind: time series to score and to draw."""
+"""Record of a replay: time series to score and to draw."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class PowerSeries(NamedTuple):
 
 
 class Noticed(NamedTuple):
-    """What the learner noticed, from this time on, s since the first reading."""
+    """Detections of the learner from this time on, s since the first reading."""
 
     time: float
     report: LearnerReport
 
 
 class KnownModel(NamedTuple):
-    """What was known of the car at this time, s since the first reading."""
+    """Model of the car at this time, s since the first reading."""
 
     time: float
     model: LinearPower
@@ -192,7 +192,7 @@ class History:
 
     @property
     def wants_model(self) -> bool:
-        """Whether `MODEL_STEP` has passed since the last model."""
+        """True if `MODEL_STEP` has passed since the last model."""
         return not self._models or self._now - self._models[-1].time >= MODEL_STEP
 
     def add_model(self, model: LinearPower | None) -> None:

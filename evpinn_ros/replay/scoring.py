@@ -35,7 +35,7 @@ class Span(NamedTuple):
     end: float
 
     def holds(self, time: np.ndarray) -> np.ndarray:
-        """Which times lie in it."""
+        """Mask of the times that lie in it."""
         return (time > self.begin) & (time <= self.end)
 
 
@@ -60,7 +60,7 @@ def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, floa
 
 
 def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
-    """Which predictions count: in the span, and measured at their moment; shape (n,)."""
+    """Mask of scored predictions: in the span, and measured at their moment; shape (n,)."""
     _, known = measured_at(drive, series.time)
     chosen: np.ndarray = known & span.holds(series.time)
     return chosen
@@ -276,13 +276,13 @@ def _stretches(time: np.ndarray) -> list[Span]:
 
 
 def _common(some: list[Span], others: list[Span]) -> list[Span]:
-    """Where both have something to say."""
+    """Parts in which both are known."""
     both = [Span(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
     return [span for span in both if span.end > span.begin]
 
 
 def _increase(time: np.ndarray, total: np.ndarray, stretches: list[Span]) -> float:
-    """How much a running total grew over stretches of time."""
+    """Growth of a running total over spans of time."""
     return float(sum(np.diff(np.interp(span, time, total))[0] for span in stretches))
 
 

@@ -1,4 +1,4 @@
-"""Which part of a recorded drive the estimator can use: speed and battery together, moving."""
+"""Data coverage of a recorded drive: speed and battery together, moving."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Flow:
 
     @property
     def gaps(self) -> int:
-        """How many are longer than the estimator bridges."""
+        """Count of those that are longer than the estimator bridges."""
         return sum(self._parts(each) for each in self._breaks)
 
     def add(self, stamp_ns: int) -> None:
@@ -89,7 +89,7 @@ class Flow:
 
 @dataclass(frozen=True, slots=True)
 class Usable:
-    """What a drive offers the estimator.
+    """Data of a drive that the estimator can use.
 
     Attributes:
         flows: readings by kind, as `speed`.

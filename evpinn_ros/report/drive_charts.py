@@ -98,7 +98,7 @@ def parameter_chart(drive: Drive, name: str, truth: Parameters | None, points: i
 
 
 def share_chart(drive: Drive, points: int) -> Chart:
-    """How much of each parameter is prior belief, percent over time: one strip each."""
+    """Share of the prior in each parameter, percent over time: one strip each."""
     any_time = next(iter(drive.parameters.values()))[:, 0]
     grid = grid_for(any_time, drive.duration, points)
     strips = [

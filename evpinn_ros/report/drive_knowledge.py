@@ -1,4 +1,4 @@
-"""What a drive could tell of its car: identifiable combinations, and prior shares over time."""
+"""Information in a drive on its car: identifiable combinations, and prior shares over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where in speed and acceleration a drive's data lay, and where its predictions were off."""
+"""Maps over speed and acceleration of a drive's data coverage and its prediction errors."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class FoxgloveServer:
 
     @property
     def watched(self) -> bool:
-        """Whether anybody has subscribed to anything."""
+        """True if anybody has subscribed to anything."""
         return any(channel.has_sinks() for channel in self._channels.values())
 
     def close(self) -> None:
@@ -146,7 +146,7 @@ def _definition(type_name: str) -> bytes:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach what listens there."""
+    """True if only this machine can reach what listens there."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

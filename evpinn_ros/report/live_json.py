@@ -16,7 +16,7 @@ from evpinn_ros.report.live_state import POWERS, LiveState
 
 
 def as_json(state: LiveState, now: float) -> dict[str, Any]:
-    """What is known, ready for `json.dumps`."""
+    """State of the system, ready for `json.dumps`."""
     battery = state.fresh_battery(now)
     return {
         "speed_mps": _known(state.fresh_speed(now)),

@@ -111,7 +111,7 @@ def plain_line(state: LiveState, now: float) -> str:
 
 
 def problem_lines(state: LiveState, now: float) -> list[str]:
-    """What is missing and why, one line each."""
+    """Missing inputs and their reasons, one line each."""
     return [f"{level.name.lower()}: {text}" for level, text in state.problems(now)]
 
 
@@ -191,7 +191,7 @@ def _energy(state: LiveState) -> Text:
 
 
 def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:
-    """Where the data lay, and beside it how many messages come."""
+    """Data coverage, and beside it the rates of messages."""
     seen = state.seen()
     most = max([1.0, *(n for row in seen for n in row if math.isfinite(n))])
     cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")

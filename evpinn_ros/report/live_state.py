@@ -1,4 +1,4 @@
-"""What is known of a running system, from its messages alone: the model of the live view.
+"""State of a running system, from its messages alone: the model of the live view.
 
 Reads no clock and knows no ROS: messages come with the time of their arrival, s of any steady
 clock, and every question is asked for such a time.
@@ -68,7 +68,7 @@ class ParameterRow(NamedTuple):
 
 
 class PartStatus(NamedTuple):
-    """What a part of a node said of itself last, and when that came."""
+    """Newest status of a part of a node, and its time of arrival."""
 
     level: Level
     text: str
@@ -210,7 +210,7 @@ class LiveState:
         return _number(self._estimator().get("in_90_band.predicted"))
 
     def problems(self, now: float) -> list[tuple[Level, str]]:
-        """What is missing and why, the worst first; empty when all is well."""
+        """Missing inputs and their reasons, the worst first; empty when all is well."""
         if not self._last:
             return [(Level.WARN, "nothing heard yet: are the nodes up, with this ROS_DOMAIN_ID?")]
         if not self.statuses:
@@ -237,7 +237,7 @@ class LiveState:
         return sorted(found, key=lambda each: each[0], reverse=True)
 
     def activity(self, now: float) -> str:
-        """What the estimator does, in its own words; empty when it is silent."""
+        """Activity of the estimator, in its own words; empty when it sends nothing."""
         status = self.statuses.get("estimator: estimate")
         return status.text if status is not None and now - status.arrived < STALE_AFTER else ""
 

@@ -22,7 +22,7 @@ REFUSAL = b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: 0" + 
 
 
 def is_welcome(head: bytes, origins: Collection[str]) -> bool:
-    """Whether a request opens a WebSocket, from no page or from one of `origins`.
+    """True if a request opens a WebSocket, from no page or from one of `origins`.
 
     Args:
         head: of an HTTP request, with its empty line.

@@ -79,7 +79,7 @@ def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None)
 
 
 def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
-    """How much later than power speed was stamped, s: where eq. 21 explains most of the power.
+    """Delay of speed behind power, s: the one at which eq. 21 explains most of the power.
 
     Eq. 21 is linear in its combinations, so each candidate is one least squares. Zero where the
     drive does not tell: eq. 21 explains little of it, hardly more than without a delay, or most

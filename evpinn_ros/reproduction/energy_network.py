@@ -241,7 +241,7 @@ class EnergyTraining:
                 on_epoch(number, rknn)
 
     def state(self) -> dict[str, Tensor]:
-        """All that training has made."""
+        """State that training has made."""
         state = {"epoch": torch.tensor(self._epoch)}
         state["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 5)
         for name, value in self._networks.state_dict().items():

@@ -61,7 +61,7 @@ OnProgress = Callable[[str, int, int, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         optimizer: of the power network.
@@ -106,7 +106,7 @@ class Energies(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """All that the tables, figures and files are made from."""
+    """Basis of the tables, figures and files."""
 
     log: DriveLog
     vehicle: Vehicle
@@ -239,7 +239,7 @@ class Experiment:
             save_checkpoint(path, key, training.state())
 
     def _key(self, title: str, settings: tuple[object, ...]) -> str:
-        """All that a training was made from; each key has a file of its own."""
+        """Key of a training: all inputs it was made from; each key has a file of its own."""
         data = hashlib.sha256(b"".join(column.tobytes() for column in self._log)).hexdigest()
         vehicle = hashlib.sha256(repr(self._vehicle).encode()).hexdigest()
         return json.dumps([CHECKPOINT_VERSION, title, data, vehicle, *map(str, settings)])

@@ -1,4 +1,4 @@
-"""How good a power is, and the yardsticks the paper leaves out."""
+"""Scores of a power, and the baselines the paper leaves out."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def parameter_table(outcome: Outcome) -> Table:
 
 
 def combination_table(outcome: Outcome) -> Table:
-    """What eq. 21 lets data determine at all."""
+    """Table of what eq. 21 lets data determine at all."""
     area, form = outcome.vehicle.frontal_area, outcome.settings.form
     fitted = combinations(outcome.regression, area, form)
     rows = [

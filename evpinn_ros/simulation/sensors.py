@@ -1,4 +1,4 @@
-"""What a simulated car tells of itself: lagging, noisy, rounded, a frame lost now and then.
+"""Sensors of a simulated car: lagging, noisy, rounded, a frame lost now and then.
 
 One path, as on a real car: true signal, sensor, CAN frame, decoder, reading. The bus is thinned
 to 10 Hz; each message has its own phase and jitter, so nothing arrives together.
@@ -64,7 +64,7 @@ def tell(
     rng: np.random.Generator,
     motors: Sequence[MotorReading] = (),
 ) -> Told:
-    """What the bus of a car with this profile tells of a drive that starts at `start_ns`.
+    """Readings from the bus of a car with this profile, for a drive that starts at `start_ns`.
 
     Speed and current beyond what their signals can show read as the most that they can, as in a
     car. A voltage beyond is that of another car, and refused. `motors` go over the bus where the
@@ -173,7 +173,7 @@ def _batteries(trace: Trace, start_ns: int, rng: np.random.Generator) -> Iterato
 def _moments(
     trace: Trace, rate: float, start_ns: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, list[int]]:
-    """When a message of this rate is sent: s from the start, shape (n,), and stamps in ns."""
+    """Moments of a message of this rate: s from the start, shape (n,), and stamps in ns."""
     first = rng.uniform(JITTER, 1 / rate)
     time = np.arange(first, trace.motion.time[-1] - JITTER, 1 / rate)
     time = time + rng.uniform(-JITTER, JITTER, time.size)

@@ -107,7 +107,7 @@ class Population(NamedTuple):
 
 
 def population(cars: Iterable[CertifiedCar]) -> Population:
-    """What to believe of a car that nobody knows.
+    """Prior for a car that is not known.
 
     Certified cars are sold in the United States and heavy; small cars weigh half of them. So mass
     is as `ANY_MASS`, and of the certified cars is taken what belongs to a mass: how c_rr and drag

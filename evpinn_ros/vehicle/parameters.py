@@ -48,7 +48,7 @@ LIMITS: Mapping[str, Limits] = {
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is believed of one parameter before driving: value, 1-sigma and where it is from."""
+    """Prior of one parameter before driving: value, 1-sigma and its source."""
 
     value: float
     std: float

@@ -58,7 +58,7 @@ class Drive:
 
     @cached_property
     def spans(self) -> list[Span]:
-        """Where speed and battery are both known: what is scored, whatever a method says."""
+        """Spans in which speed and battery are both known: these are scored, for every method."""
         return common(self.power.spans(), self.speed.spans())
 
     @property
@@ -96,7 +96,7 @@ class Car:
 
 @dataclass(frozen=True)
 class Folder:
-    """Where the drives of a car lie, whose they are, and what of them is hidden."""
+    """Folder of a car's drives, with the vehicle file and what of them is hidden."""
 
     pattern: str
     vehicle: str

@@ -41,7 +41,7 @@ class Task(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What a task gave, for the table and the JSON."""
+    """Result of a task, for the table and the JSON."""
 
     task: Task
     vehicle: str

@@ -25,7 +25,7 @@ FILES = {"estimator": ("state_file", "car.json"), "energy": ("energy_file", "ene
 
 
 class Stopped(NamedTuple):
-    """How a process ended: exit code, and s that it took."""
+    """End of a process: exit code, and s that it took."""
 
     code: int
     seconds: float
@@ -64,7 +64,7 @@ class Process:
 
     @property
     def runs(self) -> bool:
-        """Whether it has not ended."""
+        """True if it has not ended."""
         return self._process.poll() is None
 
     def await_ready(self, node: str | None = None, change: Change = unchanged) -> float:
@@ -171,7 +171,7 @@ class Chain:
             raise InputError(f"the chain is not well: {'; '.join(rig.complaints(since))}")
 
     def runs(self, name: str) -> bool:
-        """Whether a node is there."""
+        """True if a node is there."""
         return name in self.processes and self.processes[name].runs
 
     def start(self, name: str) -> Process:

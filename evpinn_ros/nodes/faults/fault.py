@@ -1,4 +1,4 @@
-"""What a fault is, and what was found when it was injected."""
+"""Faults, and the findings when they are injected."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ QUIET = ""  # instead of a word: nothing is to be said
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a fault did to the chain.
+    """Effect of a fault on the chain.
 
     Attributes:
         lost: what was lost, in a few words.
@@ -53,7 +53,7 @@ class Fault:
 
     @property
     def is_shared(self) -> bool:
-        """Whether it is done to the chain that faults share; else to nodes of its own."""
+        """True if it is done to the chain that faults share; else to nodes of its own."""
         return hasattr(self.inject, "chain")
 
 

@@ -99,7 +99,7 @@ def _warm_start(rig: Rig) -> Finding:
 
 @dataclass(frozen=True)
 class _Stop:
-    """All that `evpinn run` starts, told to end while it records."""
+    """Stop of all that `evpinn run` starts, while it records."""
 
     how: signal.Signals
 
@@ -216,7 +216,7 @@ class _Kills:
 
 
 def _readable(path: Path) -> bool:
-    """Whether a state file is whole, or was never written."""
+    """True if a state file is whole, or was never written."""
     try:
         read_state(path)
     except InputError:

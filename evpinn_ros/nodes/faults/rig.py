@@ -34,7 +34,7 @@ ANSWER_TIMEOUT = 10.0  # s
 
 Sent: TypeAlias = tuple[Topic, Any]
 Change: TypeAlias = Callable[[Iterable[Sent]], Iterable[Sent]]
-"""What a fault makes of the messages of one moment."""
+"""Change by a fault to the messages of one moment."""
 
 
 def unchanged(messages: Iterable[Sent]) -> Iterable[Sent]:
@@ -105,7 +105,7 @@ class Rig:
         return sorted({each.text for each in self._said if each.heard > since and each.level})
 
     def is_well(self, node: str, since: float) -> bool:
-        """Whether a node's newest status since then is OK."""
+        """True if a node's newest status since then is OK."""
         found = [each for each in self._said if each.heard > since and each.name.startswith(node)]
         return bool(found) and not any(each.level for each in found[-1:])
 
