@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.bench.energy_forecast import ForecastBenchmark, Foretold, forecast_totals
+from evpinn_ros.bench.energy_forecast import ForecastBenchmark, PlannedForecast, forecast_totals
 from evpinn_ros.bench.energy_library import (
     BATCH,
     POINTS,
@@ -77,7 +77,7 @@ def energy(
     The drives of a PATH are one car's, in order of names. Integrators: the networks of the paper
     beside the trapezoid and Simpson's rule, on all samples and on fewer. Counting: the battery at
     1 Hz with gaps, silent for ten minutes, silent all along; it takes as long as a fifth of all
-    drives. Forecasts: each drive is foretold from its own speed and elevation by what was learned
+    drives. Forecasts: each drive is forecast from its own speed and elevation by what was learned
     on those before, the first from the vehicle file. Battery: the end of each drive of known
     power, by energy over capacity and by the battery's state, learned on the drives before.
 
@@ -120,7 +120,7 @@ def _library(cycles: Path | None) -> dict[str, Any]:
 def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
     car = load_vehicle(logs[0].vehicle)
     benchmark = ForecastBenchmark(car, time.thread_time)
-    found: dict[str, Foretold] = {}
+    found: dict[str, PlannedForecast] = {}
     with progress_bar("drives", len(logs), unit="drives") as progress:
         for number, log in enumerate(logs, start=1):
             try:
@@ -144,7 +144,7 @@ def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
     return {"vehicle": car.key, "drives": drives, "totals": totals}
 
 
-def _show_forecasts(car: str, found: Mapping[str, Foretold]) -> None:
+def _show_forecasts(car: str, found: Mapping[str, PlannedForecast]) -> None:
     table = titled_table(f"{car}: energy of each drive, forecast before it was driven")
     table.add_column("drive")
     for column in ("measured Wh", "forecast Wh", "1-sigma Wh", "error", "in band", "combinations"):

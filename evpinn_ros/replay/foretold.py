@@ -20,7 +20,7 @@ ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a 
 SHORTEST = 30.0  # s of a part of a drive that is worth a forecast
 
 
-class Foretold(NamedTuple):
+class ForecastOutcome(NamedTuple):
     """A part of a drive: energy measured, and as it was forecast at its begin, J."""
 
     span: Span
@@ -34,17 +34,19 @@ class Foretold(NamedTuple):
         return abs(self.forecast - self.measured) <= GAUSSIAN_QUANTILE * self.sigma
 
 
-def foretold_parts(drive: Drive, air_density: float) -> list[Foretold]:
+def forecast_outcomes(drive: Drive, air_density: float) -> list[ForecastOutcome]:
     """The drive from model to model, each part forecast by the model of its begin."""
     ends = [*(known.time for known in drive.models), drive.duration][1:]
     found = (
-        foretold(drive, known, end, air_density)
+        forecast_outcome(drive, known, end, air_density)
         for known, end in zip(drive.models, ends, strict=False)
     )
     return [one for one in found if one is not None]
 
 
-def foretold(drive: Drive, known: KnownModel, end: float, air_density: float) -> Foretold | None:
+def forecast_outcome(
+    drive: Drive, known: KnownModel, end: float, air_density: float
+) -> ForecastOutcome | None:
     """The drive up to `end`, s, as a plan that was driven to the letter.
 
     None where it cannot be compared: it is short, or speed or battery has a gap in it.
@@ -61,7 +63,7 @@ def foretold(drive: Drive, known: KnownModel, end: float, air_density: float) ->
     driven = Span(float(speed[0, 0]), float(speed[0, 0] + plan.time[-1]))
     result = forecast_plan(plan, PowerModel(known.model), air_density)
     measured = measured_energy(drive, [driven])
-    return Foretold(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
+    return ForecastOutcome(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
 
 
 def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:

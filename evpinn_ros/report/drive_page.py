@@ -1,4 +1,4 @@
-"""The report of one drive or several: what was measured, learned, known, foretold."""
+"""The report of one drive or several: what was measured, learned, known, forecast."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.replay.events import Event, EventKind, drive_events
-from evpinn_ros.replay.foretold import Foretold, foretold_parts
+from evpinn_ros.replay.foretold import ForecastOutcome, forecast_outcomes
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import Span, null_scores
 from evpinn_ros.replay.tables import (
@@ -89,7 +89,7 @@ def _drive(reported: ReportedDrive, points: int) -> tuple[str, dict[str, Any]]:
     """One drive as HTML, and what the page's script draws into it."""
     drive = reported.drive
     events = drive_events(drive, reported.withheld_from)
-    parts = foretold_parts(drive, reported.vehicle.air_density)
+    parts = forecast_outcomes(drive, reported.vehicle.air_density)
     told = drive_maps.moments(drive)
     charts = dict(_curves(reported, points)) | dict(_maps(reported, told))
     if parts:
@@ -104,7 +104,7 @@ def _drive(reported: ReportedDrive, points: int) -> tuple[str, dict[str, Any]]:
             _learned(charts),
             knowledge(reported.vehicle, drive, drive_maps.driven_minutes(told)),
             _where(charts),
-            _foretold(parts),
+            _forecasts(parts),
             _events(events),
         )
     )
@@ -253,7 +253,7 @@ def _where(charts: Mapping[str, Any]) -> str:
     )
 
 
-def _foretold(parts: Sequence[Foretold]) -> str:
+def _forecasts(parts: Sequence[ForecastOutcome]) -> str:
     title = "<h2>Forecast against outcome</h2>"
     if not parts:
         return f"{title}<p>No part of this drive was whole and long enough, or had a model.</p>"
