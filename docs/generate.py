@@ -140,7 +140,7 @@ def _range(parameter: Parameter) -> str:
 def vehicles_page() -> str:
     """Every vehicle file: priors and their sources; every CAN profile."""
     lines = [MADE, "# Vehicles", ""]
-    lines += ["What is believed of each car before driving. Copy the nearest file from"]
+    lines += ["Priors of each car before driving. Copy the nearest file from"]
     lines += ["`config/vehicles/`, change what you know, check it with `evpinn check-params`, and"]
     lines += ["give its path to `--vehicle`. [Certified cars](#certified-cars) need no file:"]
     lines += ["`evpinn vehicles` lists all, `evpinn vehicles show NAME` prints one as a file.", ""]

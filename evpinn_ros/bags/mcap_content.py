@@ -1,6 +1,6 @@
 """Messages and definitions in the bytes of an MCAP chunk, and how the chunk is unpacked.
 
-Nothing that a file says of itself is believed: sizes have limits, and an index must agree with
+Nothing that a file states of itself is trusted: sizes have limits, and an index must agree with
 what it points to.
 """
 

@@ -1,6 +1,6 @@
 """The whole records of a damaged MCAP file, found again behind every damage.
 
-A record is believed when its content fills its length exactly, and after a search only when what
+A record is plausible when its content fills its length exactly, and after a search only when what
 follows begins a record too. Chunks prove themselves by their checksum. Records of messages that
 lie outside of chunks have none: what is inside them cannot be checked.
 """
@@ -145,7 +145,7 @@ class McapScan:
             return None
         return ChunkHead(start_ns, end_ns, size, checksum, name.decode(), first, packed)
 
-    def believed(self, position: int) -> bool:
+    def is_plausible(self, position: int) -> bool:
         """True if a plausible record begins here; the file may cut it."""
         head = self.head(position)
         if head is None:
@@ -190,7 +190,11 @@ class McapScan:
         first = position
         while True:
             opcode, end = self.head(position) or (0, position)
-            if opcode != Opcode.MESSAGE_INDEX or end > self.size or not self.believed(position):
+            if (
+                opcode != Opcode.MESSAGE_INDEX
+                or end > self.size
+                or not self.is_plausible(position)
+            ):
                 return found, position
             if end - first > LONGEST_CHUNK:
                 return {}, position
@@ -228,7 +232,7 @@ class McapScan:
         return opcode == Opcode.MESSAGE and near and self._definitions.knows(channel)
 
     def _knows(self, position: int) -> bool:
-        """Of the channel of a message; any is believed where none is known."""
+        """Of the channel of a message; any is plausible where none is known."""
         data = self._file.read(position, MESSAGE_HEAD.size)
         if len(data) < MESSAGE_HEAD.size:
             return False
@@ -238,11 +242,11 @@ class McapScan:
 
     def _certain(self, position: int) -> bool:
         """True if the record that begins here is plausible without another before it."""
-        if not self.believed(position):
+        if not self.is_plausible(position):
             return False
         opcode, end = self.head(position) or (0, 0)
         if opcode == Opcode.CHUNK:
             return True
         if opcode == Opcode.FOOTER:
             return self._file.read(end, len(MAGIC)) == MAGIC
-        return end <= self.size and (self.size - end < HEAD.size or self.believed(end))
+        return end <= self.size and (self.size - end < HEAD.size or self.is_plausible(end))

@@ -38,7 +38,7 @@ class Run:
         moments: number of smoothed samples.
         stream_s: what the samples themselves took, s.
         method_s: what predicting and learning took, s. Of `paper` and `hybrid` it includes the
-            samples; the nulls have none.
+            samples; the baselines have none.
     """
 
     drive: Drive
@@ -161,7 +161,7 @@ class OnlineBenchmark:
         """The last battery power measured strictly before each moment, held.
 
         Taken from the readings themselves, which are newer than what the stream has joined: the
-        strongest form of this null.
+        strongest form of this baseline.
         """
         held = Predictions()
         times = [self._history.seconds(stamp_ns) for _, stamp_ns, _ in self._moments]

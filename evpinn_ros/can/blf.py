@@ -1,4 +1,4 @@
-"""Vector .blf logs of anywhere: python-can believes every length that a damaged one claims."""
+"""Vector .blf logs of anywhere: python-can trusts every length that a damaged one claims."""
 
 from __future__ import annotations
 

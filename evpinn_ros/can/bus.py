@@ -5,7 +5,7 @@ polling is allowed. Otherwise an adapter that takes `listen_only` (slcan does) s
 so that it does not even acknowledge the car's frames.
 
 Stamps follow one rule, chosen at the first frame after every opening: the epoch (more than 1e9 s)
-of a driver that reads this computer's clock is believed. Every other one counts by a quartz of its
+of a driver that reads this computer's clock is used. Every other one counts by a quartz of its
 adapter, and a `ClockMap` lays it on the node's clock. A frame without a stamp has its arrival's.
 """
 
@@ -161,7 +161,7 @@ class BusReader:
 
     def _begin(self) -> None:
         """Forget what was known of the bus that was open before."""
-        self._believed: bool | None = None
+        self._stamps_are_ours: bool | None = None
         self._clock = ClockMap()
         self._silent_s = 0.0
         self._errors = self._garbled = 0
@@ -291,9 +291,9 @@ class BusReader:
     def _stamp_ns(self, seconds: float) -> int:
         if seconds == 0.0:  # python-can's default: a gs_usb without clock gives no other
             return self._now_ns()
-        if self._believed is None:
-            self._believed = self._interface in OUR_CLOCK and seconds > EPOCH_S
-        if self._believed:
+        if self._stamps_are_ours is None:
+            self._stamps_are_ours = self._interface in OUR_CLOCK and seconds > EPOCH_S
+        if self._stamps_are_ours:
             return nanoseconds(seconds)
         return self._clock.convert(nanoseconds(seconds), self._now_ns())
 

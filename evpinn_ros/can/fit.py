@@ -29,7 +29,7 @@ holds 15 m/s^2; 500 A through 0.1 ohm move 50 V."""
 SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are not to be trusted
 
 ENOUGH = 5  # frames before a message can be said to fail, or to have come right
-RIGHT = 0.9  # share of good frames that makes a message that failed believable again
+RIGHT = 0.9  # share of good frames that makes a message that failed plausible again
 NEARLY_ALL = 0.99  # share that is called all
 ENOUGH_PROOF = 2  # checksums that hold
 MARGIN = 0.1  # of the score by which another profile is better

@@ -1,7 +1,7 @@
 """Pauses of polling, and their end: whoever is asked stays awake, and draws 12 V power.
 
 A stop ends when the car is seen awake: it moves, or its bus, after a silence, carries the traffic
-of many ids again. Each time that this was followed by no answer, the next time is believed later,
+of many ids again. Each time that this was followed by no answer, the next time is accepted later,
 up to an hour later. Where nothing is broadcast, as behind the gateway at many diagnostic plugs, a
 stop lasts until the node is started anew. There is no probing in between, for a probe can wake a
 car.
@@ -29,7 +29,7 @@ AWAKE_FRAMES, AWAKE_IDS, AWAKE_WITHIN_S = 20, 3, 2.0
 (vehicle_renaultzoe_ph2) takes 15 frames a second of a few ids for an awake Zoe."""
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 3600.0
-"""Time from one awakening that came to nothing to the next that is believed, doubled each time."""
+"""Time from one awakening that came to nothing to the next that is accepted, doubled each time."""
 
 LOW_VOLTAGE, RECOVERED_VOLTAGE = 12.0, 12.5
 """V of a lead battery at rest, charged to 40 % and 80 %; 13 and more while the car charges it."""

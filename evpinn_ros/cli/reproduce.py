@@ -71,8 +71,8 @@ def reproduce(
     """Run the experiment of the EV-PINN paper on a drive, every claim checked beside it.
 
     Tables II to VI and figures 5 to 10 beside the paper's own numbers, and beside them what the
-    paper leaves out: a null, a chronological split, its published parameters on this drive, and
-    least squares. Stopped and started again it goes on where it was.
+    paper leaves out: a baseline, a chronological split, its published parameters on this drive,
+    and least squares. Stopped and started again it goes on where it was.
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
     """

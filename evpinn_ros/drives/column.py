@@ -30,7 +30,7 @@ class Column:
         name: in the file.
         factor: to SI.
         unit: that of the file, with a minus where the sign is turned.
-        why: the unit is believed; empty when the name is one of ours.
+        why: the reason for the unit; empty when the name is one of ours.
         offset: to SI, added after the factor.
         place: of the column in the file, from 0.
     """

@@ -3,7 +3,7 @@
 A drop of the state of charge by d while the battery gave the measured energy E says that the full
 battery holds E / d. Readings are rounded, so d is only as good as their step, which is seen in
 them; what a percent is differs beside that with temperature and age, by `CAPACITY_SPREAD`. Such
-readings and the belief of the vehicle file are averaged by their variance.
+readings and the prior of the vehicle file are averaged by their variance.
 """
 
 from __future__ import annotations

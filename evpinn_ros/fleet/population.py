@@ -4,7 +4,7 @@ Each car's parameters are a draw from N(mean, spread), in logarithms but for p_a
 zero. Of each car only the likelihood counts (`estimation.evidence`), so a car that learned nothing
 changes nothing, and one that learned mass over eta alone tells of that alone.
 
-The vehicle file is the belief before: half of its variance is doubt of the model's mean, half is
+The vehicle file is the prior: half of its variance is doubt of the model's mean, half is
 how cars of the model differ, and that half weighs as much as a quarter of a car. So without any
 evidence the priors of a new car are those of the file, and what no car can tell, as eta, mass and
 C_d scaled together, stays what the file says.
@@ -92,7 +92,7 @@ class Population:
         return self._spread * np.outer(self._scale, self._scale)
 
     def priors(self, source: str) -> Vehicle:
-        """The vehicle with what to believe of the next car of this model."""
+        """The vehicle with the priors for the next car of this model."""
         priors = {name: self._new_prior(name, source) for name in PARAMETER_NAMES}
         return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
 

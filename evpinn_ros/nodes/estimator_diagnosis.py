@@ -27,7 +27,7 @@ NO_SPEED, LEARNING = "no vehicle/speed", "learning"
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
 STUCK = {
     SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
-    BATTERY_STUCK: "battery/state is stuck at one value: it is not believed, nothing is learned",
+    BATTERY_STUCK: "battery/state is stuck at one value: it is not used, nothing is learned",
 }
 RECENT = 60  # updates whose median duration is told
 

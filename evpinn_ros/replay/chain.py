@@ -70,7 +70,7 @@ class Chain:
         return self._guard.follow(reading, self._rule)
 
     def take(self, reading: Reading | Jump) -> Iterator[ChainOutput]:
-        """Take a reading that may be believed, or a jump of time."""
+        """Take a reading that may be used, or a jump of time."""
         if isinstance(reading, Jump):
             self._jump()
             return

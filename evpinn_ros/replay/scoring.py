@@ -1,6 +1,6 @@
 """Scores of a replayed drive: the `--metrics` of design.md, section 2.3.
 
-Every score is predict-then-update: no prediction knew the sample it is held against. The nulls
+Every score is predict-then-update: no prediction knew the sample that scores it. The baselines
 beside them say what a score is worth: holding the last value, and, for what a random split of one
 drive proves, interpolation in time.
 """
@@ -23,8 +23,8 @@ GAP_STEPS = 6.0  # nor, of slow readings, between those this many usual steps ap
 # before (in logarithms) to half way to the next.
 BATTERY_AGES = (0.1, 1.0, 10.0, 60.0, 600.0)
 WINDOW, WINDOW_STEP = 300.0, 10.0  # s, of the worst stretch of energy
-NULL_HOLD_OUT = 0.2  # share held out in the random split
-NULL_SEED = 0
+BASELINE_HOLD_OUT = 0.2  # share held out in the random split
+BASELINE_SEED = 0
 FLOOR_BINS = 50  # of speed, each with at least ten predictions
 
 
@@ -111,7 +111,7 @@ def worst_window(drive: Drive) -> float | None:
     return worst
 
 
-def null_scores(drive: Drive, span: Span) -> dict[str, float | None]:
+def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
     """RMSE, W, of predictions that know nothing of cars.
 
     `last_value`: the battery reading before, one reading ahead. `interpolation`: between
@@ -120,7 +120,7 @@ def null_scores(drive: Drive, span: Span) -> dict[str, float | None]:
     rows = drive.measured[span.holds(drive.measured[:, 0])]
     if len(rows) < 10:
         return {"last_value": None, "interpolation": None}
-    held_out = np.random.default_rng(NULL_SEED).random(len(rows)) < NULL_HOLD_OUT
+    held_out = np.random.default_rng(BASELINE_SEED).random(len(rows)) < BASELINE_HOLD_OUT
     held_out[[0, -1]] = False
     guess = np.interp(rows[held_out, 0], rows[~held_out, 0], rows[~held_out, 1])
     return {

@@ -33,7 +33,7 @@ def knowledge(vehicle: Vehicle, drive: Drive, minutes: Mapping[str, float]) -> s
     return (
         "<h2>What could be known</h2><p>Power and speed determine only these combinations. "
         "Mass, η and C_d scaled together change nothing that could be measured, so their absolute "
-        "values keep a share of prior belief however long the drive.</p>"
+        "values keep a share of the prior however long the drive.</p>"
         "<div class='wide'><table><thead><tr><th>combination</th><th>at the end, 1-sigma</th>"
         "<th>left of the vehicle file's 1-sigma</th><th>told by driving</th><th>for</th></tr>"
         f"</thead><tbody>{rows}</tbody></table></div>{_SHARES}"
@@ -57,6 +57,6 @@ def _row(name: str, end: np.ndarray, before: float, minutes: float) -> str:
 
 
 _SHARES = (
-    "<figure><figcaption><b>Share of prior belief</b> in each parameter. Full colour: all from "
+    "<figure><figcaption><b>Share of the prior</b> in each parameter. Full colour: all from "
     "data; pale: all prior.</figcaption><div class='plot' data-plot='shares'></div></figure>"
 )

@@ -14,7 +14,7 @@ import numpy as np
 from evpinn_ros.replay.events import Event, EventKind, drive_events
 from evpinn_ros.replay.foretold import ForecastOutcome, forecast_outcomes
 from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import Span, null_scores
+from evpinn_ros.replay.scoring import Span, baseline_scores
 from evpinn_ros.replay.tables import (
     SCORE_COLUMNS,
     energy_lines,
@@ -144,7 +144,7 @@ def _maps(
 
 
 def _summary(reported: ReportedDrive, events: Sequence[Event]) -> str:
-    """The page to print: scores, nulls beside them, parameters with their state."""
+    """The page to print: scores, baselines beside them, parameters with their state."""
     drive, found = reported.drive, reported.found
     dropped = ", ".join(f"{n} {why}" for why, n in found["input"]["dropped"].items())
     lines = [
@@ -156,14 +156,14 @@ def _summary(reported: ReportedDrive, events: Sequence[Event]) -> str:
         f"<h3>Predict, then update; after {reported.warm_up:.0f} s</h3>"
         + table(SCORE_COLUMNS, score_rows(drive, found, reported.warm_up))
         + "".join(f"<p>{escape(line)}</p>" for line in energy_lines(found))
-        + "<p class='muted'>No prediction knows the sample it is held against. The nulls know "
+        + "<p class='muted'>No prediction knows the sample that scores it. The baselines know "
         "nothing of cars: at 10 Hz the last value held is hard to beat, and worth nothing once "
         "the battery is silent; a random split proves interpolation, not prediction.</p>"
     )
     parameters = (
         "<h3>Parameters at the end</h3>"
         + table(parameter_columns(reported.truth), parameter_rows(found, reported.truth))
-        + "<p class='muted'>Prior: how much of the value is belief and not data. 100 % means that "
+        + "<p class='muted'>Prior: share of the prior in the value. 100 % means that "
         "the data said nothing.</p>"
     )
     return (
@@ -185,8 +185,8 @@ def _tiles(reported: ReportedDrive, events: Sequence[Event]) -> Iterator[str]:
     if energy["measured_j"] is not None and whole and distance >= 1.0:
         consumption = energy["measured_j"] / 3600 / distance
         yield _tile(f"{consumption:.0f} Wh/km", "consumption")
-    null = watts(null_scores(drive, Span(reported.warm_up, drive.duration))["last_value"])
-    yield _tile(watts(power["rmse_w"]), f"RMSE of power; last value held: {null}")
+    held = watts(baseline_scores(drive, Span(reported.warm_up, drive.duration))["last_value"])
+    yield _tile(watts(power["rmse_w"]), f"RMSE of power; last value held: {held}")
     covered = power["coverage_90"]
     yield _tile("-" if covered is None else f"{100 * covered:.1f} %", "of power in its 90 % band")
 

@@ -23,7 +23,7 @@ MIN_SAMPLES = 100
 # causal. The paper differentiates an input and does not say how.
 SMOOTHING_AHEAD = 0.3  # s
 DELAYS = np.linspace(-0.4, 0.4, 41)  # s, candidates
-LEAST_GAIN = 0.01  # share of what is unexplained that a delay must take away to be believed
+LEAST_GAIN = 0.01  # share of what is unexplained that a delay must take away to be used
 MOST_UNEXPLAINED = 0.5  # share of the variance of power
 
 

@@ -52,7 +52,7 @@ CHECKPOINT_VERSION = 1  # of what a file holds and of the constants it was train
 PROGRESS_EVERY = 10  # epochs
 RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
 NETWORK = "network"
-NULLS = {RANDOM: "null: line in time", CHRONOLOGICAL: "null: last power held"}
+BASELINES = {RANDOM: "baseline: line in time", CHRONOLOGICAL: "baseline: last power held"}
 REGRESSION = "eq. 21, least squares"
 
 # Takes the title of a training, its epoch, its last epoch and the newest loss.
@@ -267,14 +267,14 @@ class Experiment:
 
 
 def _scores(training: PowerTraining, split: str) -> list[Scored]:
-    """Network and regression on the validation data of a training, and the null of the split."""
+    """Network and regression on the validation data of a training, and its baseline."""
     problem = training.problem
     log, rows = problem.log, problem.split
     held = log.part(rows.validation)
     powers = {
         NETWORK: problem.predicted_power(training.optimizer.network, held),
         REGRESSION: least_squares_power(problem)[0],
-        NULLS[split]: interpolated_power(log.part(rows.training), held),
+        BASELINES[split]: interpolated_power(log.part(rows.training), held),
     }
     return [
         Scored(method, split, power_score(power, held.power, problem.scale))

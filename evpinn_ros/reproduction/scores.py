@@ -70,7 +70,7 @@ def power_score(predicted: np.ndarray, measured: np.ndarray, scale: PowerScale) 
 
 
 def interpolated_power(training: DriveLog, validation: DriveLog) -> np.ndarray:
-    """The null: a line in time between the neighbours trained on, W.
+    """The baseline: a line in time between the neighbours trained on, W.
 
     After the last of them, as under a chronological split, its power is held.
     """

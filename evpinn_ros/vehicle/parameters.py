@@ -1,4 +1,4 @@
-"""The parameters of a car, their units, and what is believed of them before driving."""
+"""The parameters of a car, their units, and their priors before driving."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_hybrid_scores_as_in_replay(vehicle, readings, whole):
     assert whole.predicted["hybrid"].energy[-1, 1] == pytest.approx(predicted, rel=1e-12)
 
 
-def test_null_holds_the_battery_reading_before(whole, readings):
+def test_baseline_holds_the_battery_reading_before(whole, readings):
     powers = [r.power for r in readings if isinstance(r, BatteryReading)]
     for series in SERIES:
         held = getattr(whole.predicted["null"], series)

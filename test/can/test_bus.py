@@ -256,7 +256,7 @@ def test_stamps_of_an_adapter_with_its_own_zero(scripted):
     assert stamps("virtual", clock) == clock
 
 
-def test_stamps_of_the_epoch_are_believed(scripted):
+def test_stamps_of_the_epoch_are_used(scripted):
     scripted([message(1549819403.028902)])
     assert stamps("virtual", [NOW]) == [1549819403028902000]
 

@@ -97,7 +97,7 @@ def test_model_s_on_the_bus_of_a_model_3(moving, bus):
         low = chance.randrange(0x2500, 0x2900) if moving else 0x2600
         frames += [frame, door_status(frame, low.to_bytes(2, "little"))]
     doors = [frame for frame in frames if frame.can_id == 0x102]
-    assert decoded("tesla_model_s", doors)  # alone each is a believable battery
+    assert decoded("tesla_model_s", doors)  # alone each is a plausible battery
     guard, bridge = guarded("tesla_model_s")
     assert run(bridge, frames) == []
     assert guard.contradiction.better == "tesla_model_3"
@@ -197,7 +197,7 @@ def decoded_by(profile, frames):
     return [reading for frame in frames for reading in decoder.decode(frame)]
 
 
-def test_a_car_that_stands_still_and_never_changes_is_believed(mine):
+def test_a_car_that_stands_still_and_never_changes_is_accepted(mine):
     encoder = Encoder(mine)
     frame = encoder.battery(BatteryReading(0, 380.0, -1.0))
     frames = [CanFrame(i * SECOND // 10, 80, frame.data) for i in range(20)]

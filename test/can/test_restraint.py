@@ -91,7 +91,7 @@ def test_a_car_that_moves_is_awake(restraint):
     assert restraint.heard(0x100, False, now + 1.1)
 
 
-def test_what_woke_in_vain_is_believed_later_each_time(restraint):
+def test_what_woke_in_vain_is_accepted_later_each_time(restraint):
     now, woken = asleep(restraint), []
     while now < 24 * 3600.0:
         now += 12.0

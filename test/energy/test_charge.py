@@ -47,7 +47,7 @@ def test_a_change_that_was_not_measured_teaches_nothing():
     assert gauge.learned == 0
 
 
-def test_a_reading_is_believed_for_a_minute_then_projected():
+def test_a_reading_is_valid_for_a_minute_then_projected():
     gauge = ChargeGauge(CAPACITY)
     stamp = discharge(gauge, 0.9, 0.5)
     taken = Uncertain(0.5 * CAPACITY, 1e4)

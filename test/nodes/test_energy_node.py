@@ -236,7 +236,7 @@ def test_the_model_of_another_car_is_refused(bench):
     assert bench.diagnosis(node)["plan"][2]["forecasts_from"] == "vehicle file"
 
 
-def unbelievable(model):
+def implausible(model):
     """Finite models and combinations that leave no plan a finite answer, each on its topic."""
     for change in ({"mass": 1e-300}, {"mean": model.mean * 1e300}, {"standing_noise": 1e200}):
         wrong = dataclasses.replace(model, **change)
@@ -257,7 +257,7 @@ def test_no_finite_model_leaves_a_plan_unanswered(bench):
     bench.listen(*ANSWERS)
     good = PinnLearner(VEHICLE).linear_power(None)
     (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-    for topic, message in unbelievable(good):
+    for topic, message in implausible(good):
         bench.deliver(node, topic, message)
         (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
         assert answer == before
