@@ -23,7 +23,7 @@ FRAMES_TOPIC = "can/frames"
 """Topic of a recording's raw frames, relative to the namespace."""
 
 BAG_SUFFIXES = (".mcap", ".db3")
-_SENT = "to_can_bus"  # the topic by which ros2_socketcan is told to send
+_SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
 _CLASSIC = 8  # bytes of data that the message can hold
 
 # Stamp, empty frame_id with its length and end, id, is_rtr, is_extended, is_error, dlc, data.

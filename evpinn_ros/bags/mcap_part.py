@@ -84,7 +84,7 @@ class McapPart:
         """Hand all that was written to the operating system, which begins to put it on the disk.
 
         Raises:
-            OSError: this failed, or what the disk was told before.
+            OSError: this failed, or an earlier write.
         """
         self._writer.flush()
         self.flushed_s = time.monotonic()

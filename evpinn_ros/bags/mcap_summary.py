@@ -144,16 +144,20 @@ def _blocks(file: FileBytes, chunks: list[ChunkIndex], end: int) -> list[Block] 
         if opcode == Opcode.MESSAGE:
             return None  # outside of any chunk
         if chunk is not None:
-            told = scan.chunk(position, position_after)
+            chunk_head = scan.chunk(position, position_after)
             heads = (INDEX_HEAD + HEAD.size) * len(chunk.message_index_offsets)
             count = (chunk.message_index_length - heads) // INDEX_ENTRY
             # By mistake or not, other lengths lead elsewhere.
-            if told is None or told.packed != chunk.compressed_size or count < 0:
+            if chunk_head is None or chunk_head.packed != chunk.compressed_size or count < 0:
                 return None
-            if max(told.size, told.packed) > LONGEST_CHUNK:
+            if max(chunk_head.size, chunk_head.packed) > LONGEST_CHUNK:
                 return None
             # Its time is taken from the index, which a checksum guards.
-            blocks.append(Block(chunk.message_start_time, told.first, position_after, told, count))
+            blocks.append(
+                Block(
+                    chunk.message_start_time, chunk_head.first, position_after, chunk_head, count
+                )
+            )
             position_after += chunk.message_index_length
         position = position_after
     return blocks if position == end and not indexed else None

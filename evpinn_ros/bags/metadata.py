@@ -133,8 +133,8 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
-def told_seconds(bag: Path) -> float | None:
-    """Length of a bag as its metadata.yaml tells it, s; None where nothing is told."""
+def stated_seconds(bag: Path) -> float | None:
+    """Length of a bag as its metadata.yaml states it, s; None where it states none."""
     try:
         found = load_plain(bag / METADATA, "metadata", MOST_METADATA)
         seconds = float(found[INFORMATION]["duration"]["nanoseconds"]) / NANOSECONDS

@@ -106,7 +106,7 @@ def recover(source: Path, out: Path, progress: Progress | None = None) -> list[R
     Args:
         source: MCAP file, or rosbag2 folder, with or without metadata.yaml.
         out: folder of the new bag, not there or empty.
-        progress: is told how many bytes are done, of all files together.
+        progress: takes how many bytes are done, of all files together.
 
     Raises:
         InputError: no MCAP there, `out` is in use, or no message could be saved.

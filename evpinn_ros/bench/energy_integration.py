@@ -313,11 +313,11 @@ def _range_rows(name: str, drives: Sequence[Sequence[Reading]]) -> Iterator[Inte
                 cost_spread(log.windows[2].whole),
             )
             left = Uncertain(energies[end] - energies[index + 1], 0.0)
-            told = remaining(left, cost)
+            estimate = remaining(left, cost)
             driven = distances[end] - distances[index + 1]
-            if told is not None:
-                inside.append(told.lower <= driven <= told.upper)
-                errors.append(abs(100 * (told.distance / driven - 1)))
+            if estimate is not None:
+                inside.append(estimate.lower <= driven <= estimate.upper)
+                errors.append(abs(100 * (estimate.distance / driven - 1)))
         if inside:
             text = f"{name}, distance to empty {horizon / 1e3:g} km ahead: "
             yield IntegrationRow(text + "median error", float(np.median(errors)), "%", len(errors))

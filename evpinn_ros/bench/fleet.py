@@ -18,7 +18,7 @@ import numpy as np
 
 from evpinn_ros.fleet.executor import LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Told
+from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, PopulationValue
 from evpinn_ros.fleet.run import claimed, learn_fleet
 from evpinn_ros.fleet.tables import Summary, write_tables
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -68,7 +68,7 @@ class Recovered:
     name: str
     mean: float
     spread: float
-    told: Told
+    learned: PopulationValue
 
 
 def many_drives(folder: Path, vehicle: Vehicle, drives: int, seconds: float) -> list[CarDrives]:
@@ -167,11 +167,11 @@ def _compared(vehicle: Vehicle, summary: Summary) -> Iterator[Recovered]:
     population = summary.populations[vehicle.key]
     for name in COMPARED:
         combined = name in COMBINATIONS
-        told = population.combination(name) if combined else population.parameter(name)
+        learned = population.combination(name) if combined else population.parameter(name)
         parts = COMBINATIONS.get(name, {name: 1.0})
         means, spreads = zip(*(_known(vehicle, each) for each in parts), strict=True)
         mean = sum(sign * each for sign, each in zip(parts.values(), means, strict=True))
-        yield Recovered(name, mean, math.hypot(*spreads), told)
+        yield Recovered(name, mean, math.hypot(*spreads), learned)
 
 
 def _known(vehicle: Vehicle, name: str) -> tuple[float, float]:

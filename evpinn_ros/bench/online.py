@@ -33,7 +33,7 @@ class Run:
     """One log after all methods.
 
     Attributes:
-        drive: what the car told; it holds no predictions.
+        drive: readings of the car; it holds no predictions.
         predicted: for each method the same drive with its predictions.
         moments: number of smoothed samples.
         stream_s: what the samples themselves took, s.

@@ -147,7 +147,7 @@ def campaign(
         cases: in all, dealt out to storages and faults.
         size: bytes of each bag.
         seed: of bags and faults.
-        progress: is told the cases done.
+        progress: takes the cases done.
     """
     rng = random.Random(seed)
     kinds = [(storage, fault) for storage in STORAGES for fault in FAULTS]

@@ -92,7 +92,7 @@ def bench_training(
         vehicle: its vehicle file.
         epochs: of Adam; the others stop there too if they have not reached its loss.
         seed: of split, networks and batches.
-        on_epoch: told how it goes.
+        on_epoch: called with the losses.
     """
     stop = -math.inf
     for contender in _contenders(log, vehicle, seed):

@@ -167,7 +167,7 @@ def summaries(found: Iterable[Comparison]) -> list[Summary]:
 class Step:
     """A change of payload at a stop and what was found of it.
 
-    `detected_after` is s of motion (NaN: never), `error` kg of the change as told at the end.
+    `detected_after` is s of motion (NaN: never), `error` kg of the change as estimated at the end.
     """
 
     vehicle: str

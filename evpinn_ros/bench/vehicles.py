@@ -81,9 +81,9 @@ def prior_errors(others: Mapping[str, Vehicle]) -> Iterator[PriorError]:
         model: population(car for key, car in cars.items() if models[key] != model)
         for model in set(models.values())
     }
-    told = [(car, left_out[models[key]]) for key, car in cars.items()]
-    yield from _judge("population of the other models", told)
-    alone = [(car, Population(p.mean, np.diag(np.diag(p.covariance)))) for car, p in told]
+    priors = [(car, left_out[models[key]]) for key, car in cars.items()]
+    yield from _judge("population of the other models", priors)
+    alone = [(car, Population(p.mean, np.diag(np.diag(p.covariance)))) for car, p in priors]
     yield from _judge("likewise, without correlations", alone)
     for name, vehicle in others.items():
         yield from _judge(name, [(car, of_vehicle(vehicle)) for car in cars.values()])
@@ -102,10 +102,10 @@ def of_vehicle(vehicle: Vehicle) -> Population:
     return Population(mean, covariance)
 
 
-def _judge(name: str, told: Sequence[tuple[CertifiedCar, Population]]) -> Iterator[PriorError]:
+def _judge(name: str, priors: Sequence[tuple[CertifiedCar, Population]]) -> Iterator[PriorError]:
     for speed in SPEEDS:
         rows = []
-        for car, prior in told:
+        for car, prior in priors:
             mass, c_rr, area = np.exp([np.log(load.physics) for load in car.loads]).mean(axis=0)
             truth = np.log([mass, c_rr, area])
             certain = float(RoadLoad(*np.mean(car.loads, axis=0)).force(np.array(speed)))

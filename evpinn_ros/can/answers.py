@@ -52,8 +52,8 @@ class AnswerDecoder:
             # A rounded number is off by a uniform error of one step: variance step^2 / 12.
             speed, step = values["speed"]
             readings.append(SpeedReading(stamp_ns, speed, step**2 / 12))
-        told = {field.signal.name for field in self._fields[answer.request.name]}
-        if told.issuperset(PARTS) and not values.keys() >= {*PARTS}:
+        asked = {field.signal.name for field in self._fields[answer.request.name]}
+        if asked.issuperset(PARTS) and not values.keys() >= {*PARTS}:
             self.dropped["not_together"] += any(part in values for part in PARTS)
             return tuple(readings)
         for part in PARTS:

@@ -75,7 +75,7 @@ class BridgeStatus:
 class CanBridge:
     """Decodes the frames of one bus and watches over them; for one thread at a time.
 
-    A reading is made of one frame and told once: when a signal falls silent, nothing follows.
+    A reading is made of one frame and given once: when a signal drops out, nothing follows.
 
     Attributes:
         poller: asks for what the profile says is not broadcast, or None when all of it is.
@@ -99,8 +99,8 @@ class CanBridge:
         """
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.evidence if guard is not None else None)
-        told = {*profile.messages, *profile.asked}
-        self._arrivals = {name: _Arrivals() for name in _KINDS if name in told}
+        known = {*profile.messages, *profile.asked}
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in known}
         self.poller = Poller(profile, send) if profile.requests else None
         self._answers = 0
 

@@ -305,7 +305,7 @@ class BusReader:
         try:
             bus.shutdown()
         except Exception as error:
-            # An unplugged adapter cannot be told to stop; it is gone already.
+            # An unplugged adapter cannot be stopped; it is gone already.
             self._counters["close_errors"] += 1
             self._problem = self._problem or f"{self._name}: closing failed: {_one_line(error)}"
 

@@ -30,7 +30,7 @@ class CurrentSign:
         self._speed, self._speed_ns = math.nan, 0
 
     @property
-    def told(self) -> bool:
+    def decided(self) -> bool:
         """True if there was enough pulling away, braking or charging to judge by."""
         return self._driving.told or self._charging.told
 

@@ -54,7 +54,7 @@ class DbcFile:
         """The `cantools.database.Message` that a section names.
 
         Raises:
-            InputError: there is none, or its pages cannot be told apart.
+            InputError: there is none, or its pages cannot be distinguished.
         """
         name = section.text("message")
         if name not in self._messages:

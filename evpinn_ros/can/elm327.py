@@ -78,7 +78,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         self._commands: deque[str] = deque()
         self._lines: deque[tuple[float, str]] = deque()
         self._rest, self._last = b"", ""
-        self._settings = {"ATCEA": "", "ATFCSM": "0"}  # what the adapter has been told
+        self._settings = {"ATCEA": "", "ATFCSM": "0"}  # commands that the adapter has
         self._monitoring = self._extended = False
         self._deadline_s: float | None = None  # while the adapter's prompt is awaited
         self._port = self._find(channel, tty_baudrate)

@@ -59,10 +59,10 @@ class MessageFit:
     @property
     def share(self) -> float:
         """Of good frames, 0..1."""
-        told = self.good + sum(self.bad.values())
-        if not told:
+        total = self.good + sum(self.bad.values())
+        if not total:
             return 0.5 if self.frames else 0.0
-        return self.good / told
+        return self.good / total
 
     @property
     def fails(self) -> bool:
@@ -86,8 +86,8 @@ class MessageFit:
         if self.share >= NEARLY_ALL:
             return f"{what} holds"
         reason, count = max(self.bad.items(), key=lambda item: item[1], default=("", 0))
-        told = self.good + sum(self.bad.values())
-        return f"{what}: {100 * count / told:.0f} % {reason}" if told else f"{what} says nothing"
+        total = self.good + sum(self.bad.values())
+        return f"{what}: {100 * count / total:.0f} % {reason}" if total else f"{what}: no values"
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,7 +75,7 @@ class ProfileReport:
         asks: some of its quantities must be asked for; only what others ask for is heard here.
         experimental: its sources disagree, so it is never the best.
         sign: what is wrong with the sign of the current, None while nothing is.
-        sign_told: whether the car pulled away, braked or charged enough to judge that.
+        sign_decided: whether the car pulled away, braked or charged enough to judge that.
     """
 
     fit: ProfileFit
@@ -85,7 +85,7 @@ class ProfileReport:
     asks: bool
     experimental: bool
     sign: str | None
-    sign_told: bool
+    sign_decided: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +236,7 @@ class _Candidate:
             asks=self._asks,
             experimental=self._experimental,
             sign=self._sign.suspicion,
-            sign_told=self._sign.told,
+            sign_decided=self._sign.decided,
         )
 
 

@@ -86,7 +86,7 @@ class LogFile:
             raise InputError(f"{self.path}: the file is empty")
 
     def frames(self) -> Iterator[CanFrame]:
-        """Every data frame up to the end, or up to the first damage, told in `problem`.
+        """Every data frame up to the end, or up to the first damage, named in `problem`.
 
         Raises:
             InputError: the file cannot be opened, or there is no frame in it.
@@ -119,7 +119,7 @@ class LogFile:
             path = Path(folder) / "converted.log"
             command = [sys.executable, "-m", "can.logconvert", str(self.path), str(path)]
             failed = run_limited(command)
-            with suppress(InputError):  # no file, or no frame in it: told below
+            with suppress(InputError):  # no file, or no frame in it: refused below
                 log = LogFile(path)
                 self.skipped = log.skipped
                 for frame in log.frames():

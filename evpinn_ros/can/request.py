@@ -119,7 +119,7 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
 
     Raises:
         InputError: a key is missing or wrong, a service is none that reads, an id is none of
-            diagnostics, two requests cannot be told apart by their answers, or all of them ask
+            diagnostics, two requests cannot be distinguished by their answers, or all of them ask
             too often.
     """
     rules = {name: _request_rule(section.section(name), name) for name in section.names()}

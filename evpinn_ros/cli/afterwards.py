@@ -77,15 +77,15 @@ def _run(command: list[str]) -> int:
     signals_before = signal.signal(signal.SIGTERM, lambda *_: asked_s.append(time.monotonic()))
     try:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        told = False
+        signalled = False
         while True:
             try:
                 code = process.wait(POLL_S)
             except subprocess.TimeoutExpired:
                 if asked_s and time.monotonic() - asked_s[0] > CUT_SHORT_S:
                     process.kill()
-                elif asked_s and not told:
-                    told = True
+                elif asked_s and not signalled:
+                    signalled = True
                     process.send_signal(signal.SIGINT)
             else:
                 return code if code >= 0 else TERMINATED

@@ -37,7 +37,7 @@ def vehicles(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Judge priors: road load of cars that they were not told, and energies of drive cycles.
+    """Judge priors: road load of cars withheld from them, and energies of drive cycles.
 
     Example: evpinn bench vehicles --beside my_generic.yaml
     """

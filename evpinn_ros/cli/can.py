@@ -22,7 +22,7 @@ from evpinn_ros.nodes.parameter_table import bus_options
 from evpinn_ros.signals.readings import NANOSECONDS
 
 BITRATE = 500_000  # bit/s, of every car in config/can
-LISTEN = 10.0  # s, if not told otherwise
+LISTEN = 10.0  # s, if not given otherwise
 LONGEST = 1e6  # s
 LONGEST_STOP = 5.0  # s to wait for the driver
 

@@ -131,7 +131,9 @@ def _verdict(best: ProfileReport | None) -> list[str]:
     if "current" not in best.values:
         return lines
     sign = best.sign or (
-        "agrees with acceleration and charging" if best.sign_told else "too little driving to tell"
+        "agrees with acceleration and charging"
+        if best.sign_decided
+        else "too little driving to judge"
     )
     return [*lines, f"Sign of the current: {sign}"]
 
@@ -168,7 +170,7 @@ def _profile_json(profile: ProfileReport) -> dict[str, Any]:
             for name, found in profile.values.items()
         },
         "dropped": dict(profile.dropped),
-        "current_sign": {"told": profile.sign_told, "suspicion": profile.sign},
+        "current_sign": {"told": profile.sign_decided, "suspicion": profile.sign},
     }
 
 

@@ -23,7 +23,7 @@ from evpinn_ros.report.fleet_page import POPULATION_HEAD, population_cells, writ
 from evpinn_ros.vehicle.written import write_vehicle
 
 REPORT = "report.html"
-TOLD = 20  # problems printed; the tables hold all
+MOST_SHOWN = 20  # problems printed; the tables hold all
 
 
 def fleet(
@@ -141,11 +141,11 @@ def _found(summary: Summary) -> dict[str, Any]:
 
 
 def _show(summary: Summary, out: Path) -> None:
-    for what, why in summary.problems[:TOLD]:
+    for what, why in summary.problems[:MOST_SHOWN]:
         note(f"evpinn: {why}" if what in why else f"evpinn: {what}: {why}")
     counts = summary.counts
-    if counts["problems"] > TOLD:
-        note(f"evpinn: and {counts['problems'] - TOLD} more problems, in the tables")
+    if counts["problems"] > MOST_SHOWN:
+        note(f"evpinn: and {counts['problems'] - MOST_SHOWN} more problems, in the tables")
     for key, population in summary.populations.items():
         table = titled_table(f"Cars of model {key}")
         name, _, *rest = POPULATION_HEAD  # the vehicle file beside it is for the report

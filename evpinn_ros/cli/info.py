@@ -69,8 +69,8 @@ def _lines(found: Contents) -> Iterator[str]:
     when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(found, begin)}" if end else "empty"
     yield f"{found.path}: {found.kind}, {when}"
     for column in found.columns:
-        told = f", {column.unit}, {column.why}" if column.why else ""
-        yield f"  {column.quantity}: column {column.name!r}{told}"
+        shown = f", {column.unit}, {column.why}" if column.why else ""
+        yield f"  {column.quantity}: column {column.name!r}{shown}"
     if found.unused:
         yield f"  columns not used: {shorter(found.unused)}"
     if found.frames:

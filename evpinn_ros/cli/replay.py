@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.bags.metadata import told_seconds
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
@@ -190,7 +190,7 @@ def _one(
         if folder is not None:
             stack.enter_context(writing(folder))
             writer = stack.enter_context(BagWriter(folder))
-        seconds = options.duration or told_seconds(source.path)
+        seconds = options.duration or stated_seconds(source.path)
         progress = stack.enter_context(progress_bar(source.path.name, total=seconds))
         return replay_drive(
             source,

@@ -78,7 +78,7 @@ def _is_known(column: Column) -> bool:
 
 def _is_guessed(column: Column) -> bool:
     """True if neither its name nor a person decides how a column is to be read."""
-    return column.why != "as told" and column.name != QUANTITIES[column.quantity].column
+    return column.why != "as given" and column.name != QUANTITIES[column.quantity].column
 
 
 def _by_app(column: Column, header: frozenset[str]) -> Column:

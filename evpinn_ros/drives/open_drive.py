@@ -95,7 +95,7 @@ def open_drive(
     Args:
         path: of the file.
         nominal_voltage: V; power alone becomes current at it.
-        columns: that are told, see `evpinn_ros.drives.column.columns_by_name`.
+        columns: that are given, see `evpinn_ros.drives.column.columns_by_name`.
 
     Raises:
         InputError: it cannot be read, or holds no drive.

@@ -174,7 +174,7 @@ def look_through(
 
 
 def _until_broken(rows: Iterator[Row]) -> Iterator[Row]:
-    """The rows up to where the file breaks off, which is told on reading."""
+    """The rows up to where the file breaks off, which is reported on reading."""
     with suppress(InputError):
         yield from rows
 

@@ -21,7 +21,7 @@ MAX_POWER = 4e6  # W
 MOST_DISTANCE = 1e10  # m
 MOST_ENERGY = 1e14  # J
 MOST_SECONDS = 1e15  # s; a stamp that leaps may claim decades of dropout, so hardly a bound
-# Of a car that is told, from a model of one to a train; time and way in which errors forget
+# Of a car that is given, from a model of one to a train; time and way in which errors forget
 # themselves are not zero.
 CAR_RANGES = {
     "drag_area": (0.0, 100.0),

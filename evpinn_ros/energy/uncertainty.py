@@ -86,7 +86,7 @@ class LastingShare:
     """Share of the gross energy predicted over a battery dropout that stays wrong.
 
     A prior of `PRIOR_SHARE`, which weighs as `PRIOR_SILENCES`, averaged with the silences whose
-    energy the state of charge told afterwards. While the battery speaks nothing is to be learned
+    energy the state of charge gave afterwards. While the battery speaks nothing is to be learned
     of it: predictions are corrected all the while, and over a minute they are wrong by 0.5 %.
 
     Attributes:

@@ -155,14 +155,14 @@ class _Found:
         """Write the files after one more drive; without a state nothing was learned of it."""
         self.rows.append({**one.row(), **row})
         self.state = state or self.state
-        told = _evidence(self.vehicle, self.state)
+        evidence = _evidence(self.vehicle, self.state)
         self._write(
             state,
             {
                 "basis": self._basis,
                 "state": _digest_of(self.state or {}),
-                "precision": told.precision.tolist(),
-                "information": told.information.tolist(),
+                "precision": evidence.precision.tolist(),
+                "information": evidence.information.tolist(),
                 "drives": self.rows,
                 "unreadable": self._written.get("unreadable", []),
             },

@@ -57,7 +57,7 @@ class LocalExecutor:
     """
 
     def __init__(self, workers: int | None = None) -> None:
-        """As many workers as there are cores for this process, if not told."""
+        """As many workers as there are cores for this process, if not given."""
         self._count = workers or len(os.sched_getaffinity(0))
         self._pools: set[ProcessPoolExecutor] = set()
 

@@ -16,7 +16,7 @@ LEAP = (
 )
 
 
-class Told(NamedTuple):
+class NumberCheck(NamedTuple):
     """Loss that the number of a message shows.
 
     Attributes:
@@ -29,7 +29,7 @@ class Told(NamedTuple):
 
 
 class MessageNumbers:
-    """Messages lost, and publishers that speak by turns, told by the numbers of messages.
+    """Messages lost, and publishers that speak by turns, found by the numbers of messages.
 
     The middleware drops the oldest of a full queue without a word, but it numbers the messages of
     each publisher. Those of a topic fall back once when its publisher is started anew, and again
@@ -44,7 +44,7 @@ class MessageNumbers:
         self._newest: dict[Hashable, int] = {}
         self._fell: dict[Hashable, float] = {}
 
-    def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> Told:
+    def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> NumberCheck:
         """Take what rclpy tells of a message.
 
         Args:
@@ -54,14 +54,14 @@ class MessageNumbers:
         """
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         if not number:
-            return Told(0, by_turns=True)
+            return NumberCheck(0, by_turns=True)
         falls = number <= self._newest.get(topic, 0)
         fell_lately = steady - self._fell.get(topic, -math.inf) < LATELY
         self._newest[topic] = number
         if falls:
             self._fell[topic] = steady
         lost = self._lost(topic, bytes(gid["data"]) if gid else b"", number)
-        return Told(lost if gid or not fell_lately else 0, falls and fell_lately)
+        return NumberCheck(lost if gid or not fell_lately else 0, falls and fell_lately)
 
     def _lost(self, topic: Hashable, publisher: bytes, number: int) -> int:
         numbers = self._numbers.setdefault(topic, {})

@@ -62,8 +62,8 @@ class GuardedNode(LifecycleNodeMixin, Node):
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
-        self._usual: set[str] = set()  # of them, those that nobody need be told of
-        self._lasting: dict[str, float] = {}  # of them, those told when they begin; newest, s
+        self._usual: set[str] = set()  # of them, those that need no attention
+        self._lasting: dict[str, float] = {}  # of them, those shown when they begin; newest, s
         self._faults: Counter[str] = Counter()
         self._newest_fault = "", -math.inf  # and when, s
         self._outlets: dict[Topic, Any] = {}
@@ -157,7 +157,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe, with `raw` to bytes; what the callback raises is counted.
 
-        An input that is not raw is a stream of one publisher: a second one that speaks is told.
+        An input that is not raw is a stream of one publisher: a second one is reported.
         """
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
@@ -223,8 +223,8 @@ class GuardedNode(LifecycleNodeMixin, Node):
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
         try:
-            told = (each for each in messages if self.active or each[0] is topics.DIAGNOSTICS)
-            ready = list(told)
+            passed = (each for each in messages if self.active or each[0] is topics.DIAGNOSTICS)
+            ready = list(passed)
         except ValueError:
             self.bad[NOT_FINITE] += 1
             return
@@ -250,22 +250,22 @@ class GuardedNode(LifecycleNodeMixin, Node):
     def health(
         self,
         dropped: Mapping[str, int] | None = None,
-        told_elsewhere: Mapping[str, int] | None = None,
+        shown_elsewhere: Mapping[str, int] | None = None,
         usual: Collection[str] = (),
     ) -> Health:
         """Faults so far.
 
         Args:
             dropped: messages that were not used, by reason.
-            told_elsewhere: likewise, where the status has them among its values already.
-            usual: reasons of which nobody need be told now; they are counted all the same.
+            shown_elsewhere: likewise, where the status has them among its values already.
+            usual: reasons that need no attention now; they are counted all the same.
         """
         bad = {**self.bad, **(dropped or {})}
-        lately = self._lately.update(self.steady_s(), {**bad, **(told_elsewhere or {})})
-        told = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
+        lately = self._lately.update(self.steady_s(), {**bad, **(shown_elsewhere or {})})
+        shown = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
         fault, at = self._newest_fault
         recent = fault if at > self.steady_s() - LATELY else None
-        return Health(bad, dict(self._faults), tuple(self._noticed(told)), recent)
+        return Health(bad, dict(self._faults), tuple(self._noticed(shown)), recent)
 
     def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY

@@ -110,7 +110,7 @@ class _Listener:
         self._node = rclpy.create_node("listener", namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._told: dict[str, str] = {}
+        self._values: dict[str, str] = {}
         self.battery: list[tuple[int, float]] = []
         self._listen(topics.BATTERY, self._take_battery)
         self._listen(topics.DIAGNOSTICS, self._take_diagnostics)
@@ -119,14 +119,14 @@ class _Listener:
 
     def await_bridge(self) -> None:
         """Wait until the bridge reads its bus and is known."""
-        self.spin_until(lambda: self._told.get("bus") in ("open", "silent"), START_TIMEOUT)
+        self.spin_until(lambda: self._values.get("bus") in ("open", "silent"), START_TIMEOUT)
         end = time.monotonic() + SETTLE
         while time.monotonic() < end:
             self.spin()
 
     def frames(self) -> int:
         """Frames of all ids that the bridge says it has read."""
-        return int(self._told.get("bus.frames", 0))
+        return int(self._values.get("bus.frames", 0))
 
     def spin(self) -> None:
         """Take what comes next."""
@@ -147,7 +147,7 @@ class _Listener:
     def _take_diagnostics(self, message: Any) -> None:
         for status in message.status:
             if "can_bridge: " in status.name:
-                self._told = {pair.key: pair.value for pair in status.values}
+                self._values = {pair.key: pair.value for pair in status.values}
 
 
 @contextmanager

@@ -29,7 +29,7 @@ STUCK = {
     SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
     BATTERY_STUCK: "battery/state is stuck at one value: it is not used, nothing is learned",
 }
-RECENT = 60  # updates whose median duration is told
+RECENT = 60  # updates whose median duration is shown
 
 
 @dataclass(frozen=True, slots=True)

@@ -124,7 +124,7 @@ class Forecaster:
     def hear_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
     ) -> None:
-        """Take what is told of the air, heard now."""
+        """Take a reading of the air, received now."""
         self._heard[type(reading)] = reading, now_ns
 
     def hear_sigma(self, sigma: float) -> None:

@@ -125,14 +125,14 @@ def _picture(live: Live, state: LiveState, now: float) -> None:
 
 def _plain(out: TextIO) -> Show:
     """Prints a line a second, and problems when they change."""
-    told: list[str] = []
+    shown: list[str] = []
 
     def show(state: LiveState, now: float) -> None:
         found = problem_lines(state, now)
         for line in found:
-            if line not in told:
+            if line not in shown:
                 print(printable(line), file=out)
-        told[:] = found
+        shown[:] = found
         print(printable(plain_line(state, now)), file=out, flush=True)
 
     return show

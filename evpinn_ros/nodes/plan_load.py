@@ -164,7 +164,7 @@ class _Planner:
         factory.subscribe(self._node, topics.FORECAST, self._take, raw=True)
         factory.subscribe(self._node, topics.FORECAST_STATUS, self._take_status)
         self._heard: str | None = None
-        self._statuses: dict[str, int] = {}  # differences told, by frame
+        self._statuses: dict[str, int] = {}  # differences answered, by frame
 
     def await_node(self) -> None:
         """Wait until the node listens, and give it a model."""
@@ -198,8 +198,8 @@ class _Planner:
         return seconds
 
     def _take_status(self, message: Any) -> None:
-        told = [p.key for p in message.status[0].values if p.key.startswith("difference/")]
-        self._statuses[message.header.frame_id] = len(told)
+        differences = [p.key for p in message.status[0].values if p.key.startswith("difference/")]
+        self._statuses[message.header.frame_id] = len(differences)
 
     def _take(self, data: bytes) -> None:
         self._heard = request_header(new_message, data).frame_id

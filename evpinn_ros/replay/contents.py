@@ -21,7 +21,7 @@ from evpinn_ros.replay.sources import Source, is_drive_table, open_source
 from evpinn_ros.replay.usable import Flow, Usable, usable
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 
-BITRATE = 500_000  # bit/s; the load of the bus is not told here
+BITRATE = 500_000  # bit/s; the load of the bus is not known here
 INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
 GENERIC = "generic"
 
@@ -89,8 +89,8 @@ def contents(
 
     Args:
         path: of it.
-        columns: of a table that are told, see `evpinn_ros.drives.column.columns_by_name`.
-        progress: is told the seconds of the drive done.
+        columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
+        progress: takes the seconds of the drive done.
 
     Raises:
         InputError: it is none of these, or nothing can be read.

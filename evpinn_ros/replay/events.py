@@ -72,22 +72,22 @@ def _resets(drive: Drive) -> Iterator[Event]:
 
 
 def _payloads(drive: Drive) -> Iterator[Event]:
-    """Each change of payload as it was told last, and those that were withdrawn."""
+    """Each change of payload as it was reported last, and those that were withdrawn."""
     last: dict[int, Event] = {}
     for before, now in zip(drive.noticed, drive.noticed[1:], strict=False):
         report, change = now.report, now.report.payload_change
         if report.payload_changes_withdrawn > before.report.payload_changes_withdrawn:
-            text = "The change of payload told before was withdrawn: later data took it back."
+            text = "The change of payload reported before was withdrawn: later data took it back."
             yield Event(now.time, EventKind.PAYLOAD, text)
         elif change is not None and change != before.report.payload_change:
             stop = (change.stamp_ns - drive.start_ns) / NANOSECONDS
             text = (
                 f"{change.delta_mass:+.0f} ± {change.std:.0f} kg at this stop; "
-                f"told {max(now.time - stop, 0.0):.0f} s later."
+                f"reported {max(now.time - stop, 0.0):.0f} s later."
             )
-            told = last.get(report.payload_changes)
-            if told is not None:
-                text = text.partition(";")[0] + ";" + told.text.partition(";")[2]
+            found = last.get(report.payload_changes)
+            if found is not None:
+                text = text.partition(";")[0] + ";" + found.text.partition(";")[2]
             last[report.payload_changes] = Event(stop, EventKind.PAYLOAD, text)
     yield from last.values()
 

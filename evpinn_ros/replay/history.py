@@ -142,7 +142,7 @@ class History:
         self._jumped = jump
 
     def add_reading(self, reading: Reading) -> None:
-        """Take a reading as the car told it."""
+        """Take a reading as the car sent it."""
         if self._start_ns is None:
             self._start_ns = self._last_ns = reading.stamp_ns
         if self._jumped is not None:

@@ -73,11 +73,11 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
     if inside.sum() < 2:
         return dict.fromkeys(keys)
     rows = drive.energy[inside]
-    told = _stretches(rows[:, 0])
+    known = _stretches(rows[:, 0])
     heard = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
-    common = _common(told, heard) or told
+    common = _common(known, heard) or known
     predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:3])
-    measured = measured_energy(drive, common) if _common(told, heard) else None
+    measured = measured_energy(drive, common) if _common(known, heard) else None
     score: dict[str, float | None] = dict.fromkeys(keys)
     score.update(measured_j=measured, predicted_j=predicted, rknn_j=rknn)
     if measured:

@@ -124,7 +124,7 @@ def open_source(
         vehicle: whose drive it is.
         can_profile: of a CAN log, the vehicle's when None.
         trust_profile: read a CAN log also where it contradicts the profile.
-        columns: of a CSV file that are told, see `evpinn_ros.drives.column.columns_by_name`.
+        columns: of a CSV file that are given, see `evpinn_ros.drives.column.columns_by_name`.
 
     Raises:
         InputError: no such file, no kind known, or a CAN log without a profile.

@@ -35,14 +35,14 @@ def knowledge(vehicle: Vehicle, drive: Drive, minutes: Mapping[str, float]) -> s
         "Mass, η and C_d scaled together change nothing that could be measured, so their absolute "
         "values keep a share of the prior however long the drive.</p>"
         "<div class='wide'><table><thead><tr><th>combination</th><th>at the end, 1-sigma</th>"
-        "<th>left of the vehicle file's 1-sigma</th><th>told by driving</th><th>for</th></tr>"
+        "<th>left of the vehicle file's 1-sigma</th><th>learned by driving</th><th>for</th></tr>"
         f"</thead><tbody>{rows}</tbody></table></div>{_SHARES}"
     )
 
 
 def _row(name: str, end: np.ndarray, before: float, minutes: float) -> str:
     """A row: `end` is time, value, 1-sigma; `before` the vehicle file's 1-sigma."""
-    label, form, told_by = ROWS[name]
+    label, form, learned_by = ROWS[name]
     _, value, std = end
     left = 100 * std / before if before > 0 else 100.0
     spread = f"± {100 * std / abs(value):.1f} %" if value else ""
@@ -50,7 +50,7 @@ def _row(name: str, end: np.ndarray, before: float, minutes: float) -> str:
         escape(label),
         f"{escape(form.format(value))} {spread}",
         f"<span class='bar'><i style='width:{min(left, 100):.0f}%'></i></span>{left:.0f} %",
-        escape(told_by),
+        escape(learned_by),
         f"{minutes:.1f} min",
     )
     return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"

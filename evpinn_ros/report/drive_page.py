@@ -90,8 +90,8 @@ def _drive(reported: ReportedDrive, points: int) -> tuple[str, dict[str, Any]]:
     drive = reported.drive
     events = drive_events(drive, reported.withheld_from)
     parts = forecast_outcomes(drive, reported.vehicle.air_density)
-    told = drive_maps.moments(drive)
-    charts = dict(_curves(reported, points)) | dict(_maps(reported, told))
+    moments = drive_maps.moments(drive)
+    charts = dict(_curves(reported, points)) | dict(_maps(reported, moments))
     if parts:
         charts["outcome"] = drive_charts.outcome_chart(parts)
     shaded = [[0.0, min(reported.warm_up, drive.duration)]]
@@ -102,7 +102,7 @@ def _drive(reported: ReportedDrive, points: int) -> tuple[str, dict[str, Any]]:
             _summary(reported, events),
             _course(events),
             _learned(charts),
-            knowledge(reported.vehicle, drive, drive_maps.driven_minutes(told)),
+            knowledge(reported.vehicle, drive, drive_maps.driven_minutes(moments)),
             _where(charts),
             _forecasts(parts),
             _events(events),
@@ -131,12 +131,12 @@ def _curves(reported: ReportedDrive, points: int) -> Iterator[tuple[str, drive_c
 
 
 def _maps(
-    reported: ReportedDrive, told: drive_maps.Moments
+    reported: ReportedDrive, moments: drive_maps.Moments
 ) -> Iterator[tuple[str, drive_maps.Chart]]:
-    if not len(told.time):
+    if not len(moments.time):
         return
-    yield "coverage", drive_maps.coverage_map(told)
-    counted = drive_maps.scored_moments(reported.drive, told, reported.warm_up)
+    yield "coverage", drive_maps.coverage_map(moments)
+    counted = drive_maps.scored_moments(reported.drive, moments, reported.warm_up)
     if len(counted.time):
         yield "errors", drive_maps.error_map(counted)
         yield "over_speed", drive_maps.spread_chart(counted, "speed")

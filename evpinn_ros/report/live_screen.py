@@ -57,7 +57,7 @@ COLUMNS = (
     Column("1-sigma", 9),
     Column("bounds", 19, wide_only=True),
     Column("prior", 6),
-    Column("told", 6),
+    Column("data", 6),
 )
 
 
@@ -137,7 +137,7 @@ def _parameters(state: LiveState, width: int) -> Iterable[Text]:
             "1-sigma": _parameter(row, row.sigma),
             "bounds": bounds if math.isfinite(row.lower) else UNKNOWN,
             "prior": _percent(100 * row.prior_share),
-            "told": _percent(row.progress),
+            "data": _percent(row.progress),
         }
         said = row.state or UNKNOWN
         yield Text(f"{_row(columns, texts)} ").append(said, STATE_STYLES.get(row.state, FAINT))

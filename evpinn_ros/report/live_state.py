@@ -55,7 +55,7 @@ class Power(NamedTuple):
 
 
 class ParameterRow(NamedTuple):
-    """One parameter; NaN and empty where nothing was told."""
+    """One parameter; NaN and empty where nothing was received."""
 
     name: str
     value: float
@@ -175,14 +175,14 @@ class LiveState:
         return {} if found is None else found.values
 
     def sigmas(self, topic: Topic) -> Mapping[str, float]:
-        """The last 1-sigmas of a named vector, empty where not told."""
+        """The last 1-sigmas of a named vector, empty where not received."""
         found = self._vectors.get(topic)
         return {} if found is None else found.sigmas
 
     def parameters(self) -> list[ParameterRow]:
-        """All parameters, also those of which nothing was told."""
+        """All parameters, also those of which nothing was received."""
         values, sigmas = self.vector(topics.PARAMETERS), self.sigmas(topics.PARAMETERS)
-        bounds, told = self.vector(topics.BOUNDS), self._estimator()
+        bounds, status = self.vector(topics.BOUNDS), self._estimator()
         return [
             ParameterRow(
                 name,
@@ -191,22 +191,22 @@ class LiveState:
                 bounds.get(f"{name}_lower", math.nan),
                 bounds.get(f"{name}_upper", math.nan),
                 bounds.get(f"{name}_prior_share", math.nan),
-                _number(told.get(f"progress.{name}")),
-                told.get(f"state.{name}", ""),
+                _number(status.get(f"progress.{name}")),
+                status.get(f"state.{name}", ""),
             )
             for name in PARAMETER_NAMES
         ]
 
     def seen(self) -> list[list[float]]:
         """Samples learned from: a row for each of `MANNERS`, a column for each of `SPEEDS`."""
-        told = self._estimator()
+        values = self._estimator()
         return [
-            [_number(told.get(f"seen.{speed}_kmh_{manner}")) for speed in SPEEDS]
+            [_number(values.get(f"seen.{speed}_kmh_{manner}")) for speed in SPEEDS]
             for manner in MANNERS
         ]
 
     def band_coverage(self) -> float:
-        """Share of recent samples in the 90 % band of power/predicted, NaN when not told."""
+        """Share of recent samples in the 90 % band of power/predicted, NaN when not received."""
         return _number(self._estimator().get("in_90_band.predicted"))
 
     def problems(self, now: float) -> list[tuple[Level, str]]:
@@ -250,7 +250,7 @@ class LiveState:
 
 
 def _number(text: str | None) -> float:
-    """A value of a status; NaN when it was not told or is no number."""
+    """A value of a status; NaN when it was not received or is no number."""
     try:
         return math.nan if text is None else float(text)
     except ValueError:

@@ -88,8 +88,8 @@ def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
     left = np.array([_unexplained(log, vehicle, delay) for delay in DELAYS])
     best = int(np.argmin(left))
     without = float(np.interp(0.0, DELAYS, left))
-    told = left[best] < MOST_UNEXPLAINED and left[best] < (1.0 - LEAST_GAIN) * without
-    if best in (0, len(DELAYS) - 1) or not told:
+    decided = left[best] < MOST_UNEXPLAINED and left[best] < (1.0 - LEAST_GAIN) * without
+    if best in (0, len(DELAYS) - 1) or not decided:
         return 0.0
     before, least, after = left[best - 1 : best + 2]
     bend = before - 2.0 * least + after

@@ -219,7 +219,7 @@ class EnergyTraining:
 
         Args:
             epoch: the last to do.
-            on_epoch: told each epoch and the RKNN's training loss, both as in the table.
+            on_epoch: called with each epoch and the RKNN's training loss, both as in the table.
 
         Raises:
             InputError: a loss is no longer finite; the epochs before stay counted.

@@ -21,7 +21,7 @@ from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
-TOLD_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
+KNOWN_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
 # The combinations that enter eq. 21, as exponents of the parameters.
 COMBINATIONS = {
     "mass_over_eta": {"mass": 1.0, "eta": -1.0},
@@ -169,8 +169,8 @@ def parameter_rows(
         variance = float(covariance[index, index])
         share = min(1.0, variance / (prior.std / prior.value) ** 2)
         value = float(getattr(values, name))
-        told = name in free and share < TOLD_BELOW
-        rows.append(ParameterRow(name, prior.value, value, variance**0.5 * value, share, told))
+        known = name in free and share < KNOWN_BELOW
+        rows.append(ParameterRow(name, prior.value, value, variance**0.5 * value, share, known))
     return rows
 
 
@@ -187,7 +187,7 @@ def combination_rows(
         variance = float(vector @ covariance @ vector)
         share = min(1.0, variance / float(vector @ prior_covariance @ vector))
         std = variance**0.5 * after[name]
-        rows.append(ParameterRow(name, before[name], after[name], std, share, share < TOLD_BELOW))
+        rows.append(ParameterRow(name, before[name], after[name], std, share, share < KNOWN_BELOW))
     return rows
 
 

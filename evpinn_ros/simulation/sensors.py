@@ -50,20 +50,20 @@ MICROSECOND = 1000  # ns, the resolution of a candump log
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class SensorData:
     """Frames that reached the log, in order of time, and the readings that the car made known."""
 
     frames: tuple[CanFrame, ...]
     readings: tuple[Reading, ...]
 
 
-def tell(
+def sense(
     trace: Trace,
     profile: CanProfile,
     start_ns: int,
     rng: np.random.Generator,
     motors: Sequence[MotorReading] = (),
-) -> Told:
+) -> SensorData:
     """Readings from the bus of a car with this profile, for a drive that starts at `start_ns`.
 
     Speed and current beyond what their signals can show read as the most that they can, as in a
@@ -86,7 +86,7 @@ def tell(
     decoder = Decoder(profile)
     readings = (reading for frame in kept for reading in decoder.decode(frame))
     beside = () if on_bus else motors
-    return Told(tuple(kept), (*readings, *beside))
+    return SensorData(tuple(kept), (*readings, *beside))
 
 
 def _sent(
@@ -124,8 +124,8 @@ def motor_readings(
     turning = car.drivetrain.turning(np.interp(time, trace.motion.time, speed))
     shown = (_rounded(torque, TORQUE_STEP), _rounded(turning, MOTOR_SPEED_STEP))
     arrives = rng.uniform(size=time.size) >= LOST
-    told = zip(stamps, *shown, arrives, strict=True)
-    return [MotorReading(stamp, *values) for stamp, *values, here in told if here]
+    shown_rows = zip(stamps, *shown, arrives, strict=True)
+    return [MotorReading(stamp, *values) for stamp, *values, here in shown_rows if here]
 
 
 def _rounded(values: np.ndarray, step: float) -> list[float]:

@@ -125,7 +125,7 @@ def test_inspection_names_the_profile(right, log):
         inspection.add_frame(frame)
     report = inspection.report()
     assert report.best.fit.profile == right and report.best.fit.score > 0.99
-    assert report.best.sign is None and report.best.sign_told
+    assert report.best.sign is None and report.best.sign_decided
     assert 0.0 < report.load[0] < report.load[1] < 0.5
     assert all(profile.fit.score < 0.7 for profile in report.profiles[1:])
 

@@ -33,7 +33,7 @@ def watched(readings):
 
 def test_a_drive_of_the_right_sign(drive):
     sign = watched(drive)
-    assert sign.told and sign.suspicion is None
+    assert sign.decided and sign.suspicion is None
 
 
 def test_a_drive_of_the_wrong_sign(drive):
@@ -60,7 +60,7 @@ def test_fast_charging(current, suspected):
         stamp = index * SECOND // 10
         readings += [SpeedReading(stamp, 0.0), BatteryReading(stamp, 400.0, current)]
     sign = watched(readings)
-    assert sign.told and (sign.suspicion is not None) is suspected
+    assert sign.decided and (sign.suspicion is not None) is suspected
 
 
 @pytest.mark.parametrize(("current", "suspected"), [(30.0, False), (-30.0, True)])
@@ -71,10 +71,10 @@ def test_slow_charging_of_a_car_that_is_silent_but_for_its_battery(current, susp
         for index in range(600)
     ]
     sign = watched(readings)
-    assert sign.told and (sign.suspicion is not None) is suspected
+    assert sign.decided and (sign.suspicion is not None) is suspected
 
 
 def test_nothing_is_said_of_little_or_of_nonsense(drive):
-    assert not watched(drive[:100]).told
+    assert not watched(drive[:100]).decided
     nonsense = [BatteryReading(index * SECOND, math.nan, math.nan, 0.5) for index in range(100)]
-    assert not watched(nonsense).told
+    assert not watched(nonsense).decided

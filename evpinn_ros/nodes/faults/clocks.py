@@ -62,7 +62,7 @@ class _SimTime:
         self._offset_ns += round(seconds * NANOSECONDS)
 
     def __call__(self) -> int:
-        """The stamp of this moment, once /clock was told."""
+        """The stamp of this moment, once /clock was published."""
         now_ns = time.monotonic_ns() + self._offset_ns
         if self.ticks:
             message = new_message(CLOCK)

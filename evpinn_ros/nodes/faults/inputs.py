@@ -51,7 +51,7 @@ class Disturbance:
         end = time.monotonic()
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
-        rig.drive(1.5)  # until what was learned is told again
+        rig.drive(1.5)  # until what was learned is published again
         moved = abs(rig.learned() / learned - 1.0)
         harm = rig.faulty(begin)
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions, mass/eta moved {moved:.1%}"
@@ -256,7 +256,7 @@ class _SignFlip:
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
         harm = rig.faulty(begin)
         return Finding(
-            harm or f"learning, until told after {end - begin:.0f} s",
+            harm or f"learning, until reported after {end - begin:.0f} s",
             harm is None,
             rig.recovered(end),
             None if named is None else named.text,

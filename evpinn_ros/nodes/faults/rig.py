@@ -114,7 +114,7 @@ class Rig:
         return sum(heard > since for heard, _ in self.heard[topic])
 
     def faulty(self, since: float) -> str | None:
-        """An internal fault that a node told, or a number that is not finite in what it sent."""
+        """Internal fault that a node reported, or a number that is not finite in what it sent."""
         fault = self.said("", "internal fault", since)
         if fault is not None:
             return fault.text
@@ -135,7 +135,7 @@ class Rig:
         return max(firsts) - since
 
     def learned(self) -> float:
-        """Mass over eta as told last, kg; NaN before."""
+        """Mass over eta as published last, kg; NaN before."""
         heard = self.heard[topics.IDENTIFIABLE]
         return read_named_vector(heard[-1][1]).values["mass_over_eta"] if heard else math.nan
 
