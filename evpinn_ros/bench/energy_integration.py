@@ -1,7 +1,7 @@
 """Accuracy of counted energy: quadrature, gaps, battery dropouts, the distance to empty.
 
 Recorded drives go through the chain in order, as on board: what was learned is carried over. At
-every `STRIDE` of a drive a copy of the chain goes on without the battery for `SILENCE`, and one
+every `STRIDE` of a drive a copy of the chain goes on without the battery for `DROPOUT`, and one
 goes through the whole drive without it; what they count is held against the battery, which the
 benchmark has heard all along. Energy errors are relative to the gross energy (drawn and
 regenerated together) that the battery gave over the same time.
@@ -36,7 +36,7 @@ from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 DAY = 24 * 3600  # s
-STRIDE, SILENCE = 150.0, 600.0  # s
+STRIDE, DROPOUT = 150.0, 600.0  # s
 SEED = 0
 GAP_SHARE, LONGEST_GAP = 0.1, 20  # of the seconds of a 1 Hz battery; s
 NOISE, NOISE_TIME = 1e3, 0.5  # 1-sigma, W, and correlation time, s, of predictions of real drives
@@ -148,10 +148,10 @@ def _car_rows(logs: Sequence[Log], clock: Clock) -> Iterator[IntegrationRow]:
     drives = list(_measured_drives(logs, vehicle))
     if not drives:
         return
-    silent, whole, slow = _through_the_chain(vehicle, drives, clock)
+    dropouts, whole, slow = _through_the_chain(vehicle, drives, clock)
     name = vehicle.key
-    yield from _error_rows(f"{name}, battery silent for {SILENCE:g} s", silent, "<= 3 %")
-    so_far = [abs(100 * one.error / one.gross_so_far) for one in silent if one.gross_so_far > 0]
+    yield from _error_rows(f"{name}, battery dropout of {DROPOUT:g} s", dropouts, "<= 3 %")
+    so_far = [abs(100 * one.error / one.gross_so_far) for one in dropouts if one.gross_so_far > 0]
     if so_far:
         text = f"{name}, the same of the gross energy since the start of the drive: "
         yield from _spread_rows(text, so_far, "<= 3 %")
@@ -190,8 +190,8 @@ def _spread_rows(name: str, errors: Sequence[float], goal: str = "") -> Iterator
 def _through_the_chain(
     vehicle: Vehicle, drives: Sequence[Sequence[Reading]], clock: Clock
 ) -> tuple[list[Counted], list[Counted], dict[tuple[int, str], list[float]]]:
-    """Silences, whole drives without the battery, and errors in % of a slow one with gaps."""
-    silent: list[Counted] = []
+    """Dropouts, whole drives without the battery, and errors in % of a slow one with gaps."""
+    dropouts: list[Counted] = []
     whole: list[Counted] = []
     slow: dict[tuple[int, str], list[float]] = {}
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(clock))
@@ -203,13 +203,13 @@ def _through_the_chain(
         start_ns, end_ns = readings[0].stamp_ns, readings[-1].stamp_ns
         next_ns = start_ns + round(STRIDE * NANOSECONDS)
         for index, reading in enumerate(readings):
-            if reading.stamp_ns >= next_ns and end_ns - next_ns >= SILENCE * NANOSECONDS:
-                silent.append(_without_battery(chain, readings, index, SILENCE))
+            if reading.stamp_ns >= next_ns and end_ns - next_ns >= DROPOUT * NANOSECONDS:
+                dropouts.append(_without_battery(chain, readings, index, DROPOUT))
                 next_ns += round(STRIDE * NANOSECONDS)
             for _ in chain.add_reading(reading):
                 pass
         chain.begin_next_drive()
-    return silent, whole, slow
+    return dropouts, whole, slow
 
 
 def _without_battery(

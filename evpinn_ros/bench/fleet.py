@@ -68,7 +68,7 @@ class Recovered:
     name: str
     mean: float
     spread: float
-    learned: PopulationValue
+    told: PopulationValue
 
 
 def many_drives(folder: Path, vehicle: Vehicle, drives: int, seconds: float) -> list[CarDrives]:

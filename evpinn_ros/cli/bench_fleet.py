@@ -105,7 +105,7 @@ def _show_population(known: list[Recovered]) -> None:
     for name in ("mean", "found", "sigma", "spread", "found", "sigma"):
         table.add_column(name, justify="right", no_wrap=name != "found")
     for one in known:
-        learned = one.learned
+        learned = one.told
         table.add_row(
             one.name,
             f"{one.mean:.4g}",

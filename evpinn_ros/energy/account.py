@@ -25,7 +25,7 @@ from evpinn_ros.energy.plausible import (
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
 from evpinn_ros.energy.saved import numbers, or_none, section
-from evpinn_ros.energy.silence import Silence
+from evpinn_ros.energy.silence import Dropout
 from evpinn_ros.energy.trip import Stretch, TripLog
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
@@ -113,7 +113,7 @@ class EnergyAccount:
         trip: distance and consumption.
         gauge: state of charge and capacity.
         battery: its charge and voltage, for the end of a plan.
-        reconciled: of the last silence of the battery that ended, None before.
+        reconciled: of the last battery dropout that ended, None before.
         refused: readings of what no car can do, by reason, since the process began.
     """
 
@@ -145,8 +145,8 @@ class EnergyAccount:
         self._correction, self._variance_taken = correction, variance_taken
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
-        self._seen: Silence | None = None
-        self._awaits_charge: tuple[Silence, float] | None = None
+        self._seen: Dropout | None = None
+        self._awaits_charge: tuple[Dropout, float] | None = None
         self._charge_before = math.nan  # the last one heard while the battery was measured
 
     def reset_trip(self) -> None:
@@ -180,7 +180,7 @@ class EnergyAccount:
             return
         self._see(stamp_ns)
         self.meter.add_measured(stamp_ns, power, sigma)
-        ended = self.meter.last_silence
+        ended = self.meter.last_dropout
         if ended is not None and ended is not self._seen:
             self._seen = ended
             self.reconciled = reconcile(ended, UNKNOWN)
@@ -214,10 +214,10 @@ class EnergyAccount:
         if not 0.0 <= charge <= 1.0:
             return
         if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
-            silence, before = self._awaits_charge
+            dropout, before = self._awaits_charge
             self._awaits_charge = None
-            self._reconcile(silence, self._by_charge(silence, before, charge))
-        lifetime, silent = self.lifetime(), self.meter.silent_at(stamp_ns)
+            self._reconcile(dropout, self._by_charge(dropout, before, charge))
+        lifetime, silent = self.lifetime(), self.meter.in_dropout(stamp_ns)
         if not silent:
             self._charge_before = charge
         self.gauge.update(
@@ -227,17 +227,17 @@ class EnergyAccount:
     def _see(self, stamp_ns: int) -> None:
         self._newest_ns = max(self._newest_ns, stamp_ns)
 
-    def _by_charge(self, silence: Silence, before: float, after: float) -> Uncertain:
+    def _by_charge(self, dropout: Dropout, before: float, after: float) -> Uncertain:
         """Energy of a dropout by the state of charge; nothing where no car can do that."""
         found = self.gauge.energy_between(before, after)
-        return found if abs(found.value) <= MAX_POWER * silence.duration else UNKNOWN
+        return found if abs(found.value) <= MAX_POWER * dropout.duration else UNKNOWN
 
-    def _reconcile(self, silence: Silence, by_charge: Uncertain) -> None:
-        found = self.reconciled = reconcile(silence, by_charge)
-        error = silence.bridge.energy - by_charge.value
-        known = math.hypot(silence.short_sigma, by_charge.sigma)
+    def _reconcile(self, dropout: Dropout, by_charge: Uncertain) -> None:
+        found = self.reconciled = reconcile(dropout, by_charge)
+        error = dropout.bridge.energy - by_charge.value
+        known = math.hypot(dropout.short_sigma, by_charge.sigma)
         if found.comparable:
-            self.meter.lasting.update(error, known, silence.bridge.gross)
+            self.meter.lasting.update(error, known, dropout.bridge.gross)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
         self._correction += found.correction

@@ -16,7 +16,7 @@ from evpinn_ros.energy.saved import number, numbers
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
-CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # of silence, after which a state of charge is projected
+CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, then a state of charge is projected
 LEAST_CHANGE = 0.1  # of the state of charge, that says something of capacity
 LEAST_STEPS = 10  # of its rounding, in that change
 FIRST_STEP = 0.01  # of the readings, before one was seen

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from evpinn_ros.nodes.messages import Level
 
-SILENT_AFTER = 3.0  # s without a message of the leading input
+MISSING_AFTER = 3.0  # s without a message of the leading input
 LATELY = 10.0  # s for which something that happened is shown
 FEW = 3  # messages lost lately that nobody need know of
 

@@ -9,7 +9,7 @@ from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
-from evpinn_ros.nodes.diagnosis import SILENT_AFTER, Health, Status, rounded, with_health
+from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, rounded, with_health
 from evpinn_ros.nodes.forecaster import Air, Answer, Basis
 from evpinn_ros.nodes.messages import Level
 
@@ -23,9 +23,9 @@ class EnergyReport:
     """Basis of the energy node's diagnosis.
 
     Attributes:
-        state: of the meter, corrected where a silence was reconciled.
+        state: of the meter, corrected where a dropout was reconciled.
         account: totals, consumption, state of charge, range.
-        reconciled: the last silence of the battery that ended, None before.
+        reconciled: the last battery dropout that ended, None before.
         learned_capacity: how many changes of the state of charge the capacity rests on.
         file_problem: why the energy file was not used or not written, None if all is well.
         health: of the node.
@@ -70,7 +70,7 @@ def meter_status(report: EnergyReport) -> Status:
         "dropped": state.dropped,
         "power_age_s": rounded(report.power_age),
         "time_jumps": report.jumps,
-        **_silence_values(report.reconciled),
+        **_dropout_values(report.reconciled),
     }
     if report.file_problem is not None:
         values["energy_file"] = report.file_problem
@@ -89,28 +89,28 @@ def energy_phases(report: EnergyReport) -> list[Status]:
 def _meter_verdict(report: EnergyReport) -> tuple[Level, str]:
     if math.isnan(report.power_age):
         return Level.WARN, "waiting for power/smoothed"
-    if report.power_age > SILENT_AFTER:
+    if report.power_age > MISSING_AFTER:
         return Level.WARN, NO_POWER
     if not report.state.measuring:
         return Level.WARN, "predicting: no power/measured"
     if report.file_problem is not None:
         return Level.WARN, report.file_problem
     if report.reconciled is not None and report.reconciled.verdict is Verdict.CONTRADICTED:
-        return Level.WARN, f"the last silence: {Verdict.CONTRADICTED.value}"
+        return Level.WARN, f"the last dropout: {Verdict.CONTRADICTED.value}"
     return Level.OK, "measuring"
 
 
-def _silence_values(reconciled: Reconciled | None) -> dict[str, object]:
-    """The last silence of the battery: what was predicted, what is known, what became of it."""
+def _dropout_values(reconciled: Reconciled | None) -> dict[str, object]:
+    """The last battery dropout: what was predicted, what is known, what became of it."""
     if reconciled is None:
         return {}
-    silence = reconciled.silence
+    dropout = reconciled.dropout
     return {
         "silence": reconciled.verdict.value,
-        "silence_s": rounded(silence.duration),
-        "silence_unknown_s": rounded(silence.unknown_s),
-        "silence_predicted_wh": _wh(silence.bridge.energy),
-        "silence_predicted_sigma_wh": _wh(silence.sigma),
+        "silence_s": rounded(dropout.duration),
+        "silence_unknown_s": rounded(dropout.unknown_s),
+        "silence_predicted_wh": _wh(dropout.bridge.energy),
+        "silence_predicted_sigma_wh": _wh(dropout.sigma),
         "silence_by_charge_wh": _wh(reconciled.by_charge.value),
         "silence_by_charge_sigma_wh": _wh(reconciled.by_charge.sigma),
         "silence_correction_wh": _wh(reconciled.correction),

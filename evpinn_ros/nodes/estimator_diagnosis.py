@@ -11,7 +11,7 @@ from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.nodes.diagnosis import (
-    SILENT_AFTER,
+    MISSING_AFTER,
     Health,
     Status,
     flat,
@@ -98,7 +98,7 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
     status = report.status
     if status.activity is Activity.WAITING:
         return Level.WARN, "waiting for vehicle/speed"
-    if report.speed_age > SILENT_AFTER:
+    if report.speed_age > MISSING_AFTER:
         return Level.WARN, NO_SPEED
     if report.state_problem is not None:
         return Level.WARN, report.state_problem

@@ -145,7 +145,7 @@ ESTIMATOR = (
     Parameter(
         "max_gap",
         2.5,
-        "Silence of speed or battery across which nothing is joined.",
+        "Dropout of speed or battery across which nothing is joined.",
         "s",
         0.1,
         60.0,

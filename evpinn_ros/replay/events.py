@@ -27,8 +27,8 @@ class EventKind(str, Enum):
 
     PAYLOAD = "payload"
     SUSPICION = "suspicion"
-    SPEED_SILENT = "speed silent"
-    BATTERY_SILENT = "battery silent"
+    SPEED_DROPOUT = "speed dropout"
+    BATTERY_DROPOUT = "battery dropout"
     RESET = "time reset"
     WITHHELD = "battery withheld"
 
@@ -51,10 +51,10 @@ def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event
 
 
 def _gaps(drive: Drive) -> Iterator[Event]:
-    """Silences inside of the drive and at its ends."""
+    """Dropouts inside of the drive and at its ends."""
     for kind, rows, lost in (
-        (EventKind.SPEED_SILENT, drive.speed, "nothing was predicted or learned across it"),
-        (EventKind.BATTERY_SILENT, drive.measured, "power went on from speed alone"),
+        (EventKind.SPEED_DROPOUT, drive.speed, "nothing was predicted or learned across it"),
+        (EventKind.BATTERY_DROPOUT, drive.measured, "power went on from speed alone"),
     ):
         times = np.concatenate(([0.0], np.sort(rows[:, 0]), [drive.duration]))
         for index in np.flatnonzero(np.diff(times) > MAX_MEASURED_STEP):

@@ -36,7 +36,7 @@ LEAST_POINTS = 2_000  # of a curve of one of many drives
 SMALL = 4  # times fewer points for parameters, which come once a second and change slowly
 MOST_EVENTS = 200  # shown
 # With these, energy measured is of a part of the drive, and distance of another.
-PARTIAL = (EventKind.SPEED_SILENT, EventKind.BATTERY_SILENT, EventKind.WITHHELD, EventKind.RESET)
+PARTIAL = (EventKind.SPEED_DROPOUT, EventKind.BATTERY_DROPOUT, EventKind.WITHHELD, EventKind.RESET)
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 LAST_STAMP = 253_402_300_799 * 10**9  # ns, the end of the year 9999: a calendar has no more
 

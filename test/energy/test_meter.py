@@ -110,7 +110,7 @@ def test_sigma_grows_while_silent_and_does_not_shrink_when_the_battery_returns()
     assert silent.predicted.sigma > silent.consumed_sigma > 20 * speaking.consumed_sigma
     later = drive(driven, range(901, 960), measured_sigma=10.0).state
     assert later.consumed_sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
-    assert driven.last_silence.sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
+    assert driven.last_dropout.sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
 
 
 def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_it():
@@ -119,7 +119,7 @@ def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_i
     assert state.unknown_s == pytest.approx(300.0, abs=0.3)
     assert state.unmeasured_s == pytest.approx(700.0, abs=0.3)
     assert state.consumed == pytest.approx(200 * 10e3 + 400 * 11e3, abs=2 * SEAM)
-    assert driven.last_silence.unknown_s == pytest.approx(300.0, abs=0.3)
+    assert driven.last_dropout.unknown_s == pytest.approx(300.0, abs=0.3)
 
 
 def test_speed_that_is_silent_while_the_battery_speaks_costs_nothing():

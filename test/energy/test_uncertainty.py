@@ -65,14 +65,14 @@ def test_the_lasting_share_starts_at_its_prior_and_follows_what_it_sees():
     for error in (0.15, -0.15) * 50:
         share.update(error * 1e6, 1e4, 1e6)
     assert share.value == pytest.approx(0.145, abs=0.01)
-    assert LastingShare(share.silences, share.squares).value == share.value
+    assert LastingShare(share.dropouts, share.squares).value == share.value
 
 
 def test_a_silence_that_cannot_tell_teaches_nothing():
     share = LastingShare()
     for known, gross in ((1e6, 1e6), (math.nan, 1e6), (1e4, 0.0)):
         share.update(5e5, known, gross)
-    assert share.silences == 0
+    assert share.dropouts == 0
 
 
 @pytest.mark.parametrize("wrong", [(-1, 0.0), (1, math.nan), (1, math.inf), (1, -1.0)])

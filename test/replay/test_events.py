@@ -48,15 +48,15 @@ def test_gaps_are_events_at_the_ends_too():
     speed = [t for t in range(61) if not 20 < t < 30]
     found = drive_events(drive(speed, range(5, 51)))
     assert told(found) == [
-        (0.0, EventKind.BATTERY_SILENT),
-        (20.0, EventKind.SPEED_SILENT),
-        (50.0, EventKind.BATTERY_SILENT),
+        (0.0, EventKind.BATTERY_DROPOUT),
+        (20.0, EventKind.SPEED_DROPOUT),
+        (50.0, EventKind.BATTERY_DROPOUT),
     ]
     assert "10.0 s" in found[1].text
 
 
 def test_a_battery_that_never_spoke_is_one_event():
-    assert told(drive_events(drive(measured=[]))) == [(0.0, EventKind.BATTERY_SILENT)]
+    assert told(drive_events(drive(measured=[]))) == [(0.0, EventKind.BATTERY_DROPOUT)]
 
 
 def test_stamps_that_go_back_are_a_reset_and_stragglers_none():

@@ -79,7 +79,7 @@ def test_the_whole_story_is_told(reported, tmp_path):
         "baseline: last value held",
         "baseline: random split",
         "unestimated",
-        "battery silent",
+        "battery dropout",
     ):
         assert text in found.text
     assert len(found.data[0]["events"]) == 2

@@ -27,7 +27,7 @@ STOP, WARM_START = 2.0, 1.0  # s, goals
 MOST_LOST = 1.0  # s of a recording
 LONGEST_LIFE = 3.0  # s of a process that is killed at random, from its first report on
 UNNAMED = "nothing to name"
-SILENCE = 3.0  # s without a report that tells that a node is gone, REP-107
+LIVENESS_TIMEOUT = 3.0  # s without a report, then a node is gone, REP-107
 
 
 def process_faults(chain: Chain, kills: int) -> Iterator[Fault]:
@@ -163,7 +163,7 @@ class _Restart:
         else:
             process.stop()
         gone = time.monotonic()
-        rig.drive(SILENCE + 1.5)
+        rig.drive(LIVENESS_TIMEOUT + 1.5)
         silent = rig.said(self.name, "", gone + 0.5) is None
         fresh = self.chain.start(self.name)
         fresh.await_ready()
