@@ -71,9 +71,9 @@ def drive(state: LiveState) -> float:
                 continue
             state.take(topic, record.message, now)
             for output in chain.add_reading(to_reading(topic.type_name, record.message)):
-                for said, message in as_messages(output):
-                    if said in WATCHED:
-                        state.take(said, message, now)
+                for shown, message in as_messages(output):
+                    if shown in WATCHED:
+                        state.take(shown, message, now)
     now = begin + SECONDS
     report = EstimatorReport(chain.estimator.status(), Health({}, {}), 0.0, 0, None)
     name, level, text, values = estimator_status(report)

@@ -54,9 +54,9 @@ def voltage(number: int) -> float:
     return LOWEST_VOLTAGE + (number % VOLTAGES) / 100
 
 
-def number_after(before: int, heard: float) -> int:
+def number_after(before: int, voltage: float) -> int:
     """The number of a frame from its voltage and the number of one not long before."""
-    step = round((heard - LOWEST_VOLTAGE) * 100) - before
+    step = round((voltage - LOWEST_VOLTAGE) * 100) - before
     return before + step % VOLTAGES
 
 
@@ -183,7 +183,7 @@ class Worker:
         """Result of the function.
 
         Raises:
-            InputError: it failed; the process said why.
+            InputError: it failed; the process gave the reason.
         """
         try:
             return self._answer.recv()

@@ -3,7 +3,7 @@
 Recorded drives go through the chain in order, as on board: what was learned is carried over. At
 every `STRIDE` of a drive a copy of the chain goes on without the battery for `DROPOUT`, and one
 goes through the whole drive without it; what they count is held against the battery, which the
-benchmark has heard all along. Energy errors are relative to the gross energy (drawn and
+benchmark measures all along. Energy errors are relative to the gross energy (drawn and
 regenerated together) that the battery gave over the same time.
 """
 
@@ -227,8 +227,8 @@ def _without_battery(
                 pass
     after = fork.account.state
     # From the battery's last word, or the first prediction, to the last prediction.
-    heard_ns = max(before.stamp_ns, begin_ns)
-    truth = _battery(readings, heard_ns, after.stamp_ns)
+    begin_ns = max(before.stamp_ns, begin_ns)
+    truth = _battery(readings, begin_ns, after.stamp_ns)
     so_far = _battery(readings, readings[0].stamp_ns, after.stamp_ns)
     error = after.consumed - before.consumed - truth.energy
     sigma = math.sqrt(max(after.consumed_sigma**2 - before.consumed_sigma**2, 0.0))
@@ -248,14 +248,14 @@ def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[s
     """
     estimator = copy.deepcopy(chain.estimator)
     meters = {each: EnergyMeter(load_rknn(), integrator=each) for each in Integrator}
-    hears, heard_ns = _heard_seconds(readings), -NANOSECONDS
-    hears &= np.arange(len(hears)) % period == 0
+    measures, used_s = _measured_seconds(readings), -NANOSECONDS
+    measures &= np.arange(len(measures)) % period == 0
     for reading in readings:
         if isinstance(reading, BatteryReading):
             second = (reading.stamp_ns - readings[0].stamp_ns) // NANOSECONDS
-            if second == heard_ns or not hears[second]:
+            if second == used_s or not measures[second]:
                 continue
-            heard_ns = second
+            used_s = second
         for output in estimator.push(reading):
             if not isinstance(output, PowerEstimate) or output.kind is PowerKind.PREDICTED:
                 continue
@@ -271,19 +271,19 @@ def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[s
     }
 
 
-def _heard_seconds(readings: Sequence[Reading]) -> np.ndarray:
+def _measured_seconds(readings: Sequence[Reading]) -> np.ndarray:
     """Mask of the seconds of a drive in which the battery is measured, shape (n,)."""
     random = np.random.default_rng(SEED)
     seconds = (readings[-1].stamp_ns - readings[0].stamp_ns) // NANOSECONDS + 1
-    hears = np.ones(seconds, dtype=bool)
-    while np.mean(~hears) < GAP_SHARE:
+    measures = np.ones(seconds, dtype=bool)
+    while np.mean(~measures) < GAP_SHARE:
         start = random.integers(seconds)
-        hears[start : start + random.integers(1, LONGEST_GAP + 1)] = False
-    return hears
+        measures[start : start + random.integers(1, LONGEST_GAP + 1)] = False
+    return measures
 
 
 def _battery(readings: Sequence[Reading], begin_ns: int, end_ns: int) -> EnergyIntegral:
-    """Integral of what the battery said between two stamps."""
+    """Integral of the battery's power between two stamps."""
     integral = EnergyIntegral()
     for reading in readings:
         if isinstance(reading, BatteryReading) and begin_ns <= reading.stamp_ns <= end_ns:

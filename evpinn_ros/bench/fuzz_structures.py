@@ -22,7 +22,7 @@ from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 Mutate: TypeAlias = Callable[[bytes, Random], bytes]
 
 MOST_GROWTH = 64
-"""Times that a part is said again: limits and ratios lie beyond what single bytes reach."""
+"""Times that a part is repeated: limits and ratios lie beyond what single bytes reach."""
 
 CHUNK = struct.Struct("<QQQI")  # start, end, size unpacked, checksum; then compression, data
 COMPRESSIONS: dict[str, Callable[[bytes], bytes]] = {
@@ -180,7 +180,7 @@ def mutate_yaml(data: bytes, chance: Random) -> bytes:
 
 
 def _changed(value: Any, chance: Random) -> Any:
-    """The value with one place in it, chosen level by level, replaced, removed or said again."""
+    """The value with one place in it, chosen level by level, replaced, removed or repeated."""
     if isinstance(value, dict) and value and chance.randrange(8):
         key = chance.choice(list(value))
         what = chance.randrange(8)

@@ -106,7 +106,7 @@ class CanBridge:
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings a frame makes known, its own and those held back so far; never raises."""
-        if self.poller is not None and self.poller.hears(frame):
+        if self.poller is not None and self.poller.is_answer(frame):
             self._answers += 1
             readings = self.poller.decode(frame)
             if self._guard is not None:

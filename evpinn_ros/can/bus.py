@@ -329,7 +329,7 @@ def _deepen_queue(bus: Any) -> None:
 
 
 def _explain(error: BaseException, interface: str, channel: str | int) -> str:
-    """The fault in one line: which bus, what the driver said, what a person can do."""
+    """The fault in one line: which bus, the driver's message, what a person can do."""
     what = f"CAN bus {interface} {channel}: {_one_line(error)}"
     remedy = _remedy(error, interface, channel)
     return f"{what}; {remedy}" if remedy else what

@@ -133,7 +133,7 @@ class ControlUnit:
 
     @property
     def answers(self) -> int:
-        """Times that the control unit said something a control unit says, be it a refusal."""
+        """Count of all replies of the control unit, refusals too."""
         return sum(self.counters[kind] for kind in ANSWERS)
 
     def step(self, now_s: float, may_ask: Collection[str]) -> float:

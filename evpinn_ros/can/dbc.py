@@ -123,8 +123,8 @@ def _overhang(signal: Any, message: Any) -> str:
 
 def refuse_other_unit(section: Section, signal: Any) -> None:
     """Raise when profile and DBC file name different units of speed, and no scale says why."""
-    said = _SPEED_UNITS.get(str(signal.unit or "").strip().lower())
-    if said and said != section.text("unit") and not section.has("scale"):
+    stated = _SPEED_UNITS.get(str(signal.unit or "").strip().lower())
+    if stated and stated != section.text("unit") and not section.has("scale"):
         reason = (
             f"the DBC file gives '{signal.name}' in {signal.unit}; if it is wrong, say scale: 1"
         )

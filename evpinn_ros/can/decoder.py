@@ -32,7 +32,7 @@ TORQUE_HOLD_NS = NANOSECONDS // 5
 second; logs of slow adapters hold one of each about every 0.1 s."""
 
 ALONE_AFTER_NS = 2 * NANOSECONDS
-"""A car whose second motor was not heard for so long since the first has none."""
+"""A car whose second motor sent nothing for so long since the first has none."""
 
 
 class Witness(Protocol):
@@ -138,7 +138,7 @@ class Decoder:
         self, frame: CanFrame, _rule: MessageRule, values: list[float]
     ) -> None:
         assert self._second_motor is not None
-        self._second_motor.hear(frame.stamp_ns, values[0] if values else math.nan)
+        self._second_motor.update(frame.stamp_ns, values[0] if values else math.nan)
 
 
 class _SecondMotor:
@@ -146,17 +146,17 @@ class _SecondMotor:
 
     def __init__(self) -> None:
         self._asked_ns: int | None = None
-        self._heard_ns: int | None = None
+        self._updated_ns: int | None = None
         self._torque = math.nan
 
-    def hear(self, stamp_ns: int, torque: float) -> None:
+    def update(self, stamp_ns: int, torque: float) -> None:
         """Its torque, N m; NaN where the profile knows the message alone."""
-        self._heard_ns, self._torque = stamp_ns, torque
+        self._updated_ns, self._torque = stamp_ns, torque
 
     def torque(self, stamp_ns: int) -> float:
         """Torque at a moment, N m: 0 in a car without it, NaN while that or it is unknown."""
-        if self._heard_ns is not None:
-            fresh = abs(stamp_ns - self._heard_ns) <= TORQUE_HOLD_NS
+        if self._updated_ns is not None:
+            fresh = abs(stamp_ns - self._updated_ns) <= TORQUE_HOLD_NS
             return self._torque if fresh else math.nan
         if self._asked_ns is None or stamp_ns < self._asked_ns:
             self._asked_ns = stamp_ns

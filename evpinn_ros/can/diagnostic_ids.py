@@ -14,7 +14,7 @@ TESTER = 0xF1
 """Address of a tester on the plug, in ISO 15765-4 and at BMW."""
 
 FUNCTIONAL = frozenset({0x7DF, 0x18DB33F1})
-"""Ids that every control unit hears; flow control must not go there (ISO 15765-4)."""
+"""Ids that every control unit receives; flow control must not go there (ISO 15765-4)."""
 
 BMW_GATEWAY = 0x6F1
 """The one id whose first byte names the control unit (extended addressing)."""

@@ -154,7 +154,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             return can.Message(timestamp=now_s, is_error_frame=True)
         digits = 8 if self._extended else 3
         if FRAME.fullmatch(word) is None or len(word) < digits or (len(word) - digits) % 2:
-            raise ValueError(f"the adapter said {text[:40]!r}")
+            raise ValueError(f"the adapter replied {text[:40]!r}")
         return can.Message(
             timestamp=now_s,
             arbitration_id=int(word[:digits], 16),
@@ -162,7 +162,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             data=bytes.fromhex(word[digits:]),
         )
 
-    # What is said to it --------------------------------------------------------------------------
+    # Commands to it ----------------------------------------------------------------------------
 
     def _go_on(self) -> None:
         """Say the next thing, if it is the adapter's turn to listen."""
@@ -249,32 +249,32 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
 
         network = channel.startswith("tcp:")
         url = f"socket://{channel.removeprefix('tcp:')}" if network else channel
-        said = b""
+        reply = b""
         for rate in (baud_rate,) if baud_rate else BAUD_RATES[: 1 if network else None]:
             port = serial.serial_for_url(url, baudrate=rate, timeout=PAUSE_S, write_timeout=1.0)
             port.write(b"\r")  # ends whatever it was doing
             self._until_prompt(port, WAKE_S)
             port.write(b"ATZ\r")
-            said = self._until_prompt(port, RESET_S)
-            if BANNER.search(said):
+            reply = self._until_prompt(port, RESET_S)
+            if BANNER.search(reply):
                 return port
             port.close()
-        word = f"it said {said[:40]!r}" if said else "it said nothing"
+        word = f"it replied {reply[:40]!r}" if reply else "it replied nothing"
         raise can.CanInitializationError(f"no ELM327 or OBDLink is there: {word}")
 
     def _prepare(self) -> None:
         for command in START:
             self._port.write(command.encode() + b"\r")
-            said = self._until_prompt(self._port, ANSWER_S)
-            if b"OK" not in said and command in NEEDED:
+            reply = self._until_prompt(self._port, ANSWER_S)
+            if b"OK" not in reply and command in NEEDED:
                 self._port.close()
                 raise can.CanInitializationError(f"the adapter does not know {command}: a clone?")
 
     @staticmethod
     def _until_prompt(port: Any, seconds: float) -> bytes:
         """Reply of the adapter up to its prompt, or within a time."""
-        end, said = time.monotonic() + seconds, b""
+        end, reply = time.monotonic() + seconds, b""
         port.timeout = PAUSE_S
-        while not said.rstrip().endswith(b">") and time.monotonic() < end:
-            said += port.read(max(1, getattr(port, "in_waiting", 0)))
-        return bytes(said)
+        while not reply.rstrip().endswith(b">") and time.monotonic() < end:
+            reply += port.read(max(1, getattr(port, "in_waiting", 0)))
+        return bytes(reply)

@@ -7,7 +7,7 @@ length, checksum, counter and range hold and the value did not jump; otherwise *
     score = mean over the messages of good / (good + bad)
 
 Motors are left out: not every car of a profile sends the torque, and not every log holds it. A
-message that never came counts 0, one that came and said nothing 0.5. A profile is *proven* when
+message that never came counts 0, one that came without a value 0.5. A profile is *proven* when
 checksums of its own hold: by chance one in 256 does.
 """
 
@@ -28,12 +28,12 @@ JUMPS: Mapping[str, tuple[float, float]] = {"speed": (1.0, 15.0), "battery": (40
 holds 15 m/s^2; 500 A through 0.1 ohm move 50 V."""
 SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are not to be trusted
 
-ENOUGH = 5  # frames before a message can be said to fail, or to have come right
+ENOUGH = 5  # frames before a message can count as failed, or to have come right
 RIGHT = 0.9  # share of good frames that makes a message that failed plausible again
 NEARLY_ALL = 0.99  # share that is called all
 ENOUGH_PROOF = 2  # checksums that hold
 MARGIN = 0.1  # of the score by which another profile is better
-HOLDS = 0.5  # mean share of the messages heard from which on a profile is worth naming
+HOLDS = 0.5  # mean share of the received messages from which on a profile is worth naming
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class Evidence:
     """Gathers what the frames say of one profile: the `Witness` of its decoder."""
 
     def __init__(self, profile: CanProfile) -> None:
-        """Begin with nothing said."""
+        """Begin without any frame."""
         self._profile = profile
         self._tallies = {
             quantity: _Tally(*JUMPS.get(quantity, ()))

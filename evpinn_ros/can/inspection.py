@@ -72,7 +72,7 @@ class ProfileReport:
         contradicted: why it cannot be the right one, None while nothing says so.
         values: `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came.
         dropped: values not used, by reason.
-        asks: some of its quantities must be asked for; only what others ask for is heard here.
+        asks: some of its quantities must be asked for; only answers to others are seen here.
         experimental: its sources disagree, so it is never the best.
         sign: what is wrong with the sign of the current, None while nothing is.
         sign_decided: whether the car pulled away, braked or charged enough to judge that.
@@ -216,7 +216,7 @@ class _Candidate:
                 self._values.setdefault(name, _Values()).record(value)
 
     def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
-        if self._asked.hears(frame):
+        if self._asked.is_answer(frame):
             return self._asked.decode(frame)
         if (frame.can_id, frame.extended) in self._keys:
             return self._decoder.decode(frame)
@@ -257,8 +257,8 @@ class _Asked:
     def dropped(self) -> Counter[str]:
         return self._poller.dropped
 
-    def hears(self, frame: CanFrame) -> bool:
-        return self._poller.hears(frame)
+    def is_answer(self, frame: CanFrame) -> bool:
+        return self._poller.is_answer(frame)
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         self._frames[frame.can_id, frame.extended] += 1

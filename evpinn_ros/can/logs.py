@@ -226,13 +226,13 @@ def run_limited(command: list[str]) -> str | None:
             with suppress(ProcessLookupError):  # it has ended already
                 resource.prlimit(process.pid, which, (limit, limit))
         try:
-            _, said = process.communicate(timeout=MF4_SECONDS)
+            _, errors = process.communicate(timeout=MF4_SECONDS)
         except subprocess.TimeoutExpired:
             process.kill()
             return f"not read within {MF4_SECONDS:g} s"
     if not process.returncode:
         return None
-    return said.splitlines()[-1] if said else "asammdf crashed"
+    return errors.splitlines()[-1] if errors else "asammdf crashed"
 
 
 def write_log(path: str | Path, frames: Iterable[CanFrame], channel: str = "can0") -> int:

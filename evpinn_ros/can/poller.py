@@ -93,7 +93,7 @@ class Poller:
         self._changed = threading.Condition()
         self._stopped = threading.Event()
 
-    def hears(self, frame: CanFrame) -> bool:
+    def is_answer(self, frame: CanFrame) -> bool:
         """True if the frame is (part of) an answer that the profile knows."""
         return (frame.can_id, frame.extended) in self._units
 
@@ -101,7 +101,7 @@ class Poller:
         """The readings that this frame completes; never raises."""
         with self._changed:
             now_s = self._clock()
-            self._heard(frame, now_s)
+            self._record_traffic(frame, now_s)
             unit = self._units[frame.can_id, frame.extended]
             answers = unit.answers
             answer = unit.receive(frame, now_s)
@@ -117,10 +117,10 @@ class Poller:
             return readings
 
     def note(self, frame: CanFrame, readings: Iterable[Reading]) -> None:
-        """Something else came over the bus, with what it said."""
+        """Note another frame of the bus, with its readings."""
         with self._changed:
             now_s = self._clock()
-            self._heard(frame, now_s)
+            self._record_traffic(frame, now_s)
             self._observe(readings, now_s)
 
     def run(self) -> None:
@@ -197,10 +197,10 @@ class Poller:
         self._restraint.asked(now_s, sent)
         return sent
 
-    def _heard(self, frame: CanFrame, now_s: float) -> None:
+    def _record_traffic(self, frame: CanFrame, now_s: float) -> None:
         if self._is_foreign(frame, now_s):
             self._shared_id = frame.can_id
-        if self._restraint.heard(frame.can_id, frame.extended, now_s):
+        if self._restraint.record_frame(frame.can_id, frame.extended, now_s):
             for unit in self._units.values():
                 unit.revive()
             self._changed.notify()

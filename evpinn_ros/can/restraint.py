@@ -85,14 +85,14 @@ class Restraint:
             )
 
     def answered(self) -> None:
-        """A control unit said anything, be it a refusal."""
+        """Note an answer of a control unit, be it a refusal."""
         self._unanswered_since_s = None
         if not self._low:
             self._patience_s, self._wait_s = UNANSWERED_S, 0.0
 
-    def heard(self, can_id: int, extended: bool, now_s: float) -> bool:
-        """A frame of whatever id came; True when asking is worth a try again."""
-        self._traffic.heard(can_id, extended, now_s)
+    def record_frame(self, can_id: int, extended: bool, now_s: float) -> bool:
+        """Record a frame of any id; True when asking is worth a try again."""
+        self._traffic.record(can_id, extended, now_s)
         moves = now_s - self._moved_s < DRIVING_FOR_S
         awake = self._traffic.awake or moves
         if self.leave is not Leave.NOTHING or not awake or now_s < self._not_before_s:
@@ -148,7 +148,7 @@ class Restraint:
 
 
 class _Traffic:
-    """Tells the traffic of a car that woke from a stray frame.
+    """Distinguishes the traffic of a car that woke from a stray frame.
 
     Attributes:
         awake: the bus was silent, and since then carried frames of several ids close together.
@@ -156,19 +156,19 @@ class _Traffic:
 
     def __init__(self) -> None:
         self.awake = False
-        self._heard_s = -math.inf
+        self._newest_s = -math.inf
         self._waking = False
         self._first_s = -math.inf
         self._frames = 0
         self._ids: set[int] = set()
 
-    def heard(self, can_id: int, extended: bool, now_s: float) -> None:
-        """A frame came. Those of testers say nothing of the car."""
+    def record(self, can_id: int, extended: bool, now_s: float) -> None:
+        """Record a frame. Those of testers hold no information on the car."""
         if is_request_id(can_id, extended):
             return
-        if now_s - self._heard_s >= QUIET_S:
+        if now_s - self._newest_s >= QUIET_S:
             self.awake, self._waking = False, True
-        self._heard_s = now_s
+        self._newest_s = now_s
         if not self._waking:
             return
         if now_s - self._first_s > AWAKE_WITHIN_S:

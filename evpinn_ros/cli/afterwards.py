@@ -57,7 +57,7 @@ def reported(
         other = bag.is_file() or (bag.is_dir() and any(bag.iterdir()))
         yield bag
         if other or not bag.exists() or _is_empty(bag):
-            return  # nothing was recorded, and the nodes have said why
+            return  # nothing was recorded, and the nodes have logged the reason
         note(f"evpinn: writing {report}; Ctrl-C cuts it short")
         command = [sys.executable, "-m", "evpinn_ros", "replay", str(bag), *options]
         if code := _run([*command, "--report", str(report)]):

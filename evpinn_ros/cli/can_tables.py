@@ -49,11 +49,11 @@ def as_json(report: BusReport) -> dict[str, Any]:
 
 
 def verdict(profile: ProfileReport) -> str:
-    """One of `fits`, `contradicted`, `does not fit`, `not heard`, `must ask`."""
+    """One of `fits`, `contradicted`, `does not fit`, `not seen`, `must ask`."""
     if profile.contradicted is not None:
         return "contradicted"
     if not profile.fit.frames:
-        return "must ask" if profile.asks else "not heard"
+        return "must ask" if profile.asks else "not seen"
     return "fits" if profile.fit.holds else "does not fit"
 
 

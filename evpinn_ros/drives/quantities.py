@@ -259,7 +259,7 @@ def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
 
     Returns:
         its spelling and what it means; (spelling, None) for a bracket that is no known unit, and
-        ("", None) where nothing is said.
+        ("", None) where it is not known.
     """
     units = QUANTITIES[quantity].units
     words, brackets = words_of(name)

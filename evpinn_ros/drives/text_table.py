@@ -91,8 +91,8 @@ class TextTable:
             raise InputError(f"{self.path}: {reason}") from error
         lines = [line for line in lines if line.strip()]
         if lines and _says_separator(lines[0]):
-            said = lines[0].strip('\ufeff"\r\n ')[4:]
-            return said[:1] or "\t"
+            rest = lines[0].strip('\ufeff"\r\n ')[4:]
+            return rest[:1] or "\t"
         counts = {
             sign: Counter(_outside_quotes(line, sign) for line in lines) for sign in SEPARATORS
         }

@@ -278,8 +278,8 @@ def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
     merit, clock = found[0]
     rivals = [other for m, other in found[1:] if m[:4] == merit[:4] and other.why != clock.why]
     if rivals and clock.why:
-        said = f"{clock.why}; could be {rivals[0].why} as well"
-        clock = replace(clock, why=said)
+        doubt = f"{clock.why}; could be {rivals[0].why} as well"
+        clock = replace(clock, why=doubt)
     return clock
 
 

@@ -147,7 +147,7 @@ class EnergyAccount:
         self.reconciled: Reconciled | None = None
         self._seen: Dropout | None = None
         self._awaits_charge: tuple[Dropout, float] | None = None
-        self._charge_before = math.nan  # the last one heard while the battery was measured
+        self._charge_before = math.nan  # the last one received while the battery was measured
 
     def reset_trip(self) -> None:
         """Count from zero; the lifetime, what was learned and the last kilometres stay."""

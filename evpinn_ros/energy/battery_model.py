@@ -35,7 +35,7 @@ LEARN_EVERY = 1.0  # s
 NOISE = 10.0
 LEAST_SAMPLES = 60  # before the model is used
 LEVEL_TIME = 20.0  # s over which what it lacks now is averaged
-# 1-sigma before anything was heard, and drift in an hour (temperature): of the voltage U at half
+# 1-sigma before any reading, and drift in an hour (temperature): of the voltage U at half
 # charge, of its slope by charge, both as shares of it; of R as a share of its prior.
 PRIOR_SHARE = np.array([0.08, 0.1, 1.0])
 DRIFT_SHARE = np.array([0.01, 0.005, 0.1])
@@ -62,7 +62,7 @@ class BatteryModel:
     """
 
     def __init__(self, capacity: float) -> None:
-        """Nothing heard yet; `capacity` of the vehicle file, J, NaN if unknown."""
+        """Begin without a reading; `capacity` of the vehicle file, J, NaN if unknown."""
         self._capacity = capacity
         self.reset()
 
@@ -75,7 +75,7 @@ class BatteryModel:
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Join nothing to what was heard before: time jumped."""
+        """Join nothing to earlier readings: time jumped."""
         self._current = EnergyIntegral(MAX_GAP)
         self._gauge.begin_anew()
         self._charge, self._level = math.nan, 0.0
@@ -134,7 +134,7 @@ class BatteryModel:
         scale = self._scale(float(self._state[0]))
         self._covariance += np.diag((scale * DRIFT_SHARE) ** 2 * elapsed / 3600)
         excess = np.sqrt(np.diag(self._covariance)) / (scale * PRIOR_SHARE)
-        narrow = 1 / np.maximum(excess, 1.0)  # never less sure than before anything was heard
+        narrow = 1 / np.maximum(excess, 1.0)  # never less sure than before any reading
         self._covariance *= np.outer(narrow, narrow)
         row = np.array([1.0, self._charge - 0.5, -current])
         error = voltage - float(row @ self._state)

@@ -43,7 +43,7 @@ class Uncertain(NamedTuple):
 UNKNOWN = Uncertain(math.nan, math.nan)
 
 
-class _Heard(NamedTuple):
+class _ChargeSample(NamedTuple):
     """A state of charge with what was counted at that moment.
 
     Attributes:
@@ -81,16 +81,16 @@ class ChargeGauge:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was heard and learned."""
+        """Forget all readings and all that was learned."""
         self.capacity, self.learned = self._prior, 0
         self._step = FIRST_STEP
         self._step_seen = False
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Join nothing to what was heard before: time jumped, or energy counts from elsewhere."""
-        self._last: _Heard | None = None
-        self._anchor: _Heard | None = None
+        """Join nothing to earlier readings: time jumped, or energy counts from elsewhere."""
+        self._last: _ChargeSample | None = None
+        self._anchor: _ChargeSample | None = None
 
     @property
     def rounding(self) -> float:
@@ -110,15 +110,15 @@ class ChargeGauge:
         """
         if not 0.0 <= charge <= 1.0:
             return
-        heard = _Heard(stamp_ns, charge, consumed.value, consumed.sigma**2, unmeasured_s)
+        sample = _ChargeSample(stamp_ns, charge, consumed.value, consumed.sigma**2, unmeasured_s)
         if self._last is not None:
             self._see_step(abs(charge - self._last.charge))
-        self._last = heard
+        self._last = sample
         anchor = self._anchor
         if anchor is None or unmeasured_s is None or anchor.unmeasured_s != unmeasured_s:
-            self._anchor = heard
+            self._anchor = sample
         else:
-            self._learn(anchor, heard)
+            self._learn(anchor, sample)
 
     def _see_step(self, step: float) -> None:
         if not 0.0 < step <= LARGEST_STEP:
@@ -127,12 +127,12 @@ class ChargeGauge:
         self._step = min(self._step, step) if self._step_seen else step
         self._step_seen = True
 
-    def _learn(self, anchor: _Heard, heard: _Heard) -> None:
-        change = anchor.charge - heard.charge
+    def _learn(self, anchor: _ChargeSample, sample: _ChargeSample) -> None:
+        change = anchor.charge - sample.charge
         if abs(change) < max(LEAST_CHANGE, LEAST_STEPS * self._step):
             return
-        self._anchor = heard
-        found = (heard.consumed - anchor.consumed) / change
+        self._anchor = sample
+        found = (sample.consumed - anchor.consumed) / change
         if not self._limits[0] <= found <= self._limits[1]:
             return
         spread = math.hypot(CAPACITY_SPREAD, math.sqrt(2) * self.rounding / change)

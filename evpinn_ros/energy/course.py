@@ -76,7 +76,7 @@ class Course:
     """
 
     def __init__(self, max_gap: float, network: Rknn | None) -> None:
-        """Nothing heard yet.
+        """Begin without a reading.
 
         Args:
             max_gap: predictions further apart, s, tell no course.

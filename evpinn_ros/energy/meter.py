@@ -214,8 +214,8 @@ class EnergyMeter:
 
     def in_dropout(self, stamp_ns: int) -> bool:
         """True if the battery gave nothing within its timeout before this stamp."""
-        heard = self._measured.last_stamp_ns is not None
-        return not heard or self._dropout_seconds(stamp_ns) > self._measured.longest_step
+        measured = self._measured.last_stamp_ns is not None
+        return not measured or self._dropout_seconds(stamp_ns) > self._measured.longest_step
 
     @property
     def measuring(self) -> bool:

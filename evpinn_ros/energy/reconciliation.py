@@ -5,7 +5,7 @@ its steps and the capacity are: two statements of one quantity, joined by their 
 cannot be: a state of charge that rose was charged in between, and two statements further apart
 than three sigma contradict each other; then the prediction stays, and the diagnostics say so.
 Where speed was silent as well the prediction lacks that time: the state of charge alone counts.
-Without a state of charge nothing can be said of how wrong the prediction was: the battery tells
+Without a state of charge nothing is known of how wrong the prediction was: the battery tells
 power, and the power of that time is gone.
 """
 

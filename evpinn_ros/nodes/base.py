@@ -96,7 +96,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
         Raises:
             InputError: it was given a quality of service that none of its endpoints takes.
         """
-        factory.refuse_unheard_overrides(self)
+        factory.refuse_unknown_overrides(self)
         self._logged = {phase.name: phase.text for phase in known}
         self.get_logger().info(printable(text))
 
@@ -236,7 +236,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
                 self.published[beside] += 1
 
     def now_ns(self) -> int:
-        """The node's clock, for stamps of frames, /diagnostics and what is said of stamps."""
+        """The node's clock, for stamps of frames, /diagnostics and checks of stamps."""
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
@@ -295,12 +295,12 @@ class GuardedNode(LifecycleNodeMixin, Node):
         """The stream that an input belongs to: odometry stands in for `vehicle/speed`.
 
         Raises:
-            BadMessage: it does not, for that is heard, and its steps and noise are others.
+            BadMessage: it does not, for that is received, and its steps and noise are others.
         """
         if topic is not topics.ODOMETRY:
             return topic
         if self.received[topics.SPEED]:
-            raise BadMessage("vehicle/speed is heard", usual=True)
+            raise BadMessage("vehicle/speed is received", usual=True)
         return topics.SPEED
 
     def _now_s(self) -> float:
@@ -366,9 +366,9 @@ class GuardedNode(LifecycleNodeMixin, Node):
         return safe
 
     def _tell_beginning(self, why: str) -> None:
-        heard, now = self._lasting.get(why, -math.inf), self.steady_s()
+        reported, now = self._lasting.get(why, -math.inf), self.steady_s()
         self._lasting[why] = now
-        if now - heard > LATELY:
+        if now - reported > LATELY:
             self.notice(why, f"not used from now on: {why}")
 
     def count_fault(self, text: str, detail: str = "") -> None:

@@ -166,10 +166,12 @@ def _bridge(port: int) -> Iterator[int]:
         yield process.pid
 
 
-def _latencies(sent_ns: list[int], heard: list[tuple[int, float]]) -> tuple[float, float, float]:
+def _latencies(
+    sent_ns: list[int], received: list[tuple[int, float]]
+) -> tuple[float, float, float]:
     """From sending to hearing, ms: p50, p99 and largest; the voltage tells which frame it was."""
     delays, number = [], 0
-    for arrived_ns, volts in heard:
+    for arrived_ns, volts in received:
         number = number_after(number, volts)
         delays.append((arrived_ns - sent_ns[number]) / NANOSECONDS * 1000)
     p50, p99, largest = np.quantile(delays, (0.5, 0.99, 1.0))

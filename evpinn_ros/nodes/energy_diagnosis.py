@@ -137,9 +137,9 @@ def charge_status(report: EnergyReport) -> Status:
     if not account.charge.known:
         return Status("charge", Level.OK, "the state of charge is unknown", values)
     if account.projected:
-        text = "state of charge projected by the energy taken: none was heard for a minute"
+        text = "state of charge projected by the energy taken: none came for a minute"
         return Status("charge", Level.OK, text, values)
-    return Status("charge", Level.OK, "state of charge heard", values)
+    return Status("charge", Level.OK, "state of charge received", values)
 
 
 def _wh(joules: float) -> object:

@@ -38,7 +38,7 @@ from evpinn_ros.vehicle.linear_power import LinearPower
 
 MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
 RESIDUAL_MEMORY = 300.0  # samples of power/smoothed over which that is averaged
-STALE_AFTER = {  # s since it was heard, then it counts as unknown
+STALE_AFTER = {  # s since it was received, then it counts as unknown
     TemperatureReading: 1800.0,
     PressureReading: 1800.0,
     WindReading: WIND_STALE_AFTER,
@@ -95,12 +95,12 @@ class Forecaster:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was heard."""
+        """Forget all that was received."""
         self.basis = Basis.VEHICLE_FILE
         self._combined, self._sigmas = prior_identifiable(self._vehicle)
         self._model: PowerModel | None = None
         self._residual_variance = FIRST_RESIDUAL**2
-        self._heard: dict[type, tuple[object, int]] = {}
+        self._readings: dict[type, tuple[object, int]] = {}
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
@@ -109,7 +109,7 @@ class Forecaster:
         """Take an estimate of the car and its 1-sigma.
 
         Raises:
-            ValueError: there is no such car; what was heard before stays.
+            ValueError: there is no such car; what was received before stays.
         """
         if not car_is_possible(combined_model(combined, sigmas, self._vehicle, 0.0).linear):
             raise ValueError("out_of_range")
@@ -125,7 +125,7 @@ class Forecaster:
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
     ) -> None:
         """Take a reading of the air, received now."""
-        self._heard[type(reading)] = reading, now_ns
+        self._readings[type(reading)] = reading, now_ns
 
     def hear_sigma(self, sigma: float) -> None:
         """Take the 1-sigma of one prediction of power, W; its mean square is what plans get."""
@@ -204,8 +204,8 @@ class Forecaster:
 
     def _fresh(self, kind: type[AirReading], now_ns: int) -> AirReading | None:
         """The newest reading of a kind, while it is no older than such may be."""
-        reading, heard_ns = self._heard.get(kind, (None, 0))
-        fresh = abs(now_ns - heard_ns) <= STALE_AFTER[kind] * NANOSECONDS
+        reading, received_ns = self._readings.get(kind, (None, 0))
+        fresh = abs(now_ns - received_ns) <= STALE_AFTER[kind] * NANOSECONDS
         return reading if isinstance(reading, kind) and fresh else None
 
     def _simple(self) -> PowerModel:

@@ -102,7 +102,7 @@ MANAGED = Parameter(
     "managed",
     False,
     "A managed node, which waits to be configured and activated: `ros2 lifecycle set ...`. Until "
-    "it is active it hears and tells nothing but /diagnostics.",
+    "it is active it receives and sends nothing but /diagnostics.",
 )
 
 ESTIMATOR = (

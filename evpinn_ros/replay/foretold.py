@@ -53,8 +53,8 @@ def forecast_outcome(
     """
     span = Span(known.time, end)
     speed = _inside(drive.speed, span)
-    heard = _inside(drive.measured, span)
-    if end - known.time < SHORTEST or not (_whole(speed, span) and _whole(heard, span)):
+    battery = _inside(drive.measured, span)
+    if end - known.time < SHORTEST or not (_whole(speed, span) and _whole(battery, span)):
         return None
     try:
         plan = drive_plan(speed, _inside(drive.altitude, span))

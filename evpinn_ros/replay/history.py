@@ -79,7 +79,7 @@ class Drive:
     Attributes:
         duration: s.
         speed: time and m/s, shape (n, 2).
-        measured: time and W, all that the battery said, withheld or not, shape (n, 2).
+        measured: time and W, every sample of the battery, withheld or not, shape (n, 2).
         smoothed: predictions of `power/smoothed`.
         newest: predictions of `power/predicted`.
         energy: time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4);
@@ -162,7 +162,7 @@ class History:
             self._altitude.add(time, reading.altitude)
 
     def add_output(self, output: ChainOutput) -> None:
-        """Take what the chain said of the last reading."""
+        """Take the outputs of the chain for the last reading."""
         if isinstance(output, AccountSummary):
             return
         time = self.seconds(output.stamp_ns)

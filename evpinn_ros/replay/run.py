@@ -191,7 +191,7 @@ def _paced(
 def _record(
     writer: BagWriter, reading: Reading, outputs: list[ChainOutput], log_time_ns: int
 ) -> Iterator[str]:
-    """Write a reading and what was said of it; gives a reason for each that no message holds."""
+    """Write a reading and its outputs; gives a reason for each that no message holds."""
     try:
         messages = list(reading_messages(reading))
     except ValueError:

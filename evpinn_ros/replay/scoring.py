@@ -74,10 +74,10 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
         return dict.fromkeys(keys)
     rows = drive.energy[inside]
     known = _stretches(rows[:, 0])
-    heard = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
-    common = _common(known, heard) or known
+    measured_spans = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
+    common = _common(known, measured_spans) or known
     predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:3])
-    measured = measured_energy(drive, common) if _common(known, heard) else None
+    measured = measured_energy(drive, common) if _common(known, measured_spans) else None
     score: dict[str, float | None] = dict.fromkeys(keys)
     score.update(measured_j=measured, predicted_j=predicted, rknn_j=rknn)
     if measured:

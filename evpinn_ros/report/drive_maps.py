@@ -46,7 +46,7 @@ class Moments(NamedTuple):
 
 
 def moments(drive: Drive) -> Moments:
-    """The moments of `power/smoothed` at which the battery was heard."""
+    """The moments of `power/smoothed` at which the battery was measured."""
     series = drive.smoothed
     measured, known = measured_at(drive, series.time)
     order = np.argsort(drive.speed[:, 0], kind="stable")

@@ -164,7 +164,7 @@ def _summary(reported: ReportedDrive, events: Sequence[Event]) -> str:
         "<h3>Parameters at the end</h3>"
         + table(parameter_columns(reported.truth), parameter_rows(found, reported.truth))
         + "<p class='muted'>Prior: share of the prior in the value. 100 % means that "
-        "the data said nothing.</p>"
+        "the data did not inform it.</p>"
     )
     return (
         "<section class='first'>"
@@ -237,7 +237,7 @@ def _learned(charts: Mapping[str, Any]) -> str:
 
 def _where(charts: Mapping[str, Any]) -> str:
     if "coverage" not in charts:
-        return "<h2>Where the data lay</h2><p>The battery said nothing of this drive.</p>"
+        return "<h2>Data coverage</h2><p>The battery was not measured on this drive.</p>"
     rest = f"Point at a cell for its value. Full colour: {charts['coverage']['full']:.0f} s."
     figures = _figure("coverage", "Where the data lay:", "time in each cell.", rest)
     if "errors" in charts:
@@ -248,7 +248,7 @@ def _where(charts: Mapping[str, Any]) -> str:
         figures += _figure("over_acceleration", "Error over acceleration:", "likewise.")
     return (
         "<h2>Where the data lay, and where predictions were off</h2><p>Outside of the coloured "
-        "cells the car was never seen: what is said there is extrapolated. Errors are of "
+        "cells the car was never seen: values there are extrapolated. Errors are of "
         f"power/smoothed less measured power.</p><div class='pair'>{figures}</div>"
     )
 
@@ -291,6 +291,6 @@ def _date(stamp_ns: int) -> str:
 
 
 _FOOTER = (
-    "<footer class='muted'>SI units unless said. Power and energy are positive when drawn from "
+    "<footer class='muted'>SI units unless stated. Power and energy are positive when drawn from "
     "the battery. Plots: uPlot, MIT licence, within this file.</footer>"
 )

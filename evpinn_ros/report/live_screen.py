@@ -139,8 +139,8 @@ def _parameters(state: LiveState, width: int) -> Iterable[Text]:
             "prior": _percent(100 * row.prior_share),
             "data": _percent(row.progress),
         }
-        said = row.state or UNKNOWN
-        yield Text(f"{_row(columns, texts)} ").append(said, STATE_STYLES.get(row.state, FAINT))
+        shown = row.state or UNKNOWN
+        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.state, FAINT))
 
 
 def _row(columns: Iterable[Column], texts: Mapping[str, str]) -> str:

@@ -88,7 +88,7 @@ class LiveState:
     """
 
     def __init__(self, namespace: str = topics.NAMESPACE) -> None:
-        """Nothing heard yet of the car under a namespace."""
+        """Begin without messages of the car under a namespace."""
         self._namespace = namespace.strip("/")
         self.speed = math.nan
         self.battery: BatteryReading | None = None
@@ -162,8 +162,8 @@ class LiveState:
 
     def fresh_speed(self, now: float) -> float:
         """Speed, m/s, NaN when it has fallen silent."""
-        heard = min(self.age(topic, now) for topic in SPEEDS_OF_CAR)
-        return self.speed if heard < STALE_AFTER else math.nan
+        age = min(self.age(topic, now) for topic in SPEEDS_OF_CAR)
+        return self.speed if age < STALE_AFTER else math.nan
 
     def fresh_battery(self, now: float) -> BatteryReading | None:
         """Voltage and current, None when they have fallen silent."""
@@ -212,7 +212,9 @@ class LiveState:
     def problems(self, now: float) -> list[tuple[Level, str]]:
         """Missing inputs and their reasons, the worst first; empty when all is well."""
         if not self._last:
-            return [(Level.WARN, "nothing heard yet: are the nodes up, with this ROS_DOMAIN_ID?")]
+            return [
+                (Level.WARN, "nothing received yet: are the nodes up, with this ROS_DOMAIN_ID?")
+            ]
         if not self.statuses:
             found = [(Level.WARN, "no /diagnostics of our nodes yet")]
         else:
@@ -226,7 +228,7 @@ class LiveState:
             node = name.partition(":")[0]
             silent[node] = min(silent.get(node, math.inf), now - status.arrived)
         found += [
-            (Level.ERROR, f"{node}: has said nothing for {age:.0f} s")
+            (Level.ERROR, f"{node}: has sent nothing for {age:.0f} s")
             for node, age in silent.items()
             if age >= STALE_AFTER
         ]

@@ -95,7 +95,7 @@ class OriginGate:
         self._open.add(task)
         try:
             if len(self._open) > MOST_CONNECTIONS:
-                return  # unheard: each would hold a file open, of which a process has a thousand
+                return  # no answer: each would hold a file open, of which a process has a thousand
             with suppress(OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
                 await self._pass_on(reader, writer)
         finally:

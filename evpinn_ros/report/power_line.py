@@ -24,7 +24,7 @@ class PowerLine:
     """
 
     def __init__(self) -> None:
-        """Nothing heard yet."""
+        """Begin without power."""
         self.newest_ns: int | None = None
         self._bins: dict[str, dict[int, tuple[float, int]]] = {}
 
@@ -42,7 +42,7 @@ class PowerLine:
             del bins[min(bins)]
 
     def last(self, kind: str, count: int) -> list[float]:
-        """The newest bins, W, oldest first; NaN where nothing was heard."""
+        """The newest bins, W, oldest first; NaN where nothing was received."""
         bins = self._bins.get(kind, {})
         if self.newest_ns is None:
             return [math.nan] * count

@@ -278,7 +278,7 @@ def test_a_dead_car_is_asked_a_hundred_times_and_no_more(every_s, frames):
             next_s += every_s
             for can_id, data in frames:
                 frame = CanFrame(0, can_id, data)
-                poller.decode(frame) if poller.hears(frame) else poller.note(frame, ())
+                poller.decode(frame) if poller.is_answer(frame) else poller.note(frame, ())
     assert 50 < len(sent) <= 140
     assert poller.status().text.startswith("stopped: no answer")
 

@@ -146,7 +146,7 @@ def single_reading(reported: ReportedDrive) -> ReportedDrive:
 @pytest.mark.parametrize("less", [without_battery, single_reading])
 def test_what_is_missing_is_said(reported, tmp_path, less):
     found = page(tmp_path, less(reported))
-    assert "The battery said nothing" in found.text and "No part of this drive" in found.text
+    assert "The battery was not measured" in found.text and "No part of this drive" in found.text
     assert set(found.plots) == set(found.data[0]["charts"])
 
 

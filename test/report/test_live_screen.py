@@ -73,7 +73,7 @@ def test_60_by_20_leaves_out_what_can_be_missed(well):
 def test_nothing_heard_is_a_screen_too():
     found = lines(LiveState(), 0.0, 80, 24)
     assert found[0] == f" evpinn  estimator silent{'- km/h':>54}"
-    assert found[-1] == "! nothing heard yet: are the nodes up, with this ROS_DOMAIN_ID?"
+    assert found[-1] == "! nothing received yet: are the nodes up, with this ROS_DOMAIN_ID?"
     assert "eta   motor                -        -                  -     -     - -" in found
 
 

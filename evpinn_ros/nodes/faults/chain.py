@@ -19,7 +19,7 @@ from evpinn_ros.nodes.faults.rig import SPIN, Change, Rig, unchanged
 from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.processes import START_TIMEOUT, STOP_TIMEOUT, node_command
 
-LAST_WORDS = 0.5  # s until what a node said before its end is heard
+LAST_WORDS = 0.5  # s until what a node status before its end is received
 LEADING = ("estimator", "energy")
 FILES = {"estimator": ("state_file", "car.json"), "energy": ("energy_file", "energy.json")}
 
@@ -73,7 +73,7 @@ class Process:
         took = self._rig.drive(
             START_TIMEOUT,
             change,
-            until=lambda: self._rig.said(name, "", self.started) is not None or not self.runs,
+            until=lambda: self._rig.status(name, "", self.started) is not None or not self.runs,
         )
         if not self.runs or took >= START_TIMEOUT:
             raise InputError(f"the node '{name}' did not come up")

@@ -25,7 +25,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 CLOCK = "rosgraph_msgs/msg/Clock"
 BEGIN_NS = 5000 * NANOSECONDS
 LONGEST = 15.0  # s in which a fault must be named
-DEAF = 2.0  # s for which a node may not hear when the system's clock is set; see docs/benchmarks
+DEAF = 2.0  # s without messages when the system's clock is set; see docs/benchmarks
 
 
 def clock_faults() -> Iterator[Fault]:
@@ -125,7 +125,7 @@ def _late(rig: Rig) -> Finding:
             for process in chain.processes.values():
                 process.await_ready()
             sent, since = rig.sent, time.monotonic()
-            rig.drive(LONGEST, until=lambda: rig.said("estimator", "/clock", begin) is not None)
+            rig.drive(LONGEST, until=lambda: rig.status("estimator", "/clock", begin) is not None)
             clock.ticks = True
             end = time.monotonic()
             rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
@@ -133,12 +133,12 @@ def _late(rig: Rig) -> Finding:
             missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, since)
         finally:
             chain.stop()
-    said, harm = rig.said("estimator", "/clock", begin), rig.faulty(begin)
+    status, harm = rig.status("estimator", "/clock", begin), rig.faulty(begin)
     return Finding(
         harm or f"{max(missing, 0)} of {rig.sent - sent} predictions",
         missing <= SLACK and harm is None,
         rig.recovered(end),
-        None if said is None else said.text,
+        None if status is None else status.text,
     )
 
 
@@ -170,7 +170,7 @@ class _Jump:
                     2 * RECOVERY,
                     until=lambda: (
                         rig.recovered(begin) < math.inf
-                        and rig.said("estimator", self.word, begin) is not None
+                        and rig.status("estimator", self.word, begin) is not None
                     ),
                 )
                 rig.drive(1.5)
@@ -179,10 +179,10 @@ class _Jump:
                 chain.stop()
         most = SLACK + (DEAF * RATE if self.system else 0)
         moved = abs(rig.learned() / learned - 1.0)
-        said, harm = rig.said("estimator", self.word, begin), rig.faulty(begin)
+        status, harm = rig.status("estimator", self.word, begin), rig.faulty(begin)
         return Finding(
             harm or f"{max(missing, 0)} predictions, mass/eta moved {moved:.1%}",
             missing <= most and harm is None and moved <= MOST_MOVED,
             rig.recovered(begin),
-            None if said is None else said.text,
+            None if status is None else status.text,
         )

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from evpinn_ros.nodes.faults.rig import Rig
 
 RECOVERY = 5.0  # s, the goal
-QUIET = ""  # instead of a word: nothing is to be said
+QUIET = ""  # instead of a word: no diagnosis is due
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Finding:
         lost: what was lost, in a few words.
         kept: that this is no more than the contract states.
         seconds: until all was as before, inf when it never was.
-        said: what the diagnostics said of it, None when they did not name it.
+        said: its diagnosis, None when they did not name it.
     """
 
     lost: str

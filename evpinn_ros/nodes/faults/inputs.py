@@ -46,7 +46,7 @@ class Disturbance:
         rig.drive(
             LONGEST - SHORTEST,
             self.change,
-            until=lambda: rig.said("estimator", self.word, begin) is not None,
+            until=lambda: rig.status("estimator", self.word, begin) is not None,
         )
         end = time.monotonic()
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
@@ -56,7 +56,7 @@ class Disturbance:
         harm = rig.faulty(begin)
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions, mass/eta moved {moved:.1%}"
         kept = missing <= self.may_lose * (rig.sent - sent) + SLACK
-        named = rig.said("estimator", self.word, begin)
+        named = rig.status("estimator", self.word, begin)
         return Finding(
             lost if harm is None else f"{lost}; {harm}",
             kept and harm is None and (self.forgets or moved <= MOST_MOVED),
@@ -248,9 +248,9 @@ class _SignFlip:
         rig.drive(
             3 * LONGEST,
             flipped,
-            until=lambda: rig.said("estimator", "sign of current", begin) is not None,
+            until=lambda: rig.status("estimator", "sign of current", begin) is not None,
         )
-        named = rig.said("estimator", "sign of current", begin)
+        named = rig.status("estimator", "sign of current", begin)
         rig.call("estimator/reset")
         end = time.monotonic()
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)

@@ -76,15 +76,15 @@ class _Order:
             rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
         finally:
             codes = [process.stop().code for process in processes]
-        waiting = rig.said("", "waiting for", begin)
+        waiting = rig.status("", "waiting for", begin)
         harm = rig.faulty(begin)
         kept = not any(codes) and harm is None
-        said = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
-        return Finding(harm or "nothing", kept, rig.recovered(ready), said)
+        status = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
+        return Finding(harm or "nothing", kept, rig.recovered(ready), status)
 
 
-def _text(said: object) -> str | None:
-    return None if said is None else str(getattr(said, "text", said))
+def _text(status: object) -> str | None:
+    return None if status is None else str(getattr(status, "text", status))
 
 
 def _warm_start(rig: Rig) -> Finding:
@@ -164,7 +164,7 @@ class _Restart:
             process.stop()
         gone = time.monotonic()
         rig.drive(LIVENESS_TIMEOUT + 1.5)
-        silent = rig.said(self.name, "", gone + 0.5) is None
+        silent = rig.status(self.name, "", gone + 0.5) is None
         fresh = self.chain.start(self.name)
         fresh.await_ready()
         ready = time.monotonic()
@@ -172,8 +172,10 @@ class _Restart:
         took = rig.recovered(ready)
         rig.drive(2.0)
         moved = abs(rig.learned() / before - 1.0)
-        said = rig.said("energy", "no power/smoothed", begin) if self.name == "estimator" else None
-        named = f"silence of {self.name}" if said is None and silent else _text(said)
+        status = (
+            rig.status("energy", "no power/smoothed", begin) if self.name == "estimator" else None
+        )
+        named = f"silence of {self.name}" if status is None and silent else _text(status)
         lost = f"{fresh.name} for {ready - begin:.1f} s; mass/eta moved {moved:.1%}"
         kept = moved < 0.05 and rig.faulty(begin) is None
         return Finding(lost, kept, took, named)
