@@ -24,7 +24,7 @@ from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_stat
 from evpinn_ros.nodes.messages import diagnostics
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain, ChainOutput
 from evpinn_ros.report.live_screen import screen
 from evpinn_ros.report.live_state import WATCHED, LiveState
@@ -84,7 +84,7 @@ def drive(state: LiveState) -> float:
 
 def main() -> None:
     """Write docs/live_view.svg."""
-    one_thread()
+    limit_blas_threads()
     state = LiveState()
     now = drive(state)
     console = Console(

@@ -10,7 +10,7 @@ import sys
 
 import torch
 
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.reproduction import optimizers, problem
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
 from evpinn_ros.reproduction.optimizers import Adam
@@ -125,7 +125,7 @@ def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
 
 def main(path: str, vehicle_name: str, epochs: str = "1000") -> None:
     """Print both tables."""
-    one_thread()
+    limit_blas_threads()
     vehicle = load_vehicle(vehicle_name)
     log = read_drive_log(Path(path), vehicle).drive
     print("| least squares | RMSE, W | R\u00b2 | m/eta | mu | C_rr |\n|---|---|---|---|---|---|")

@@ -51,7 +51,7 @@ class SoundFile:
 
 
 @dataclass(slots=True)
-class Summary:
+class FileSummary:
     """Summary at the end of a file; of a damaged one, as far as it can be read.
 
     Attributes:
@@ -94,13 +94,13 @@ def sound_file(file: FileBytes) -> SoundFile | None:
     return SoundFile(known, Counter(statistics.channel_message_counts), blocks)
 
 
-def summary_of(file: FileBytes) -> Summary:
+def summary_of(file: FileBytes) -> FileSummary:
     """Read the end of a file; nothing of it when its checksum does not hold.
 
     Raises:
         InputError: it cannot be read from the disk.
     """
-    found = Summary()
+    found = FileSummary()
     at = file.size - len(MAGIC) - FOOTER.size - HEAD.size
     tail = file.peek(max(at, 0), file.size)
     if at < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC:

@@ -20,7 +20,7 @@ from evpinn_ros.fleet.executor import LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, PopulationValue
 from evpinn_ros.fleet.run import claimed, learn_fleet
-from evpinn_ros.fleet.tables import Summary, write_tables
+from evpinn_ros.fleet.tables import FleetSummary, write_tables
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.output import write
@@ -163,7 +163,7 @@ def _learning(
                 return
 
 
-def _compared(vehicle: Vehicle, summary: Summary) -> Iterator[Recovered]:
+def _compared(vehicle: Vehicle, summary: FleetSummary) -> Iterator[Recovered]:
     population = summary.populations[vehicle.key]
     for name in COMPARED:
         combined = name in COMBINATIONS

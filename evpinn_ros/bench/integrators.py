@@ -2,7 +2,7 @@
 
 Truth is the integral of a straight line through every sample of the log (compensated sum of
 trapezoids), of a simulated drive through its 100 Hz. What a car does between two samples of a
-10 Hz log nobody knows, so there the trapezoid is the yardstick and has no error. Errors are in
+10 Hz log is unknown, so there the trapezoid is the yardstick and has no error. Errors are in
 percent of the gross energy, drawn and regenerated together.
 
 The networks as published (`reproduction.energy_network`) are trained on the car's first drive, for

@@ -99,7 +99,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class TruthSummary:
     """Comparisons of one quantity at one time over many drives."""
 
     name: str
@@ -155,7 +155,7 @@ def compare(
             chain.add_reading(reading)
 
 
-def summaries(found: Iterable[Comparison]) -> list[Summary]:
+def summaries(found: Iterable[Comparison]) -> list[TruthSummary]:
     """Median, 90th percentile and coverage of each quantity at each time."""
     groups: dict[tuple[int, str], list[Comparison]] = {}
     for one in found:
@@ -250,10 +250,10 @@ def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
     return true_values(drive.car, Trace(motion=motion, **columns))
 
 
-def _summary(group: list[Comparison]) -> Summary:
+def _summary(group: list[Comparison]) -> TruthSummary:
     error = np.array([one.error_percent for one in group])
     first = group[0]
-    return Summary(
+    return TruthSummary(
         first.name,
         first.seconds,
         len(group),

@@ -58,7 +58,7 @@ class BridgeStatus:
         dropped: values not used, by reason (see `Decoder`).
         signals: `speed` and `battery`, as far as the profile has them.
         refusal: why nothing is let out, None while the traffic does not contradict the profile.
-        suspicion: what the signals say of the sign of the current, None while all is well.
+        fault: wrong sign of the current by the other signals, None while all is well.
     """
 
     ok: bool
@@ -69,7 +69,7 @@ class BridgeStatus:
     dropped: Mapping[str, int]
     signals: Mapping[str, SignalStatus]
     refusal: str | None = None
-    suspicion: str | None = None
+    fault: str | None = None
 
 
 class CanBridge:
@@ -147,8 +147,8 @@ class CanBridge:
         """The state at `now_ns`, a time of the clock that stamped the frames."""
         signals = {name: arrivals.status(now_ns) for name, arrivals in self._arrivals.items()}
         stale = [name for name, signal in signals.items() if signal.stale]
-        suspicion = self._sign.suspicion if self._sign is not None else None
-        text = self.refusal or self._fault(signals) or suspicion
+        fault = self._sign.fault if self._sign is not None else None
+        text = self.refusal or self._fault(signals) or fault
         return BridgeStatus(
             ok=not text and not stale,
             text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
@@ -158,7 +158,7 @@ class CanBridge:
             dropped=dict(self._dropped),
             signals=signals,
             refusal=self.refusal,
-            suspicion=suspicion,
+            fault=fault,
         )
 
     def _fault(self, signals: Mapping[str, SignalStatus]) -> str | None:

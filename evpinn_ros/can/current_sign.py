@@ -35,7 +35,7 @@ class CurrentSign:
         return self._driving.told or self._charging.told
 
     @property
-    def suspicion(self) -> str | None:
+    def fault(self) -> str | None:
         """Detected fault and its remedy, in one line; None while all is well."""
         if self._driving.suspected:
             why = "to accelerate charges the battery"

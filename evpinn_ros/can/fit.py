@@ -153,7 +153,7 @@ class Contradiction:
     better: str | None
 
 
-class Evidence:
+class ProfileEvidence:
     """Gathers what the frames say of one profile: the `Witness` of its decoder."""
 
     def __init__(self, profile: CanProfile) -> None:

@@ -10,7 +10,7 @@ import math
 from evpinn_ros.can.bus_load import frame_bits
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
-from evpinn_ros.can.fit import Evidence, MessageFit, ProfileFit, contradiction, ranked
+from evpinn_ros.can.fit import MessageFit, ProfileEvidence, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import QUANTITIES, CanProfile
@@ -202,7 +202,7 @@ class _Candidate:
 
     def __init__(self, profile: CanProfile) -> None:
         self.key, self._experimental = profile.key, profile.experimental
-        self.evidence = Evidence(profile)
+        self.evidence = ProfileEvidence(profile)
         self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder = Decoder(profile, self.evidence)
         self._asks, self._asked = bool(profile.asked), _Asked(profile)
@@ -235,7 +235,7 @@ class _Candidate:
             dropped=dict(self._decoder.dropped + self._asked.dropped),
             asks=self._asks,
             experimental=self._experimental,
-            sign=self._sign.suspicion,
+            sign=self._sign.fault,
             sign_decided=self._sign.decided,
         )
 

@@ -14,7 +14,7 @@ from evpinn_ros.bench.logs import find_logs
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
@@ -42,7 +42,7 @@ def carried(
 
     Example: evpinn bench carried $DATA/bmw_i3 --vehicle bmw_i3
     """
-    one_thread()
+    limit_blas_threads()
     car = load_vehicle(vehicle)
     benchmark = CarriedBenchmark(car, time.thread_time, speed_only=speed_only)
     found: dict[str, CarriedForecast] = {}

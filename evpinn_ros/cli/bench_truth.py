@@ -14,7 +14,7 @@ from evpinn_ros.bench.truth import (
     VEHICLES,
     Comparison,
     Step,
-    Summary,
+    TruthSummary,
     compare,
     false_alarms,
     load_steps,
@@ -92,7 +92,7 @@ def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: in
             say(figures["unobservable"])
 
 
-def _show(figures: dict[str, Any], rows: list[Summary]) -> None:
+def _show(figures: dict[str, Any], rows: list[TruthSummary]) -> None:
     figures["summaries"] = [asdict(row) for row in rows]
     show(_table(rows))
 
@@ -129,7 +129,7 @@ def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
     say(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
 
 
-def _table(rows: list[Summary]) -> PlainTable:
+def _table(rows: list[TruthSummary]) -> PlainTable:
     """Errors and coverage of each quantity at each time."""
     table = PlainTable("quantity", "s", "drives", "bias %", "median %", "90 % within %", "sigma %")
     table.add_column("95 % covers %")

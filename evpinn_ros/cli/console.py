@@ -121,7 +121,7 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
 
     Args:
         title: of the bar.
-        total: how much there is to do, None if nobody knows.
+        total: how much there is to do, None if unknown.
         unit: of what is done.
     """
     columns = (

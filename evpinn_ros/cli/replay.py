@@ -29,7 +29,7 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import TABLES, Value
 from evpinn_ros.nodes.settings import estimator_settings, jump_rule
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import (
     WARM_UP,
@@ -103,7 +103,7 @@ def replay(
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
     # One thread, so that the same bag gives the same bits and other cores stay free.
-    one_thread()
+    limit_blas_threads()
     car = load_vehicle(vehicle)
     values = _parameters(params, mode, optimizer)
     settings = estimator_settings(values)

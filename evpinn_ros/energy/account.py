@@ -121,7 +121,7 @@ class EnergyAccount:
         """Start at zero.
 
         Args:
-            meter: to be used by nobody else.
+            meter: to be used here alone.
             vehicle: whose account this is; that of another car is refused.
             capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
         """
@@ -158,7 +158,7 @@ class EnergyAccount:
         self._begin(lifetime, 0.0, 0.0)
         self._newest_ns = newest_ns
 
-    def begin_next_stretch(self) -> None:
+    def begin_after_jump(self) -> None:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
         self.restore(self.export())
 
@@ -170,7 +170,7 @@ class EnergyAccount:
 
     def begin_next_trip(self) -> None:
         """Likewise, and count the trip from zero; the lifetime goes on."""
-        self.begin_next_stretch()
+        self.begin_after_jump()
         self.reset_trip()
 
     def add_measured(self, stamp_ns: int, power: float, sigma: float) -> None:

@@ -59,7 +59,7 @@ class EnergyState:
         gaps: steps too long to integrate, of measured and predicted power together.
         dropped: samples dropped (out of order or not finite), of both together.
         unmeasured_s: time since reset without measured power, s.
-        unknown_s: the part of it without predicted power either, s: energy that nobody counted.
+        unknown_s: the part of it without predicted power either, s: energy that was not counted.
         measuring: False while the state is `predicting`.
     """
 

@@ -29,7 +29,7 @@ from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.fleet.manifest import CarDrives
 from evpinn_ros.fleet.row import drive_row, failed_row
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import ReplayOptions, replay
 from evpinn_ros.replay.sources import open_source
@@ -75,7 +75,7 @@ def learn_car(task: CarTask) -> CarDone:
         StoppedError: asked to, before the last drive was done.
         InputError: the car's files cannot be written.
     """
-    one_thread()
+    limit_blas_threads()
     _stop_if(task.stop)
     vehicle = task.drives.vehicle
     found = _Found(task.folder, vehicle)

@@ -54,7 +54,7 @@ POPULATION_COLUMNS = {
 
 
 @dataclass
-class Summary:
+class FleetSummary:
     """Summary of a fleet for a person.
 
     Attributes:
@@ -82,7 +82,7 @@ def require_parquet() -> None:
         raise InputError("results are Parquet: pip install 'evpinn_ros[fleet]'") from error
 
 
-def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> Summary:
+def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> FleetSummary:
     """Write the tables of drives, cars and populations from the cars' files.
 
     Args:
@@ -93,7 +93,7 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
     Raises:
         InputError: a table cannot be written.
     """
-    summary = Summary()
+    summary = FleetSummary()
     found: dict[str, list[Evidence]] = defaultdict(list)
     vehicles: dict[str, Vehicle] = {}
     with _table(out / DRIVES, DRIVE_COLUMNS) as drives, _table(out / CARS, CAR_COLUMNS) as cars:
@@ -163,7 +163,7 @@ def _car_row(
     }
 
 
-def _count(summary: Summary, car: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+def _count(summary: FleetSummary, car: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
     problems = [(row["path"], row["problem"]) for row in rows if row["problem"]]
     if car["problem"]:
         problems.append((f"car {car['car']}", car["problem"]))

@@ -265,9 +265,9 @@ class GuardedNode(LifecycleNodeMixin, Node):
         shown = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
         fault, at = self._newest_fault
         recent = fault if at > self.steady_s() - LATELY else None
-        return Health(bad, dict(self._faults), tuple(self._noticed(shown)), recent)
+        return Health(bad, dict(self._faults), tuple(self._detections(shown)), recent)
 
-    def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
+    def _detections(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
         yield from (text for text, at in self._notices.values() if at > since)
         for topic, policy in self._mismatched.items():
@@ -304,7 +304,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
         return topics.SPEED
 
     def _now_s(self) -> float:
-        """For ages, s: simulated time, which may pause; else a clock that nobody sets."""
+        """For ages, s: simulated time, which may pause; else the monotonic clock."""
         simulated = self.get_clock().ros_time_is_active
         return self.now_ns() / NANOSECONDS if simulated else self.steady_s()
 

@@ -15,7 +15,7 @@ from evpinn_ros.nodes.messages import Level
 
 MISSING_AFTER = 3.0  # s without a message of the leading input
 LATELY = 10.0  # s for which something that happened is shown
-FEW = 3  # messages lost lately that nobody need know of
+FEW = 3  # messages lost lately that are not worth a warning
 
 
 class Status(NamedTuple):

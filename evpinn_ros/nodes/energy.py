@@ -49,7 +49,7 @@ from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import jump_rule
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
@@ -80,7 +80,7 @@ class EnergyNode(GuardedNode):
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
         self.forecaster = Forecaster(vehicle)
-        self._keeper = StateKeeper(state_path(self.values["energy_file"]), self.account)
+        self._state_file = StateFile(state_path(self.values["energy_file"]), self.account)
         self._load()
         self._guard = StampGuard(topics.POWER_SMOOTHED)
         self._reading_guard = StampGuard(topics.SPEED)
@@ -107,7 +107,7 @@ class EnergyNode(GuardedNode):
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
         self.on_clock_going_back(self._on_clock_going_back)
-        start = self._keeper.start or "counts from zero"
+        start = self._state_file.start or "counts from zero"
         self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
 
     def statuses(self) -> list[Status]:
@@ -126,7 +126,7 @@ class EnergyNode(GuardedNode):
             account=self.account.summary(),
             reconciled=self.account.reconciled,
             learned_capacity=self.account.gauge.learned,
-            file_problem=self._keeper.problem,
+            file_problem=self._state_file.problem,
             health=health,
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
@@ -140,7 +140,7 @@ class EnergyNode(GuardedNode):
 
     def save(self) -> str | None:
         """Write what was counted, if there is a file for it; gives the reason when that fails."""
-        return self._keeper.save() if self.values["energy_file"] else None
+        return self._state_file.save() if self.values["energy_file"] else None
 
     def end(self) -> str | None:
         """Save."""
@@ -151,9 +151,9 @@ class EnergyNode(GuardedNode):
         return self.end()
 
     def _load(self) -> None:
-        self._keeper.load()
-        if self._keeper.problem is not None:
-            self.get_logger().warning(f"energy counts from zero: {self._keeper.problem}")
+        self._state_file.load()
+        if self._state_file.problem is not None:
+            self.get_logger().warning(f"energy counts from zero: {self._state_file.problem}")
 
     def _take_power(self, topic: Topic, message: Any) -> None:
         vector = read_named_vector(message)
@@ -193,7 +193,7 @@ class EnergyNode(GuardedNode):
         if policy == JumpPolicy.RESET.value:
             self.account.begin_next_trip()
         else:
-            self.account.begin_next_stretch()
+            self.account.begin_after_jump()
 
     def _on_identifiable(self, message: Any) -> None:
         vector = read_named_vector(message)
@@ -300,7 +300,7 @@ class EnergyNode(GuardedNode):
         return self.done(response, "energy counts from zero; the lifetime's goes on")
 
     def _on_save(self, _: Any, response: Any) -> Any:
-        reason = self._keeper.save()
+        reason = self._state_file.save()
         return self.done(response, f"written to {self.values['energy_file']}", reason)
 
 

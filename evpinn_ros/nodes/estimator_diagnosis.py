@@ -70,26 +70,26 @@ def estimator_status(report: EstimatorReport) -> Status:
         **flat("state", {name: state.value for name, state in status.states.items()}),
         **flat("seen", status.seen),
         **flat("in_90_band", bands),
-        **_noticed(status.report),
+        **_detections(status.report),
     }
     level, text = _estimator_verdict(report)
     if text == NO_SPEED:
         text += f" for {report.speed_age:.0f} s"
     elif text == LEARNING:
-        text += f": {status.accepted} of {status.updates} updates adopted"
+        text += f": {status.accepted} of {status.updates} updates accepted"
     return with_health(Status("estimate", level, text, values), report.health)
 
 
 def estimator_phases(report: EstimatorReport) -> list[Status]:
     """Text that is logged when it changes: nothing in it counts."""
-    states, noticed = report.status.states, report.status.report
+    states, learner = report.status.states, report.status.report
     valid = [name for name, state in states.items() if state is State.VALID]
     phases = [Status("estimate", *_estimator_verdict(report), {})]
     phases.append(Status("valid", Level.OK, f"valid: {', '.join(valid) or 'nothing yet'}", {}))
-    if noticed.payload_change is not None:
-        change, taken_back = noticed.payload_change, noticed.payload_changes_withdrawn
+    if learner.payload_change is not None:
+        change, taken_back = learner.payload_change, learner.payload_changes_withdrawn
         text = f"payload change of {change.delta_mass:+.0f} +- {change.std:.0f} kg"
-        text += f"; {taken_back} of {noticed.payload_changes} withdrawn" if taken_back else ""
+        text += f"; {taken_back} of {learner.payload_changes} withdrawn" if taken_back else ""
         phases.append(Status("payload", Level.OK, text, {}))
     return phases
 
@@ -117,7 +117,7 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
     return Level.OK, LEARNING
 
 
-def _noticed(report: LearnerReport) -> dict[str, object]:
+def _detections(report: LearnerReport) -> dict[str, object]:
     """Detections of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",

@@ -27,7 +27,7 @@ class Stateful(Protocol):
         """Forget all that was learned."""
 
 
-class StateKeeper:
+class StateFile:
     """The state file of one node.
 
     Attributes:
@@ -105,7 +105,7 @@ def state_path(text: str) -> Path | None:
     """The path that a parameter gives, None where it is empty.
 
     Raises:
-        InputError: it begins with `~`, and nobody has such a home.
+        InputError: it begins with `~`, and no user has such a home.
     """
     try:
         return Path(text).expanduser() if text else None

@@ -96,7 +96,7 @@ class Chain:
     def _jump(self) -> None:
         if self._rule.policy is not JumpPolicy.RESET:
             self.estimator.handle_time_jump()
-            self.account.begin_next_stretch()
+            self.account.begin_after_jump()
             return
         self.estimator.reset()
         if self._start is not None:
@@ -108,5 +108,5 @@ class Chain:
         self.estimator.begin_next_drive()
         self.estimator.clear_counters()
         self._guard, self._start = StampGuard(SpeedReading), self.estimator.export()
-        self.account.begin_next_stretch()
+        self.account.begin_after_jump()
         self.account.reset_trip()

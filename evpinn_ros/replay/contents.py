@@ -18,7 +18,7 @@ from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import Source, is_drive_table, open_source
-from evpinn_ros.replay.usable import Flow, Usable, usable
+from evpinn_ros.replay.usable import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here
@@ -34,7 +34,7 @@ class TopicContents:
 
     name: str
     type_name: str
-    flow: Flow
+    flow: ReadingFlow
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Contents:
     frames: int = 0
     profile: str | None = None
     vehicles: tuple[str, ...] = ()
-    drive: Usable | None = None
+    drive: DataCoverage | None = None
     dropped: Counter[str] | None = None
     notes: tuple[str, ...] = ()
 
@@ -110,7 +110,7 @@ def contents(
 
 def _topics(path: Path) -> tuple[TopicContents, ...]:
     with BagReader(path) as reader:
-        flows = {name: Flow() for name in reader.topics}
+        flows = {name: ReadingFlow() for name in reader.topics}
         for name, log_time_ns in reader.log_times():
             flows[name].add(log_time_ns)
         return tuple(
@@ -140,7 +140,7 @@ def _with_drive(
     own = None if found.kind == "bag" and _has_readings(found.path) else profile
     try:
         source = open_source(found.path, load_vehicle(GENERIC), own, columns=columns)
-        drive = usable(reported(source.readings(), progress))
+        drive = data_coverage(reported(source.readings(), progress))
     except InputError as error:
         if found.kind != "bag":
             raise

@@ -83,7 +83,8 @@ def replay(
         InputError: the source holds no speed at all, or too few to predict from.
     """
     history = History()
-    history.add_noticed(chain.estimator.noticed())  # what earlier drives left is no event of this
+    # What earlier drives left is no event of this one.
+    history.add_detections(chain.estimator.noticed())
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
     whole = takewhile(lambda _: not stopped(), source.readings())
@@ -161,7 +162,7 @@ def _outputs(
     for output in outputs:
         history.add_output(output)
         if isinstance(output, ParameterSet):
-            history.add_noticed(chain.estimator.noticed())
+            history.add_detections(chain.estimator.noticed())
     return outputs
 
 

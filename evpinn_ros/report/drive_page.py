@@ -268,7 +268,7 @@ def _forecasts(parts: Sequence[ForecastOutcome]) -> str:
 
 def _events(events: Sequence[Event]) -> str:
     if not events:
-        return "<h2>Events</h2><p>None: no gap, no change of payload, no suspicion.</p>"
+        return "<h2>Events</h2><p>None: no gap, no change of payload, no signal fault.</p>"
     rows = [
         (str(timedelta(seconds=round(event.time))), event.kind.value, event.text)
         for event in events[:MOST_EVENTS]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
-from evpinn_ros.fleet.tables import SHOWN, Summary
+from evpinn_ros.fleet.tables import SHOWN, FleetSummary
 from evpinn_ros.report.html import table, write_page
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -17,7 +17,7 @@ POPULATION_HEAD = ("", "vehicle file", "mean of the cars", "from car to car", "n
 CAR_HEAD = ("car", "vehicle", "drives", "hours", *PARAMETER_NAMES)
 
 
-def write_fleet_page(path: Path, summary: Summary, command: str) -> None:
+def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
     """Write the report.
 
     Raises:

@@ -23,7 +23,7 @@ from evpinn_ros.nodes.messages import (
     speed_reading,
 )
 from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.report.power_line import PowerLine
+from evpinn_ros.report.power_line import PowerHistory
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -92,7 +92,7 @@ class LiveState:
         self._namespace = namespace.strip("/")
         self.speed = math.nan
         self.battery: BatteryReading | None = None
-        self.line = PowerLine()
+        self.line = PowerHistory()
         self.statuses: dict[str, PartStatus] = {}
         self.unusable: Counter[str] = Counter()
         self._vectors: dict[Topic, NamedVector] = {}

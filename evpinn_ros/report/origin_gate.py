@@ -1,4 +1,4 @@
-"""A door before a WebSocket server of this computer: pages that nobody named stay outside.
+"""A door before a WebSocket server of this computer: pages that were not named stay outside.
 
 A browser lets any page connect to any WebSocket, also to one on this computer, and says in the
 header `Origin` which page it is (RFC 6455, 10.2). The server of the Foxglove SDK does not look.

@@ -16,7 +16,7 @@ _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 DOT_COLUMNS, DOT_ROWS = len(_DOTS), len(_DOTS[0])  # of one character
 
 
-class PowerLine:
+class PowerHistory:
     """The mean power of each half second, of several kinds beside each other.
 
     Attributes:

@@ -85,8 +85,8 @@ def test_a_silence_is_reconciled_with_the_state_of_charge():
     drive(counted, range(3600, 6000), predicted=9e3, silent=range(3600, 4800))
     found = counted.reconciled
     assert found.verdict is Verdict.JOINED
-    assert found.silence.duration == pytest.approx(1200.0, abs=1.0)
-    assert found.silence.bridge.energy == pytest.approx(10.8e6, rel=0.01)
+    assert found.dropout.duration == pytest.approx(1200.0, abs=1.0)
+    assert found.dropout.bridge.energy == pytest.approx(10.8e6, rel=0.01)
     assert found.by_charge.value == pytest.approx(12e6, abs=2 * found.by_charge.sigma)
     error = counted.lifetime().net.value - before - 24e6
     assert abs(error) < 0.5 * 1.2e6
@@ -263,13 +263,13 @@ def test_the_lifetime_never_falls_whatever_time_does():
         assert now.distance > before.distance and now.drawn > before.drawn
         match random.integers(4):
             case 0:
-                counted.begin_next_stretch()
+                counted.begin_after_jump()
             case 1:
                 counted.begin_next_trip()
                 assert counted.since_reset().distance == 0.0
             case 2:
                 counted.reset_trip()
-                counted.begin_next_stretch()
+                counted.begin_after_jump()
             case _:
                 again = account()
                 again.restore(json.loads(json.dumps(counted.export(), allow_nan=False)))
@@ -280,7 +280,7 @@ def test_the_lifetime_never_falls_whatever_time_does():
 
 def test_a_jump_of_time_joins_nothing():
     counted = drive(account(), range(600))
-    counted.begin_next_stretch()
+    counted.begin_after_jump()
     drive(counted, range(600))
     assert counted.since_reset().net.value == pytest.approx(12e6)
     assert counted.since_reset().unmeasured_s == 0.0

@@ -62,7 +62,7 @@ def estimator(status=STATUS, health=WELL, age=0.1, problem=None):
 
 def test_learning_is_well_and_shows_its_counters():
     status = estimator()
-    assert status.level is Level.OK and status.text == "learning: 35 of 40 updates adopted"
+    assert status.level is Level.OK and status.text == "learning: 35 of 40 updates accepted"
     assert status.values["dropped.speed_late"] == 2 and status.values["gated.standing"] == 5
     assert status.values["rejected.not_better"] == 5 and status.values["update_ms"] == 5.0
 
@@ -191,7 +191,7 @@ def test_a_grade_of_the_wrong_sign_is_named():
 def test_a_notice_is_added_to_the_verdict_and_makes_it_a_warning():
     found = estimator(health=Health({}, {}, ("2 publishers of vehicle/speed",)))
     assert found.level is Level.WARN
-    assert found.text == "learning: 35 of 40 updates adopted; 2 publishers of vehicle/speed"
+    assert found.text == "learning: 35 of 40 updates accepted; 2 publishers of vehicle/speed"
 
 
 @pytest.mark.parametrize("stuck", [SPEED_STUCK, BATTERY_STUCK])

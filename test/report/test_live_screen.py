@@ -28,7 +28,7 @@ def test_80_by_24_shows_everything(well):
     found = lines(well(160.0), 160.0, 80, 24)
     assert len(found) == 24
     assert without_dots(found) == [
-        " evpinn  learning: 3 of 4 updates adopted             352 V  -41.5 A  45.0 km/h",
+        " evpinn  learning: 3 of 4 updates accepted            352 V  -41.5 A  45.0 km/h",
         "      meaning          value  1-sigma             bounds prior  data state",
         "eta   motor            0.912    0.046     0.456 .. 1.824  25 %  87 % valid",
         "mu    regeneration     0.640    0.032     0.320 .. 1.280  25 %     - -",

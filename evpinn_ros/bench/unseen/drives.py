@@ -80,7 +80,7 @@ class Car:
         key: what `--cars` calls it.
         vehicle: all that a method knows of it.
         drives: in order of time.
-        truth: true combinations by the names of `truth.NAMES`, empty where nobody knows them.
+        truth: true combinations by the names of `truth.NAMES`, empty where they are unknown.
     """
 
     key: str

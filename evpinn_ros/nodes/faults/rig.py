@@ -207,7 +207,7 @@ class Rig:
             self._executor.spin_once(timeout_sec=SPIN)
 
     def call(self, service: str) -> Any:
-        """Call a Trigger; gives the response, None where nobody answers."""
+        """Call a Trigger; gives the response, None without an answer."""
         future = self.begin_call(service)
         end = time.monotonic() + ANSWER_TIMEOUT
         while future is not None and not future.done() and time.monotonic() < end:
@@ -215,7 +215,7 @@ class Rig:
         return future.result() if future is not None and future.done() else None
 
     def begin_call(self, service: str) -> Any:
-        """Call a Trigger without waiting for the answer; None where nobody would."""
+        """Call a Trigger without waiting for the answer; None without a server."""
         client = self.node.create_client(Trigger, service)
         end = time.monotonic() + ANSWER_TIMEOUT
         while not client.service_is_ready() and time.monotonic() < end:
