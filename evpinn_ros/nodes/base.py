@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -32,7 +33,7 @@ NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
-class GuardedNode(LifecycleNodeMixin, Node):
+class GuardedNode(ABC, LifecycleNodeMixin, Node):
     """A node whose callbacks never raise and which reports its health once a second.
 
     With the parameter `managed` it has the transitions of a lifecycle node; else none of that.
@@ -82,9 +83,9 @@ class GuardedNode(LifecycleNodeMixin, Node):
         self.every(REPORT_PERIOD, self.report)
         self.every(REPORT_PERIOD, self._log_changes)
 
+    @abstractmethod
     def statuses(self) -> Iterable[Status]:
         """The health of the node's parts, for `/diagnostics`."""
-        raise NotImplementedError
 
     def phases(self) -> Iterable[Status]:
         """Text that is logged when it changes; nothing in it may count or grow old."""

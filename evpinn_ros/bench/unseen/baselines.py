@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 import math
 
@@ -23,7 +24,7 @@ LEAST_STEPS = 100  # before which least squares has nothing to say, and the prio
 RIDGE = 1e-6  # of the mean square of a term, so that one that never varied stays zero
 
 
-class StepMethod:
+class StepMethod(ABC):
     """Predicts each step first and learns from it once its power is known; heirs say how."""
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -46,9 +47,9 @@ class StepMethod:
         """Nothing is known of the car's parameters."""
         return {}
 
+    @abstractmethod
     def predict(self, step: Step) -> Prediction:
         """Power of a step."""
-        raise NotImplementedError
 
     def learn(self, step: Step) -> None:
         """Learn from a step whose power is known."""
