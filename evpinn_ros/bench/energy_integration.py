@@ -2,7 +2,7 @@
 
 Recorded drives go through the chain in order, as on board: what was learned is carried over. At
 every `STRIDE` of a drive a copy of the chain goes on without the battery for `DROPOUT`, and one
-goes through the whole drive without it; what they count is held against the battery, which the
+goes through the whole drive without it; their counts are compared with the battery, which the
 benchmark measures all along. Energy errors are relative to the gross energy (drawn and
 regenerated together) that the battery gave over the same time.
 """

@@ -214,7 +214,7 @@ class _Arrivals:
         return STALE_PERIODS * max(period_ns, SHORTEST_PERIOD_NS)
 
     def _learn(self, interval_ns: int) -> None:
-        """Average the intervals, plainly at first; a silence counts as one long period at most."""
+        """Average the intervals, plainly at first; a pause counts as one long period at most."""
         clipped = min(max(interval_ns, 0), LONGEST_PERIOD_NS)
         intervals = self._count - 1
         if intervals == 1:

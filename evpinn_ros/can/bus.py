@@ -1,4 +1,4 @@
-"""A CAN adapter, read in one thread, that survives silence, unplugging and a broken driver.
+"""A CAN adapter, read in one thread, that survives a quiet bus, unplugging and a broken driver.
 
 Nothing is sent unless `send` is called, which the poller does through its gate, and only when
 polling is allowed. Otherwise an adapter that takes `listen_only` (slcan does) should be given it,
@@ -222,7 +222,7 @@ class BusReader:
                 self._was_off = True
                 self._lose(_explain_bus_off(self._interface, self._channel), BusState.OFF)
             elif message is None:
-                self._silence()
+                self._note_quiet()
             else:
                 self._take(message)
 
@@ -251,7 +251,7 @@ class BusReader:
         else:
             self._stop.wait(GARBLED_PAUSE_S)
 
-    def _silence(self) -> None:
+    def _note_quiet(self) -> None:
         self._silent_s += RECEIVE_TIMEOUT_S
         if self._silent_s >= SILENT_AFTER_S:
             self._state = BusState.OFF if self._was_off else BusState.SILENT

@@ -140,7 +140,7 @@ class ControlUnit:
         """Give up waiting, ask what is due; gives the time of the next step.
 
         Args:
-            now_s: of a clock that never goes back.
+            now_s: of the monotonic clock.
             may_ask: names of the requests that may be made now.
         """
         if self._asked is not None and now_s >= self._deadline_s:

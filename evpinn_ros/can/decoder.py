@@ -36,7 +36,7 @@ ALONE_AFTER_NS = 2 * NANOSECONDS
 
 
 class Witness(Protocol):
-    """Hears what became of every frame of the profile's ids."""
+    """Witness of the result of every frame of the profile's ids."""
 
     def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
         """The frame gave values, SI, in the order of the quantity's signals."""

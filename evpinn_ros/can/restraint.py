@@ -1,6 +1,6 @@
 """Pauses of polling, and their end: whoever is asked stays awake, and draws 12 V power.
 
-A stop ends when the car is seen awake: it moves, or its bus, after a silence, carries the traffic
+A stop ends when the car is seen awake: it moves, or its bus, after a pause, carries the traffic
 of many ids again. Each time that this was followed by no answer, the next time is accepted later,
 up to an hour later. Where nothing is broadcast, as behind the gateway at many diagnostic plugs, a
 stop lasts until the node is started anew. There is no probing in between, for a probe can wake a
@@ -16,13 +16,13 @@ from evpinn_ros.can.diagnostic_ids import is_request_id
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 
 UNANSWERED_S = 30.0
-"""Silence of every control unit after which the car is taken to be asleep."""
+"""Pause of every control unit after which the car is taken to be asleep."""
 
 WOKEN_UNANSWERED_S = 5.0
 """The same after a stop: control units of a car that woke answer within a second."""
 
 QUIET_S = 10.0
-"""Silence of the whole bus after which its traffic can show that the car woke."""
+"""Pause of the whole bus after which its traffic can show that the car woke."""
 
 AWAKE_FRAMES, AWAKE_IDS, AWAKE_WITHIN_S = 20, 3, 2.0
 """Traffic of a car that is awake: a stray frame or one restless control unit makes less. OVMS
@@ -51,7 +51,7 @@ class Leave(Enum):
 
 
 class Restraint:
-    """Watches what comes back; all times in s of a clock that never goes back.
+    """Watches what comes back; all times in s of the monotonic clock.
 
     Attributes:
         reason: why not to ask, None while asking is fine.

@@ -1,4 +1,4 @@
-"""`evpinn bench logs`: logs of apps, read with no flag and held against themselves."""
+"""`evpinn bench logs`: logs of apps, read with no flag and checked against themselves."""
 
 from __future__ import annotations
 

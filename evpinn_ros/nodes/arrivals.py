@@ -50,7 +50,7 @@ class MessageNumbers:
         Args:
             topic: of the message.
             info: of rclpy; where it tells no number nothing is known, and nothing excluded.
-            steady: s of a clock that never jumps.
+            steady: s of the monotonic clock.
         """
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         if not number:
@@ -73,7 +73,7 @@ class MessageNumbers:
 
 
 class StampWatch:
-    """Stamps of one stream held against the clocks of this computer."""
+    """Check of one stream's stamps against the clocks of this computer."""
 
     def __init__(self) -> None:
         """No stamp yet."""
@@ -85,7 +85,7 @@ class StampWatch:
         Args:
             stamp_ns: of a message.
             now_ns: of the clock that stamps should be of, 0 while it is not known.
-            steady: s of a clock that never jumps.
+            steady: s of the monotonic clock.
         """
         last, self._last = self._last, (stamp_ns, steady)
         if now_ns and (stamp_ns - now_ns) / NANOSECONDS > FUTURE:

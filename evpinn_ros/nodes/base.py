@@ -203,7 +203,7 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         return super().create_service(kind, name, safe, **options)
 
     def every(self, seconds: float, callback: Callable[[], object]) -> None:
-        """Call back by a clock that never jumps."""
+        """Call back by the monotonic clock."""
         safe = self.guarded(callback, getattr(callback, "__name__", "timer"))
         self.create_timer(seconds, safe, clock=self._steady)
 
@@ -245,7 +245,7 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         self._notices[kind] = text, self.steady_s()
 
     def steady_s(self) -> float:
-        """A clock that never jumps, s."""
+        """Monotonic clock, s."""
         return float(self._steady.now().nanoseconds) / NANOSECONDS
 
     def health(

@@ -207,5 +207,5 @@ def _messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop; gives the exit code."""
+    """Run the node until it is stopped; gives the exit code."""
     return run(CanBridgeNode, args=args)

@@ -176,7 +176,7 @@ class EnergyNode(GuardedNode):
             return
         if not self.account.add_predicted(stamp_ns, power, sigma, energy_sigma):
             return
-        self.forecaster.hear_sigma(sigma)
+        self.forecaster.set_sigma(sigma)
         self.publish(energy_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
@@ -204,7 +204,7 @@ class EnergyNode(GuardedNode):
             for numbers in (vector.values, vector.sigmas)
         )
         try:
-            self.forecaster.hear_identifiable(values, sigmas)
+            self.forecaster.set_identifiable(values, sigmas)
         except ValueError as error:
             raise BadMessage(str(error)) from error
 
@@ -226,14 +226,14 @@ class EnergyNode(GuardedNode):
                 self.account.add_battery(passed)
 
     def _on_model(self, message: Any) -> None:
-        self.forecaster.hear_model(read_model(message, self._vehicle.key))
+        self.forecaster.set_model(read_model(message, self._vehicle.key))
 
     def _on_air(self, topic: Topic, message: Any) -> None:
         reading: Any = to_reading(topic.type_name, message)
         reason = why_impossible(reading)
         if reason is not None:
             raise BadMessage(reason)
-        self.forecaster.hear_air(reading, self.now_ns())
+        self.forecaster.set_air(reading, self.now_ns())
 
     def _path(self, data: bytes) -> Plan:
         own = self._vehicle.nominal_speed
@@ -305,5 +305,5 @@ class EnergyNode(GuardedNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop; gives the exit code."""
+    """Run the node until it is stopped; gives the exit code."""
     return run(EnergyNode, args=args)

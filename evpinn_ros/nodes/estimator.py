@@ -187,5 +187,5 @@ def _usual(status: EstimatorStatus) -> tuple[str, ...]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop; gives the exit code."""
+    """Run the node until it is stopped; gives the exit code."""
     return run(EstimatorNode, args=args)

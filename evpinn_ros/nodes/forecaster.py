@@ -105,7 +105,7 @@ class Forecaster:
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
 
-    def hear_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
+    def set_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
         """Take an estimate of the car and its 1-sigma.
 
         Raises:
@@ -117,17 +117,17 @@ class Forecaster:
         if self._model is None:
             self.basis = Basis.COMBINATIONS
 
-    def hear_model(self, model: LinearPower) -> None:
+    def set_model(self, model: LinearPower) -> None:
         """Take all that is known of the car's power."""
         self._model, self.basis = PowerModel(model), Basis.MODEL
 
-    def hear_air(
+    def set_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
     ) -> None:
         """Take a reading of the air, received now."""
         self._readings[type(reading)] = reading, now_ns
 
-    def hear_sigma(self, sigma: float) -> None:
+    def set_sigma(self, sigma: float) -> None:
         """Take the 1-sigma of one prediction of power, W; its mean square is what plans get."""
         if math.isfinite(sigma):
             self._residual_variance += (sigma**2 - self._residual_variance) / RESIDUAL_MEMORY
@@ -158,7 +158,7 @@ class Forecaster:
             plan: one trip.
             charge: state of charge now, 0..1.
             capacity: energy of the full battery, J.
-            now_ns: by the clock of `hear_air`.
+            now_ns: by the clock of `set_air`.
             battery: tells its end better than capacity once enough is known of it.
             asked: what the plan is called, and with which others.
 

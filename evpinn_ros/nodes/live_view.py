@@ -37,7 +37,7 @@ Show = Callable[[LiveState, float], None]
 
 
 class LiveListener(Node):
-    """Hears what the view shows and says nothing itself.
+    """Receives what the view shows and sends nothing itself.
 
     Attributes:
         state: received messages.

@@ -1,4 +1,4 @@
-"""Runs nodes in one thread until they are told to stop, and ends them in good order."""
+"""Runs nodes in one thread until they are stopped, and ends them in good order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scores of a replayed drive: the `--metrics` of design.md, section 2.3.
+"""Scores of a replayed drive: the values of `--metrics`.
 
 Every score is predict-then-update: no prediction knew the sample that scores it. The baselines
 beside them say what a score is worth: holding the last value, and, for what a random split of one

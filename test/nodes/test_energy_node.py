@@ -195,7 +195,7 @@ def test_forecasts_follow_the_estimate_and_the_residual(bench):
     vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, light, [0.0] * 5)
     bench.deliver(node, topics.IDENTIFIABLE, vector)
     for _ in range(3000):
-        node.forecaster.hear_sigma(100.0)
+        node.forecaster.set_sigma(100.0)
     (after,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
     assert after.points[-1].positions[0] < before.points[-1].positions[0]
     assert after.points[-1].effort[0] < 0.1 * before.points[-1].effort[0]

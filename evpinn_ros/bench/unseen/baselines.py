@@ -51,6 +51,7 @@ class StepMethod(ABC):
     def predict(self, step: Step) -> Prediction:
         """Power of a step."""
 
+    @abstractmethod
     def learn(self, step: Step) -> None:
         """Learn from a step whose power is known."""
 
@@ -63,6 +64,9 @@ class PriorAlone(StepMethod):
         super().__init__(vehicle)
         self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
         self._rotating_mass_factor = vehicle.rotating_mass_factor
+
+    def learn(self, step: Step) -> None:
+        """Keep the prior."""
 
     def predict(self, step: Step) -> Prediction:
         """Power of the prior car, W."""

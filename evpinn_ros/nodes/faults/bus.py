@@ -1,4 +1,4 @@
-"""Faults of the CAN bus: an adapter unplugged, another car, silence, noise, two bridges."""
+"""Faults of the CAN bus: an adapter unplugged, another car, a quiet bus, noise, two bridges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of what the car tells: silence, wrong values, wrong stamps, on a chain that all share."""
+"""Faults of the car's signals: dropouts, wrong values, wrong stamps, on a chain that all share."""
 
 from __future__ import annotations
 

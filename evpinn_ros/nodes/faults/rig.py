@@ -187,19 +187,19 @@ class Rig:
         self._publishers[topic] = self.node.create_publisher(kind, topic.name, qos)
 
     def spin_to(self, due: float) -> None:
-        """Hear what comes until a time of the clock that never jumps."""
+        """Receive until a time of the monotonic clock."""
         self._executor.spin_once(timeout_sec=0.0)
         while (left := due - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=min(left, SPIN))
 
     def rest(self, seconds: float) -> None:
-        """Hear and say nothing."""
+        """Receive, and send nothing."""
         self.spin_to(time.monotonic() + seconds)
 
     def wait(
         self, condition: Callable[[], bool], what: str, seconds: float = START_TIMEOUT
     ) -> None:
-        """Hear until it is so; InputError when it does not come to pass."""
+        """Receive until it is so; InputError when it does not come to pass."""
         end = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > end:
