@@ -77,5 +77,5 @@ def test_a_silence_that_cannot_tell_teaches_nothing():
 
 @pytest.mark.parametrize("wrong", [(-1, 0.0), (1, math.nan), (1, math.inf), (1, -1.0)])
 def test_an_impossible_lasting_share_is_refused(wrong):
-    with pytest.raises(ValueError, match="silences"):
+    with pytest.raises(ValueError, match="dropouts"):
         LastingShare(*wrong)

@@ -149,7 +149,7 @@ def test_states_of_a_log():
 def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
     bus = BusStatus(BusState.OPEN, None, {})
     refused = dataclasses.replace(BRIDGE, ok=False, text="no", refusal="no")
-    suspected = dataclasses.replace(BRIDGE, ok=False, text="current_sign: x", suspicion="x")
+    suspected = dataclasses.replace(BRIDGE, ok=False, text="current_sign: x", fault="x")
     for status in (bus_status(bus, refused, WELL), log_status("playing", None, refused, WELL)):
         assert (status.level, status.text) == (Level.ERROR, "no")
     for status in (bus_status(bus, suspected, WELL), log_status("playing", None, suspected, WELL)):
