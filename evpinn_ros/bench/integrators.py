@@ -55,7 +55,7 @@ class IntegratorRow(NamedTuple):
     drives: int
 
 
-class Agreement(NamedTuple):
+class IntegratorAgreement(NamedTuple):
     """Shipped network less trapezoid on every sample of a log, % of gross energy."""
 
     log: str
@@ -124,10 +124,10 @@ def compare_integrators(
             yield IntegratorRow(car, method, sampling, median, max(found), len(found))
 
 
-def agreement(drive: PowerSeries) -> Agreement:
+def agreement(drive: PowerSeries) -> IntegratorAgreement:
     """The shipped network against the trapezoid on every sample of a log."""
     rule = _integral(drive)
-    return Agreement(drive.name, 100 * (_shipped(drive) - rule.energy) / rule.gross)
+    return IntegratorAgreement(drive.name, 100 * (_shipped(drive) - rule.energy) / rule.gross)
 
 
 def at_most(rate: float, drive: PowerSeries) -> PowerSeries:

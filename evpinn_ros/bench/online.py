@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from evpinn_ros.bench.methods import PEERS, Method, peers
+from evpinn_ros.bench.methods import PEERS, OnlineMethod, peers
 from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
@@ -81,7 +81,7 @@ class OnlineBenchmark:
         self._history = History()
         self._stream = SampleStream(StreamSettings(), vehicle.air_density)
         self._names = list(names)
-        self._peers: dict[str, Method] = peers(self._names, vehicle)
+        self._peers: dict[str, OnlineMethod] = peers(self._names, vehicle)
         self._estimators = {
             mode.value: OnlineEstimator(vehicle, EstimatorSettings(mode), InlineWorker(clock))
             for mode in Mode

@@ -164,7 +164,7 @@ def summaries(found: Iterable[Comparison]) -> list[TruthSummary]:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class LoadStep:
     """A change of payload at a stop and what was found of it.
 
     `detected_after` is s of motion (NaN: never), `error` kg of the change as estimated at the end.
@@ -179,7 +179,7 @@ class Step:
 
 def load_steps(
     vehicles: Sequence[str], seeds: Iterable[int], *, before: int = 900, after: int = 240
-) -> Iterator[Step]:
+) -> Iterator[LoadStep]:
     """Drive in town, stop, change the load by 150 kg, up or down in turn, and drive on."""
     for number, seed in enumerate(seeds):
         vehicle = load_vehicle(vehicles[number % len(vehicles)])
@@ -208,7 +208,7 @@ def load_steps(
             if chain.car.payload.change is not None and chain.motion <= 90.0:
                 change = chain.car.payload.change
         error = change.delta_mass - delta if change is not None else math.nan
-        yield Step(vehicle.key, seed, delta, detected, error)
+        yield LoadStep(vehicle.key, seed, delta, detected, error)
 
 
 def false_alarms(

@@ -18,7 +18,7 @@ from evpinn_ros.bench.energy_library import (
     BATCH,
     POINTS,
     CycleRow,
-    Throughput,
+    ForecastThroughput,
     compare_cycles,
     measure_throughput,
 )
@@ -159,7 +159,7 @@ def _show_forecasts(car: str, found: Mapping[str, PlannedForecast]) -> None:
     show(table)
 
 
-def _show_throughput(found: Throughput) -> None:
+def _show_throughput(found: ForecastThroughput) -> None:
     rows = [
         ("vehicle file, numpy", f"{found.vehicle_file_ms:.0f} ms", "100 ms"),
         ("learned model, numpy", f"{found.learned_ms:.0f} ms", "100 ms"),

@@ -11,7 +11,7 @@ from evpinn_ros.bench.battery_end import BatteryRow, battery_rows
 from evpinn_ros.bench.energy_integration import integration_rows
 from evpinn_ros.bench.integrators import (
     SIMULATED,
-    Agreement,
+    IntegratorAgreement,
     IntegratorRow,
     PowerSeries,
     agreement,
@@ -30,7 +30,7 @@ EPOCHS = 1000
 def integrators(cars: Sequence[Sequence[Log]], epochs: int) -> dict[str, Any]:
     """Compare integrators on each car's logs and on simulated drives; gives the figures."""
     rows: list[IntegratorRow] = []
-    agreements: list[Agreement] = []
+    agreements: list[IntegratorAgreement] = []
     for logs in cars:
         drives = _drives(logs)
         agreements += [agreement(drive) for drive in drives]

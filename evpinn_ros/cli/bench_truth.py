@@ -13,7 +13,7 @@ from evpinn_ros.bench.floor import ASKED, floors
 from evpinn_ros.bench.truth import (
     VEHICLES,
     Comparison,
-    Step,
+    LoadStep,
     TruthSummary,
     compare,
     false_alarms,
@@ -112,7 +112,7 @@ def _show_floor(figures: dict[str, Any], rows: Sequence[Mapping[str, float]]) ->
     say(f"Floor of the median after 120 s: {text}")
 
 
-def _show_loads(figures: dict[str, Any], steps: Sequence[Step]) -> None:
+def _show_loads(figures: dict[str, Any], steps: Sequence[LoadStep]) -> None:
     in_time = sum(step.detected_after <= IN_TIME for step in steps)
     near = sum(abs(step.error) <= NEAR for step in steps)
     figures["load"] = {"steps": len(steps), "in_time": in_time, "near": near}

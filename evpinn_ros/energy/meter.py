@@ -14,7 +14,13 @@ from enum import Enum
 import math
 from typing import Any, NamedTuple
 
-from evpinn_ros.energy.course import LONGEST, Correction, Course, MeasuredStep, Prediction
+from evpinn_ros.energy.course import (
+    LONGEST,
+    EnergyCorrection,
+    MeasuredStep,
+    PowerInterpolation,
+    PredictedPower,
+)
 from evpinn_ros.energy.plausible import MAX_POWER, MOST_ENERGY, MOST_SECONDS, ROUNDING
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, Step
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
@@ -135,7 +141,9 @@ class EnergyMeter:
         self.last_dropout: Dropout | None = None
         self._dropouts = dropouts  # those that ended, and what the course of power added
         by_network = self._integrator is Integrator.RKNN
-        self._course = Course(self._max_gap, self._network if by_network else None)
+        self._interpolation = PowerInterpolation(
+            self._max_gap, self._network if by_network else None
+        )
         self._dropout_error = CorrelatedError(self._tau)
         self._energy_sigma = math.nan
         self._anchor = self._predicted_parts()
@@ -159,7 +167,9 @@ class EnergyMeter:
         if self._dropout_since_ns is None:
             self._dropout_since_ns = stamp_ns
         if self._predicted.dropped == dropped:
-            self._correct(self._course.add_predicted(Prediction(stamp_ns, power, sigma)))
+            self._correct(
+                self._interpolation.add_predicted(PredictedPower(stamp_ns, power, sigma))
+            )
         if step is None:
             return
         energy = float(self._network.step(step.power, step.power_next, step.dt))
@@ -183,15 +193,15 @@ class EnergyMeter:
             line = Step((stamp_ns - last_ns) / NANOSECONDS, last_power, power)
             if line.dt <= LONGEST:
                 dropout = MeasuredStep(last_ns, stamp_ns, line, ended.bridge)
-                self._correct(self._course.add_measured(dropout))
+                self._correct(self._interpolation.add_measured(dropout))
         else:
             self._measured_error.integrate(sigma, step.dt)
-            self._correct(self._course.add_measured(MeasuredStep(last_ns, stamp_ns, step)))
+            self._correct(self._interpolation.add_measured(MeasuredStep(last_ns, stamp_ns, step)))
         self._dropout_since_ns = stamp_ns
         self._dropout_error = CorrelatedError(self._tau)
         self._anchor = self._predicted_parts()
 
-    def _correct(self, corrections: Iterable[Correction]) -> None:
+    def _correct(self, corrections: Iterable[EnergyCorrection]) -> None:
         for correction in corrections:
             self._dropouts = self._dropouts.corrected(correction.bridge, correction.variance)
 

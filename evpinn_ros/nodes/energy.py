@@ -28,7 +28,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
 )
 from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.forecaster import Answer, Forecaster
+from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer
 from evpinn_ros.nodes.messages import (
     BadMessage,
     Level,
@@ -287,7 +287,7 @@ class EnergyNode(GuardedNode):
             yield topics.FORECAST_BATTERY, battery
         yield self._plan_status(header, answered_status(answer))
 
-    def _answer(self, plan: Plan, asked: Question) -> Answer:
+    def _answer(self, plan: Plan, asked: Question) -> PlanAnswer:
         charge, capacity = self.account.charge(), self.account.gauge.capacity
         known = self.account.battery
         return self.forecaster.answer(plan, charge, capacity, self.now_ns(), known, asked)

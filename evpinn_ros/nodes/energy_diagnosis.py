@@ -10,7 +10,7 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, rounded, with_health
-from evpinn_ros.nodes.forecaster import Air, Answer, Basis
+from evpinn_ros.nodes.forecaster import Air, Basis, PlanAnswer
 from evpinn_ros.nodes.messages import Level
 
 ANSWERED = "answered"
@@ -164,7 +164,7 @@ def plan_status(report: EnergyReport) -> Status:
     return Status("plan", Level.OK, "ready", values)
 
 
-def answered_status(answer: Answer) -> Status:
+def answered_status(answer: PlanAnswer) -> Status:
     """The status of a plan that is answered: its energy, and how it compares with others, J."""
     forecast = answer.forecast
     values: dict[str, object] = {

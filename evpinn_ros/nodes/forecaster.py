@@ -62,7 +62,7 @@ class Air(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class PlanAnswer:
     """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
 
     `differences` is what it takes more than each plan asked together with it, by name, J.
@@ -151,7 +151,7 @@ class Forecaster:
         now_ns: int,
         battery: BatteryModel,
         asked: Question = UNNAMED,
-    ) -> Answer:
+    ) -> PlanAnswer:
         """The energy a plan takes, and what it leaves in the battery.
 
         Args:
@@ -174,7 +174,7 @@ class Forecaster:
         end = battery.after(result, charge)
         if end is None:
             end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
-        return Answer(result, *end, differences)
+        return PlanAnswer(result, *end, differences)
 
     def _compare(
         self,

@@ -16,7 +16,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.nodes import factory, topics
-from evpinn_ros.nodes.faults.chain import Chain, Process, running, start_node
+from evpinn_ros.nodes.faults.chain import NodeChain, Process, running, start_node
 from evpinn_ros.nodes.faults.drive import RATE, readings
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.rig import SLACK, NodeStatus, Rig, Sent, nothing
@@ -33,7 +33,7 @@ def bus_arguments() -> tuple[str, ...]:
     return (*fixed, "--bus-options", options, "--can-profile", PROFILE)
 
 
-def bus_faults(chain: Chain) -> Iterator[Fault]:
+def bus_faults(chain: NodeChain) -> Iterator[Fault]:
     """The faults of this module; one is done to a chain."""
     yield Fault("unplug", "the adapter is unplugged and plugged in", "meanwhile", _unplug)
     yield Fault("bus_silent", "no frame on the bus", "meanwhile", _silent)
@@ -234,7 +234,7 @@ def _wrong_profile(rig: Rig) -> Finding:
 class _Two:
     """A second driver of the same topic, as a bag played beside the car."""
 
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()

@@ -129,7 +129,7 @@ def running(*processes: Process) -> Iterator[None]:
             process.stop()
 
 
-class Chain:
+class NodeChain:
     """Estimator and energy with their files, which many faults share one after the other.
 
     Attributes:

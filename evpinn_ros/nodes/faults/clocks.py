@@ -15,7 +15,7 @@ import time
 
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.faults.chain import Chain
+from evpinn_ros.nodes.faults.chain import NodeChain
 from evpinn_ros.nodes.faults.drive import RATE
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.inputs import MOST_MOVED
@@ -114,7 +114,7 @@ def _stamped_by(rig: Rig, clock: _SimTime | SystemClock) -> Iterator[None]:
 
 
 def _late(rig: Rig) -> Finding:
-    chain = Chain(rig, rig.folder / "late", use_sim_time=True)
+    chain = NodeChain(rig, rig.folder / "late", use_sim_time=True)
     clock = _SimTime(rig)
     with _stamped_by(rig, clock):
         clock.ticks = False
@@ -153,7 +153,7 @@ class _Jump:
 
     def __call__(self, rig: Rig) -> Finding:
         clock = SystemClock(rig.folder) if self.system else _SimTime(rig)
-        chain = Chain(
+        chain = NodeChain(
             rig,
             rig.folder / f"jump_{self.seconds}_{self.policy}_{self.system}",
             clock.environment if isinstance(clock, SystemClock) else None,

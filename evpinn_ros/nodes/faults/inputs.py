@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.faults.chain import Chain
+from evpinn_ros.nodes.faults.chain import NodeChain
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.rig import SLACK, Change, Rig, Sent, nothing, stamped
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -32,7 +32,7 @@ class Disturbance:
         forgets: whether what was learned may move.
     """
 
-    chain: Chain
+    chain: NodeChain
     change: Change
     word: str
     may_lose: float = 0.0
@@ -166,7 +166,7 @@ def unstamped(messages: Iterable[Sent]) -> Iterator[Sent]:
     return ((topic, stamped(message, 0)) for topic, message in messages)
 
 
-def input_faults(chain: Chain) -> Iterator[Fault]:
+def input_faults(chain: NodeChain) -> Iterator[Fault]:
     """The faults of this module, done to a chain."""
 
     def fault(name: str, what: str, contract: str, *how: Any, **more: Any) -> Fault:
@@ -239,7 +239,7 @@ def input_faults(chain: Chain) -> Iterator[Fault]:
 class _SignFlip:
     """A wrong profile has the wrong sign from the first message on: a car nothing is known of."""
 
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()

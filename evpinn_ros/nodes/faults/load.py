@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.faults.chain import Chain, Process, running, start_node
+from evpinn_ros.nodes.faults.chain import NodeChain, Process, running, start_node
 from evpinn_ros.nodes.faults.drive import RATE, learned_state, vehicle
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.rig import OUTPUTS, SLACK, Rig
@@ -56,7 +56,7 @@ raise SystemExit(estimator.main())
 """
 
 
-def load_faults(chain: Chain) -> Iterator[Fault]:
+def load_faults(chain: NodeChain) -> Iterator[Fault]:
     """The faults of this module; most are done to a chain."""
     none, oldest = "nothing", "the oldest, counted"
     yield Fault("rate_1000", "speed and battery at 1000 Hz", oldest, _FullRate(chain))
@@ -90,7 +90,7 @@ def _finding(rig: Rig, begin: float, end: float, lost: str, kept: bool, *words: 
 
 @dataclass(frozen=True)
 class _FullRate:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -109,7 +109,7 @@ class _FullRate:
 
 @dataclass(frozen=True)
 class _Backlog:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -129,7 +129,7 @@ class _Backlog:
 class _Quiet:
     """Something that no node may notice."""
 
-    chain: Chain
+    chain: NodeChain
     during: Callable[[Rig], Any]
 
     def __call__(self, rig: Rig) -> Finding:
@@ -178,7 +178,7 @@ def _noise(domains_away: int) -> Callable[[Rig], Any]:
 
 @dataclass(frozen=True)
 class _BadPlans:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -225,7 +225,7 @@ def _qos_input(rig: Rig) -> Finding:
 
 @dataclass(frozen=True)
 class _QosOutput:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -246,7 +246,7 @@ class _QosOutput:
 class _Stall:
     """As a computer that swaps, or a debugger."""
 
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()

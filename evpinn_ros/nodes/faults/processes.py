@@ -16,7 +16,14 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.faults.bus import bus_arguments
-from evpinn_ros.nodes.faults.chain import LEADING, Chain, Process, running, start_all, start_node
+from evpinn_ros.nodes.faults.chain import (
+    LEADING,
+    NodeChain,
+    Process,
+    running,
+    start_all,
+    start_node,
+)
 from evpinn_ros.nodes.faults.drive import learned_state
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.files import file_of
@@ -30,7 +37,7 @@ UNNAMED = "nothing to name"
 LIVENESS_TIMEOUT = 3.0  # s without a report, then a node is gone, REP-107
 
 
-def process_faults(chain: Chain, kills: int) -> Iterator[Fault]:
+def process_faults(chain: NodeChain, kills: int) -> Iterator[Fault]:
     """The faults of this module; restarts are done to a chain."""
     none = "nothing"
     for order in (LEADING, LEADING[::-1]):
@@ -150,7 +157,7 @@ def _stop_starting(rig: Rig) -> Finding:
 class _Restart:
     """One node of the chain gone, and come back, while the other goes on."""
 
-    chain: Chain
+    chain: NodeChain
     name: str
     killed: bool = False
 
