@@ -52,7 +52,7 @@ def load_example() -> Any:
 
 
 def drive_messages() -> Iterator[tuple[Topic, Any]]:
-    """What the estimator says during a bundled drive."""
+    """Outputs of the estimator during a bundled drive."""
     worker = InlineWorker(time.perf_counter)
     estimator = OnlineEstimator(load_vehicle(VEHICLE), EstimatorSettings(), worker)
     with BagReader(share_directory() / "bags" / DRIVE) as bag:

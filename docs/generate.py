@@ -252,7 +252,7 @@ def _option_row(names: list[str], declared: inspect.Parameter) -> str:
 
 
 def _value(kind: Any, info: Any) -> str:
-    """What an option takes, in words."""
+    """Values that an option takes, in words."""
     (kind,) = set(get_args(kind)) - {NoneType} if isinstance(kind, UnionType) else (kind,)
     several = ", repeated" if get_origin(kind) is list else ""
     (kind,) = get_args(kind) if several else (kind,)

@@ -51,7 +51,7 @@ FRAME = """<svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg
 
 
 def as_messages(output: ChainOutput) -> Iterator[tuple[Topic, Any]]:
-    """What the nodes publish of one output of the chain."""
+    """Messages that the nodes publish of one output of the chain."""
     if isinstance(output, EnergyState):
         return energy_messages(new_message, output)
     if isinstance(output, AccountSummary):

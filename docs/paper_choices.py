@@ -1,4 +1,4 @@
-"""What each choice that the paper leaves open changes: the table in `docs/paper.md`.
+"""Effect of each choice that the paper leaves open: the table in `docs/paper.md`.
 
 python docs/paper_choices.py LOG VEHICLE [EPOCHS]
 """
@@ -107,7 +107,7 @@ def row(title: str, adam: Adam, epochs: int) -> str:
 
 
 def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
-    """What the readings of eq. 21 fit to, by least squares, without any network."""
+    """Fits of the readings of eq. 21 by least squares, without any network."""
     rows = []
     for form in RegenForm:
         one = Problem(log, vehicle, random_split(len(log.time), 0), form=form, dtype=torch.float64)
