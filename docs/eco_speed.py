@@ -27,7 +27,7 @@ from evpinn_ros.nodes.estimate_messages import output_messages
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.report.figure import save_figure
 from evpinn_ros.share import share_directory
 from evpinn_ros.vehicle.files import load_vehicle
@@ -52,7 +52,7 @@ def load_example() -> Any:
 
 
 def drive_messages() -> Iterator[tuple[Topic, Any]]:
-    """What the estimator says during a bundled drive."""
+    """Outputs of the estimator during a bundled drive."""
     worker = InlineWorker(time.perf_counter)
     estimator = OnlineEstimator(load_vehicle(VEHICLE), EstimatorSettings(), worker)
     with BagReader(share_directory() / "bags" / DRIVE) as bag:
@@ -140,7 +140,7 @@ def _style(index: int, candidate: Any, pick: int, deadline: float) -> tuple[str,
 
 def main() -> None:
     """Write the picture beside this file."""
-    one_thread()
+    limit_blas_threads()
     example = load_example()
     rclpy.init()
     try:

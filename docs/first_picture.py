@@ -1,4 +1,4 @@
-"""How long a newcomer waits for a first picture of their own CSV: what they type, timed.
+"""Time until a newcomer has a first picture of their own CSV: their commands, timed.
 
 The CSV is another logger's: names, units, sign, separator and decimals are not ours. Simulated, so
 that anybody can repeat it.

@@ -140,7 +140,7 @@ def _range(parameter: Parameter) -> str:
 def vehicles_page() -> str:
     """Every vehicle file: priors and their sources; every CAN profile."""
     lines = [MADE, "# Vehicles", ""]
-    lines += ["What is believed of each car before driving. Copy the nearest file from"]
+    lines += ["Priors of each car before driving. Copy the nearest file from"]
     lines += ["`config/vehicles/`, change what you know, check it with `evpinn check-params`, and"]
     lines += ["give its path to `--vehicle`. [Certified cars](#certified-cars) need no file:"]
     lines += ["`evpinn vehicles` lists all, `evpinn vehicles show NAME` prints one as a file.", ""]
@@ -252,7 +252,7 @@ def _option_row(names: list[str], declared: inspect.Parameter) -> str:
 
 
 def _value(kind: Any, info: Any) -> str:
-    """What an option takes, in words."""
+    """Values that an option takes, in words."""
     (kind,) = set(get_args(kind)) - {NoneType} if isinstance(kind, UnionType) else (kind,)
     several = ", repeated" if get_origin(kind) is list else ""
     (kind,) = get_args(kind) if several else (kind,)

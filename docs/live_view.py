@@ -24,7 +24,7 @@ from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_stat
 from evpinn_ros.nodes.messages import diagnostics
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain, ChainOutput
 from evpinn_ros.report.live_screen import screen
 from evpinn_ros.report.live_state import WATCHED, LiveState
@@ -51,7 +51,7 @@ FRAME = """<svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg
 
 
 def as_messages(output: ChainOutput) -> Iterator[tuple[Topic, Any]]:
-    """What the nodes publish of one output of the chain."""
+    """Messages that the nodes publish of one output of the chain."""
     if isinstance(output, EnergyState):
         return energy_messages(new_message, output)
     if isinstance(output, AccountSummary):
@@ -70,10 +70,10 @@ def drive(state: LiveState) -> float:
             if topic not in (SPEED, BATTERY) or now - begin > SECONDS:
                 continue
             state.take(topic, record.message, now)
-            for output in chain.push(to_reading(topic.type_name, record.message)):
-                for said, message in as_messages(output):
-                    if said in WATCHED:
-                        state.take(said, message, now)
+            for output in chain.add_reading(to_reading(topic.type_name, record.message)):
+                for shown, message in as_messages(output):
+                    if shown in WATCHED:
+                        state.take(shown, message, now)
     now = begin + SECONDS
     report = EstimatorReport(chain.estimator.status(), Health({}, {}), 0.0, 0, None)
     name, level, text, values = estimator_status(report)
@@ -84,7 +84,7 @@ def drive(state: LiveState) -> float:
 
 def main() -> None:
     """Write docs/live_view.svg."""
-    one_thread()
+    limit_blas_threads()
     state = LiveState()
     now = drive(state)
     console = Console(

@@ -1,4 +1,4 @@
-"""What each choice that the paper leaves open changes: the table in `docs/paper.md`.
+"""Effect of each choice that the paper leaves open: the table in `docs/paper.md`.
 
 python docs/paper_choices.py LOG VEHICLE [EPOCHS]
 """
@@ -10,7 +10,7 @@ import sys
 
 import torch
 
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.reproduction import optimizers, problem
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
 from evpinn_ros.reproduction.optimizers import Adam
@@ -107,7 +107,7 @@ def row(title: str, adam: Adam, epochs: int) -> str:
 
 
 def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
-    """What the readings of eq. 21 fit to, by least squares, without any network."""
+    """Fits of the readings of eq. 21 by least squares, without any network."""
     rows = []
     for form in RegenForm:
         one = Problem(log, vehicle, random_split(len(log.time), 0), form=form, dtype=torch.float64)
@@ -125,7 +125,7 @@ def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
 
 def main(path: str, vehicle_name: str, epochs: str = "1000") -> None:
     """Print both tables."""
-    one_thread()
+    limit_blas_threads()
     vehicle = load_vehicle(vehicle_name)
     log = read_drive_log(Path(path), vehicle).drive
     print("| least squares | RMSE, W | R\u00b2 | m/eta | mu | C_rr |\n|---|---|---|---|---|---|")

@@ -1,4 +1,4 @@
-"""The one error a person can mend: wrong input, said in one line."""
+"""The one error a person can mend: wrong input, in one line."""
 
 LONGEST_TEXT = 1000  # characters: what is shown may be quoted from a file, which may hold anything
 

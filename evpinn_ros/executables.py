@@ -1,6 +1,6 @@
-"""Where every executable begins, so that a signal ends it well from the first moment on.
+"""Start of every executable, so that a signal ends it well from the first moment on.
 
-What they import takes seconds on a small processor, and only what is imported can hear signals
+What they import takes seconds on a small processor, and only what is imported can handle signals
 (`nodes.running`). Until then nothing is open and nothing is to be saved.
 """
 

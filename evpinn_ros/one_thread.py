@@ -8,7 +8,7 @@ import sys
 from threadpoolctl import threadpool_limits
 
 
-def one_thread() -> None:
+def limit_blas_threads() -> None:
     """Let torch and BLAS compute in the calling thread alone.
 
     The matrices here are small: two threads need up to six times the processor's time of one, wait

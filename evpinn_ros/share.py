@@ -1,4 +1,4 @@
-"""Where the package's configuration, launch files and bundled bags lie."""
+"""Folders of the package data: configuration, launch files and bundled bags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much anything packed may unpack to, and gzipped files read within it."""
+"""Limit on what anything packed may unpack to, and gzipped files read within it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def open_gzipped(path: Path) -> IO[bytes]:
 
 
 class _Bounded(io.RawIOBase):
-    """What a gzipped file unpacks to, as far as its size allows."""
+    """Content of a gzipped file, as far as its size allows."""
 
     def __init__(self, path: Path) -> None:
         self._left = most_unpacked(path.stat().st_size)

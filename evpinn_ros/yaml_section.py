@@ -37,7 +37,7 @@ def compose(path: Path, title: str) -> Section:
 
 
 def load_plain(path: Path, title: str, most_bytes: int) -> Any:
-    """What a YAML file of up to `most_bytes` holds, as plain Python values.
+    """Content of a YAML file of up to `most_bytes`, as plain Python values.
 
     Raises:
         InputError: no such file, or not YAML of plain values.
@@ -50,7 +50,7 @@ def load_plain(path: Path, title: str, most_bytes: int) -> Any:
 
 
 def plain_text(text: str) -> Any:
-    """What YAML inside another file holds, as plain Python values; None of an empty text.
+    """Content of YAML inside another file, as plain Python values; None of an empty text.
 
     Raises:
         ValueError: it is not YAML of plain values.
@@ -167,7 +167,7 @@ class Section:
         return self.error(reason, self._value(key))
 
     def has(self, key: str) -> bool:
-        """Whether `key` is given."""
+        """True if `key` is given."""
         return key in self._items
 
     def names(self) -> tuple[str, ...]:

@@ -70,7 +70,7 @@ class Candidate:
 
 @dataclass
 class Answer:
-    """What a candidate costs: J with 1-sigma, and the battery at its end, 0..1; NaN: unknown.
+    """Energy of a candidate: J with 1-sigma, and the battery at its end, 0..1; NaN: unknown.
 
     Attributes:
         status: of the answer, by key; None until it has come.
@@ -87,7 +87,7 @@ class Answer:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing more can come."""
+        """True if nothing more can come."""
         if self.status is None or self.refusal:
             return bool(self.refusal)
         battery = math.isnan(self.battery) and "battery" in self.status
@@ -154,7 +154,7 @@ def all_candidates(
 
 
 def difference(answers: list[Answer], one: int, other: int) -> tuple[float, float]:
-    """What one candidate takes more than another, J, and its 1-sigma, NaN where not told."""
+    """Energy of one candidate beyond another, J, and its 1-sigma, NaN where unknown."""
     if one == other:
         return 0.0, 0.0
     if other in answers[one].more:

@@ -20,10 +20,10 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 FRAMES_TOPIC = "can/frames"
-"""Where a recording keeps them, relative to the namespace."""
+"""Topic of a recording's raw frames, relative to the namespace."""
 
 BAG_SUFFIXES = (".mcap", ".db3")
-_SENT = "to_can_bus"  # the topic by which ros2_socketcan is told to send
+_SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
 _CLASSIC = 8  # bytes of data that the message can hold
 
 # Stamp, empty frame_id with its length and end, id, is_rtr, is_extended, is_error, dlc, data.
@@ -45,7 +45,7 @@ class CanLog(Protocol):
 
     @property
     def problem(self) -> str | None:
-        """What could not be read, in one line; complete once all are read."""
+        """Unreadable part of the log, in one line; complete once all are read."""
 
     def frames(self) -> Iterator[CanFrame]:
         """Every data frame, in recorded order."""
@@ -74,7 +74,7 @@ class BagFrames:
 
     @property
     def problem(self) -> str | None:
-        """What the bag has lost."""
+        """Losses of the bag, in one line."""
         return self._reader.problem
 
     def frames(self) -> Iterator[CanFrame]:
@@ -117,12 +117,12 @@ def open_can_log(path: Path) -> CanLog:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag's, by its looks."""
+    """True if a path is a bag's by its looks."""
     return path.is_dir() or path.suffix in BAG_SUFFIXES
 
 
 def holds_frames(path: Path) -> bool:
-    """Whether a bag has raw frames.
+    """True if a bag has raw frames.
 
     Raises:
         InputError: it is no bag.

@@ -29,7 +29,7 @@ class BagFile(Protocol):
 
     @property
     def problem(self) -> str | None:
-        """What is wrong and lost, in one line."""
+        """Damage and losses, in one line."""
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
         """The messages of the wanted channel ids in log time order."""
@@ -68,7 +68,7 @@ class UnpackedFile:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong and lost, in one line."""
+        """Damage and losses, in one line."""
         return self._named(self._file.problem) if self._file.problem else None
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
@@ -105,7 +105,7 @@ class CompressedMessages:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong and lost, in one line."""
+        """Damage and losses, in one line."""
         lost = f"{self._path}: {self._lost} messages do not unpack" if self._lost else None
         return " | ".join(filter(None, (self._file.problem, lost))) or None
 

@@ -80,15 +80,15 @@ def write_readings(
 def reported(
     readings: Iterable[Reading], progress: Callable[[float], None] | None
 ) -> Iterator[Reading]:
-    """The same readings, `progress` told of the seconds since the first, about every second."""
+    """The same readings; `progress` takes the seconds since the first, about every second."""
     first_ns: int | None = None
-    told = -math.inf
+    reported = -math.inf
     for reading in readings:
         first_ns = reading.stamp_ns if first_ns is None else first_ns
         done = (reading.stamp_ns - first_ns) / NANOSECONDS
-        if progress is not None and done - told >= 1.0:
+        if progress is not None and done - reported >= 1.0:
             progress(done)
-            told = done
+            reported = done
         yield reading
 
 

@@ -1,4 +1,4 @@
-"""How much of a bag is taken, whatever it says of itself; each limit stands here alone.
+"""Limits on the size of a bag, whatever its own lengths claim; each stands here alone.
 
 What a small file can unpack to is bounded by its own size, so that work and memory are too.
 """

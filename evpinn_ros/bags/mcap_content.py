@@ -1,6 +1,6 @@
 """Messages and definitions in the bytes of an MCAP chunk, and how the chunk is unpacked.
 
-Nothing that a file says of itself is believed: sizes have limits, and an index must agree with
+Nothing that a file states of itself is trusted: sizes have limits, and an index must agree with
 what it points to.
 """
 
@@ -62,7 +62,7 @@ MessageIndex: TypeAlias = dict[int, np.ndarray]
 
 
 class ChunkHead(NamedTuple):
-    """What a chunk says of itself; `first` is where its packed records begin."""
+    """Head of a chunk; `first` is where its packed records begin."""
 
     start_ns: int
     end_ns: int
@@ -134,7 +134,7 @@ class Definitions:
         return {each.topic for id_, each in self.channels.items() if id_ not in before}
 
     def knows(self, channel_id: int) -> bool:
-        """Whether the topic and type of a channel are known; schema 0 is none, and needs none."""
+        """True if topic and type of a channel are known; schema 0 is none, and needs none."""
         channel = self.channels.get(channel_id)
         return channel is not None and (
             channel.schema_id == 0 or channel.schema_id in self.schemas
@@ -286,7 +286,7 @@ def unpacked(head: ChunkHead, packed: bytes) -> bytes | None:
 
 
 def beginning(head: ChunkHead, packed: bytes) -> bytes:
-    """What can be unpacked of a chunk that is cut or damaged, unchecked."""
+    """Unpacked beginning of a chunk that is cut or damaged, unchecked."""
     return b"".join(_pieces(head, packed, 1 << 16))[: head.size]
 
 

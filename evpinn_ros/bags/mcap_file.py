@@ -85,7 +85,7 @@ class McapFile:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong and lost, in one line. Complete once every message was read."""
+        """Damage and losses, in one line. Complete once every message was read."""
         parts = list(self._notes)
         if lost_chunks := self._lost_chunks + len(self._damaged):
             lost = sum(block.count for block in self._damaged)
@@ -144,7 +144,7 @@ class McapFile:
 
 
 def _salvaged(file: FileBytes) -> SoundFile:
-    """What going through the file finds of it."""
+    """Messages that going through the file finds."""
     salvage, counts = Salvage(file), Counter[int]()
     blocks: list[Block] = []
     losses: list[Loss] = []

@@ -69,7 +69,7 @@ class McapPart:
         self.written.add(log_time_ns)
 
     def chunk_is_over(self, log_time_ns: int) -> bool:
-        """Whether a message of this time begins another chunk."""
+        """True if a message of this time begins another chunk."""
         if not self.written.count:
             return False
         elapsed = (log_time_ns - self._chunk_ns) / NANOSECONDS
@@ -84,7 +84,7 @@ class McapPart:
         """Hand all that was written to the operating system, which begins to put it on the disk.
 
         Raises:
-            OSError: this failed, or what the disk was told before.
+            OSError: this failed, or an earlier write.
         """
         self._writer.flush()
         self.flushed_s = time.monotonic()

@@ -1,6 +1,6 @@
 """The whole records of a damaged MCAP file, found again behind every damage.
 
-A record is believed when its content fills its length exactly, and after a search only when what
+A record is plausible when its content fills its length exactly, and after a search only when what
 follows begins a record too. Chunks prove themselves by their checksum. Records of messages that
 lie outside of chunks have none: what is inside them cannot be checked.
 """
@@ -76,7 +76,7 @@ class FileBytes:
             raise InputError(f"{self.path}: {error.strerror} at byte {begin}") from error
 
     def _load(self, begin: int, wanted: int) -> bytes:
-        """What is wanted, and as much behind it as a window holds and can be read."""
+        """Bytes wanted, and as many behind them as a window holds and can be read."""
         parts, left = [], max(wanted, WINDOW)
         end = begin + wanted
         try:
@@ -145,8 +145,8 @@ class McapScan:
             return None
         return ChunkHead(start_ns, end_ns, size, checksum, name.decode(), first, packed)
 
-    def believed(self, position: int) -> bool:
-        """Whether a record that may be what was written begins here; the file may cut it."""
+    def is_plausible(self, position: int) -> bool:
+        """True if a plausible record begins here; the file may cut it."""
         head = self.head(position)
         if head is None:
             return False
@@ -174,7 +174,7 @@ class McapScan:
         )
 
     def _is_attachment(self, position: int, end: int) -> bool:
-        """Whether the lengths in the attachment that begins here add up."""
+        """True if the lengths in the attachment that begins here add up."""
         if end > self.size or end - position > LONGEST_CHUNK:
             return False
         at = position + HEAD.size + 16  # behind two times
@@ -190,7 +190,11 @@ class McapScan:
         first = position
         while True:
             opcode, end = self.head(position) or (0, position)
-            if opcode != Opcode.MESSAGE_INDEX or end > self.size or not self.believed(position):
+            if (
+                opcode != Opcode.MESSAGE_INDEX
+                or end > self.size
+                or not self.is_plausible(position)
+            ):
                 return found, position
             if end - first > LONGEST_CHUNK:
                 return {}, position
@@ -201,7 +205,7 @@ class McapScan:
             position = end
 
     def next_record(self, position: int) -> int:
-        """Where the first record from here on begins that can be believed; else the end."""
+        """Position of the first plausible record from here on; else the end."""
         step = WINDOW // 2
         while position < self.size:
             data = self._file.read(position, step + HEAD.size)
@@ -214,7 +218,7 @@ class McapScan:
         return self.size
 
     def begun(self, position: int, following: int, near_ns: int) -> bool:
-        """Whether a record seems to begin here that is damaged itself, up to the following one.
+        """True if a damaged record seems to begin here and to reach up to the following one.
 
         If not, the length of the record before was wrong. `near_ns` is a log time before it.
         """
@@ -228,7 +232,7 @@ class McapScan:
         return opcode == Opcode.MESSAGE and near and self._definitions.knows(channel)
 
     def _knows(self, position: int) -> bool:
-        """Of the channel of a message; any is believed where none is known."""
+        """Of the channel of a message; any is plausible where none is known."""
         data = self._file.read(position, MESSAGE_HEAD.size)
         if len(data) < MESSAGE_HEAD.size:
             return False
@@ -237,12 +241,12 @@ class McapScan:
         )
 
     def _certain(self, position: int) -> bool:
-        """Whether the record that begins here is believed without another before it."""
-        if not self.believed(position):
+        """True if the record that begins here is plausible without another before it."""
+        if not self.is_plausible(position):
             return False
         opcode, end = self.head(position) or (0, 0)
         if opcode == Opcode.CHUNK:
             return True
         if opcode == Opcode.FOOTER:
             return self._file.read(end, len(MAGIC)) == MAGIC
-        return end <= self.size and (self.size - end < HEAD.size or self.believed(end))
+        return end <= self.size and (self.size - end < HEAD.size or self.is_plausible(end))

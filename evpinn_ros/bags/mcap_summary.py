@@ -1,4 +1,4 @@
-"""Where the chunks of a sound MCAP file lie: from the index at its end, by the mcap library."""
+"""Index of the chunks of a sound MCAP file, read from its end by the mcap library."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the
 
 @dataclass(slots=True)
 class SoundFile:
-    """What is known of a file before its messages are read.
+    """Facts of a file that are known before its messages are read.
 
     Attributes:
         definitions: of schemas and channels.
@@ -51,8 +51,8 @@ class SoundFile:
 
 
 @dataclass(slots=True)
-class Summary:
-    """What the end of a file says; of a damaged one, as far as it can be read.
+class FileSummary:
+    """Summary at the end of a file; of a damaged one, as far as it can be read.
 
     Attributes:
         start: where it begins.
@@ -70,7 +70,7 @@ class Summary:
 
 
 def sound_file(file: FileBytes) -> SoundFile | None:
-    """What the end of a file says of it; None when anything there is missing, or contradicts.
+    """Read the summary at a file's end; None when anything there is missing, or contradicts.
 
     The checksum of the summary must hold, and the records before it must follow each other from
     chunk to chunk as it says; the checksum of a chunk is looked at when that is read.
@@ -94,13 +94,13 @@ def sound_file(file: FileBytes) -> SoundFile | None:
     return SoundFile(known, Counter(statistics.channel_message_counts), blocks)
 
 
-def summary_of(file: FileBytes) -> Summary:
+def summary_of(file: FileBytes) -> FileSummary:
     """Read the end of a file; nothing of it when its checksum does not hold.
 
     Raises:
         InputError: it cannot be read from the disk.
     """
-    found = Summary()
+    found = FileSummary()
     at = file.size - len(MAGIC) - FOOTER.size - HEAD.size
     tail = file.peek(max(at, 0), file.size)
     if at < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC:
@@ -144,16 +144,20 @@ def _blocks(file: FileBytes, chunks: list[ChunkIndex], end: int) -> list[Block] 
         if opcode == Opcode.MESSAGE:
             return None  # outside of any chunk
         if chunk is not None:
-            told = scan.chunk(position, position_after)
+            chunk_head = scan.chunk(position, position_after)
             heads = (INDEX_HEAD + HEAD.size) * len(chunk.message_index_offsets)
             count = (chunk.message_index_length - heads) // INDEX_ENTRY
             # By mistake or not, other lengths lead elsewhere.
-            if told is None or told.packed != chunk.compressed_size or count < 0:
+            if chunk_head is None or chunk_head.packed != chunk.compressed_size or count < 0:
                 return None
-            if max(told.size, told.packed) > LONGEST_CHUNK:
+            if max(chunk_head.size, chunk_head.packed) > LONGEST_CHUNK:
                 return None
             # Its time is taken from the index, which a checksum guards.
-            blocks.append(Block(chunk.message_start_time, told.first, position_after, told, count))
+            blocks.append(
+                Block(
+                    chunk.message_start_time, chunk_head.first, position_after, chunk_head, count
+                )
+            )
             position_after += chunk.message_index_length
         position = position_after
     return blocks if position == end and not indexed else None

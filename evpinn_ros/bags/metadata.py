@@ -51,7 +51,7 @@ class WrittenFile:
 
 
 def qos_profiles(topic_name: str) -> list[dict[str, Any]]:
-    """What the publisher of a topic offers, in the form of rosbag2.
+    """Quality of service that the publisher of a topic offers, in the form of rosbag2.
 
     A topic that is not of this package gets the default: reliable, ten deep.
     """
@@ -74,7 +74,7 @@ def qos_profiles(topic_name: str) -> list[dict[str, Any]]:
 def bag_information(
     files: Sequence[WrittenFile], topics: Iterable[WrittenTopic]
 ) -> dict[str, Any]:
-    """What metadata.yaml says of a bag of MCAP files."""
+    """Description of a bag of MCAP files, as metadata.yaml holds it."""
     filled = [file for file in files if file.count] or files[:1]
     start_ns = min(file.start_ns for file in filled)
     end_ns = max(file.end_ns for file in filled)
@@ -133,8 +133,8 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
-def told_seconds(bag: Path) -> float | None:
-    """Length of a bag as its metadata.yaml tells it, s; None where nothing is told."""
+def stated_seconds(bag: Path) -> float | None:
+    """Length of a bag as its metadata.yaml states it, s; None where it states none."""
     try:
         found = load_plain(bag / METADATA, "metadata", MOST_METADATA)
         seconds = float(found[INFORMATION]["duration"]["nanoseconds"]) / NANOSECONDS

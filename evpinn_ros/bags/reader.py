@@ -90,7 +90,7 @@ class BagReader:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong with the bag and lost, in one line; None for a sound bag.
+        """Damage of the bag and its losses, in one line; None for a sound bag.
 
         A cut is known from the start, damage inside only once `records` came to its end.
         """
@@ -151,7 +151,7 @@ def _refusal(channel: Channel) -> str | None:
 
 
 def _no_bag(folder: Path) -> str:
-    """What a folder that is no bag holds, for whoever gave the one around their bags."""
+    """Error for a folder that is no bag; it names the bags in it."""
     inside = sorted(each.parent.name for each in folder.glob(f"*/{METADATA}"))
     hint = f"; there are bags inside it: {', '.join(inside[:5])}" if inside else ""
     return f"{folder}: no .mcap or .db3 file in this folder{hint}"

@@ -35,7 +35,7 @@ Progress = Callable[[int], None]  # takes bytes of the file done
 
 @dataclass(slots=True)
 class RecoveredFile:
-    """What one file gave.
+    """Yield of one file.
 
     Attributes:
         path: of the broken file.
@@ -87,7 +87,7 @@ class RecoveredFile:
         return sum(count or 0 for count in known) + self.unknown_topic
 
     def written_as(self, path: Path) -> WrittenFile:
-        """What metadata.yaml says of what was saved."""
+        """Storage of what was saved, as metadata.yaml names it."""
         return WrittenFile(path.name, self.messages, self.start_ns, self.end_ns)
 
     @property
@@ -106,7 +106,7 @@ def recover(source: Path, out: Path, progress: Progress | None = None) -> list[R
     Args:
         source: MCAP file, or rosbag2 folder, with or without metadata.yaml.
         out: folder of the new bag, not there or empty.
-        progress: is told how many bytes are done, of all files together.
+        progress: takes how many bytes are done, of all files together.
 
     Raises:
         InputError: no MCAP there, `out` is in use, or no message could be saved.
@@ -154,7 +154,7 @@ def _recover_files(
 
 
 def _nothing(source: Path, found: list[RecoveredFile]) -> str:
-    """Why there is no message at all."""
+    """Reason why there is no message at all."""
     for one in found:
         if one.problem is not None:
             return one.problem
@@ -282,7 +282,7 @@ def _count_topic(
 
 
 def _qos(channel: Channel) -> list[dict[str, Any]]:
-    """What the publisher offered, as the file says: rosbags reads a topic only if both agree."""
+    """Offered quality of service, as in the file: rosbags reads a topic only if both agree."""
     text = channel.metadata.get("offered_qos_profiles", "")
     if len(text) > LONGEST_QOS:
         return []

@@ -1,4 +1,4 @@
-"""What the rosbags library reads: sqlite3 bags."""
+"""Reading by the rosbags library: sqlite3 bags."""
 
 from __future__ import annotations
 

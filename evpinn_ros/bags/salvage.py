@@ -1,4 +1,4 @@
-"""What a broken MCAP file still holds, piece by piece, and what was lost between the pieces."""
+"""Pieces of a broken MCAP file that are still whole, and the losses between them."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class Salvage:
         while position < self._file.size:
             opcode, end = self._scan.head(position) or (0, position)
             found: list[Found]
-            if not self._scan.believed(position):
+            if not self._scan.is_plausible(position):
                 found, position = self._gap(position)
             elif opcode == Opcode.MESSAGE_INDEX:
                 if lost is not None and position >= self._indexed_to:
@@ -156,7 +156,7 @@ class Salvage:
             self.stated = summary.statistics.message_count
 
     def _gap(self, begin: int) -> tuple[list[Found], int]:
-        """What lies from a damaged record to the next whole one."""
+        """Loss from a damaged record to the next whole one."""
         opcode, stop = self._scan.head(begin) or (0, self._file.size + 1)
         end = self._scan.next_record(begin + 1)
         if end <= self._indexed_to:
@@ -167,7 +167,7 @@ class Salvage:
     def _chunk(self, position: int, end: int) -> tuple[list[Found], int]:
         """The messages of a chunk."""
         head = self._scan.chunk(position, end)
-        assert head is not None  # it was believed
+        assert head is not None  # it was plausible
         if max(head.size, head.packed) > LONGEST_CHUNK:
             reason = f"above the limit of {LONGEST_CHUNK // MEBIBYTE} MiB"
             return [Loss(position, min(end, self._file.size), reason, chunk=True)], end
@@ -212,7 +212,7 @@ class Salvage:
         """Give up a chunk; where bytes are missing from it, the next one begins inside it."""
         records_in(beginning(head, packed), self._doubts)
         self._patience -= head.size + head.packed
-        if end < self._file.size and not self._scan.believed(end) and self._patience > 0:
+        if end < self._file.size and not self._scan.is_plausible(end) and self._patience > 0:
             end = min(end, self._scan.next_record(head.first))
         return [Loss(position, end, "damaged", chunk=True)], end
 
@@ -225,7 +225,7 @@ class Salvage:
             data = self._file.read(position, end - position)
             found = records_in(data, self.definitions)
         end = position + found.end
-        if found.end and end < self._file.size and not self._scan.believed(end):
+        if found.end and end < self._file.size and not self._scan.is_plausible(end):
             following = self._scan.next_record(end + 1)
             if not self._scan.begun(end, following, found.span_ns[1]):
                 data, found = data[: found.last], Records()  # the length of the last one is wrong

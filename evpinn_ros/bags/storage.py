@@ -18,7 +18,7 @@ VERSION = 9  # of metadata.yaml: Jazzy
 
 
 class Storage(str, Enum):
-    """How a rosbag2 bag keeps its messages."""
+    """Storage format of a rosbag2 bag."""
 
     MCAP = "mcap"
     SQLITE3 = "sqlite3"
@@ -37,7 +37,7 @@ def change_storage(
         source: folder, `.mcap` or `.db3`.
         out: folder of the new bag, not there yet.
         storage: of the new bag.
-        progress: is told the seconds of the recording done.
+        progress: takes the seconds of the recording done.
         stopped: whether to end here, with a whole bag.
 
     Returns:
@@ -66,7 +66,7 @@ def _copy(
     progress: Callable[[float], None] | None,
     stopped: Callable[[], bool],
 ) -> int:
-    count, told_ns = 0, 0
+    count, reported_ns = 0, 0
     with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
         new = {each.id: _connect(writer, each) for each in reader.connections}
         for connection, log_time_ns, data in reader.messages():
@@ -74,9 +74,9 @@ def _copy(
                 break
             writer.write(new[connection.id], log_time_ns, data)
             count += 1
-            if progress is not None and log_time_ns - told_ns > NANOSECONDS:
+            if progress is not None and log_time_ns - reported_ns > NANOSECONDS:
                 progress((log_time_ns - reader.start_time) / NANOSECONDS)
-                told_ns = log_time_ns
+                reported_ns = log_time_ns
     return count
 
 

@@ -87,7 +87,7 @@ def _layout(type_name: str) -> tuple[type, dict[str, Callable[[Any], Any]]]:
 
 
 def _maker(description: Any) -> Callable[[Any], Any]:
-    """What turns the given value of one field, or None, into the value of the message."""
+    """Maker of the message's value from the given value of one field, or from None."""
     kind, detail = description
     if kind == Nodetype.NAME:
         return lambda given: new_message(detail) if given is None else given

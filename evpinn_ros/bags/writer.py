@@ -30,7 +30,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """When a bag goes on in another file.
+    """Limits at which a bag goes on in another file.
 
     Attributes:
         size: bytes from which on a file is full; the chunk that fills it is still written to it.

@@ -36,7 +36,7 @@ OWN_POWER = "HV EV Battery Power (kW)"
 
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """What was read of a log.
+    """Readings found in a log.
 
     Attributes:
         name: of the file.
@@ -202,7 +202,7 @@ def _energies(readings: list[Reading], drive: TableDrive) -> tuple[float, float]
 
 
 def _held(batteries: list[BatteryReading], voltage: Signal, drive: TableDrive) -> Signal | None:
-    """What the battery holds by its state of charge and its capacity, J."""
+    """Energy in the battery by its state of charge and its capacity, J."""
     columns = drive.series([REMAINING, AMPERE_HOURS])
     share = _signal((r.stamp_ns, r.state_of_charge) for r in batteries)
     share = Signal(share.time[share.value > 0], share.value[share.value > 0])

@@ -1,4 +1,4 @@
-"""How fast logs are decoded, and how true: against tables of captures made by other means."""
+"""Speed and truth of decoding logs: against tables of captures made by other means."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ CAPTURES = (
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How a capture decodes.
+    """Agreement of a decoded capture with its table.
 
     Attributes:
         log: of the capture.
@@ -194,7 +194,7 @@ def compare(capture: Capture, folder: Path) -> Agreement:
 
 
 def equal_live(capture: Capture, folder: Path) -> bool:
-    """Whether a log that another process sends over a live bus gives the readings of the log.
+    """True if a log that another process sends over a live bus gives the readings of the log.
 
     Raises:
         InputError: the log is not there, or this machine has no multicast.
@@ -211,11 +211,11 @@ def equal_live(capture: Capture, folder: Path) -> bool:
 
 
 def _decode(decoder: Decoder, frames: Iterable[CanFrame]) -> list[Reading]:
-    return [reading for frame in frames for reading in decoder.push(frame)]
+    return [reading for frame in frames for reading in decoder.decode(frame)]
 
 
 def _equal(battery: list[BatteryReading], by_hand: list[tuple[float, float]]) -> int:
-    """How many frames agree; a frame that gave no reading is none of them."""
+    """Count of frames that agree; a frame that gave no reading is none of them."""
     if len(battery) != len(by_hand):
         return 0
     # The same number by another order of operations: far below any digit of the signal.
@@ -226,7 +226,7 @@ def _equal(battery: list[BatteryReading], by_hand: list[tuple[float, float]]) ->
 def _same_rows(
     battery: list[BatteryReading], start_ns: int, table: dict[str, np.ndarray]
 ) -> np.ndarray:
-    """Whether our values round to those of the table, of each row between two of our readings.
+    """True if our values round to those of the table, of each row between two of our readings.
 
     The log's stamps are whole microseconds, which allows a thousandth of a digit more.
     """

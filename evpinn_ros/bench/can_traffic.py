@@ -54,9 +54,9 @@ def voltage(number: int) -> float:
     return LOWEST_VOLTAGE + (number % VOLTAGES) / 100
 
 
-def number_after(before: int, heard: float) -> int:
+def number_after(before: int, voltage: float) -> int:
     """The number of a frame from its voltage and the number of one not long before."""
-    step = round((heard - LOWEST_VOLTAGE) * 100) - before
+    step = round((voltage - LOWEST_VOLTAGE) * 100) - before
     return before + step % VOLTAGES
 
 
@@ -176,14 +176,14 @@ class Worker:
         self._process.join()
 
     def done(self) -> bool:
-        """Whether `result` need not wait."""
+        """True if `result` need not wait."""
         return self._answer.poll()
 
     def result(self) -> Any:
-        """What the function returned.
+        """Result of the function.
 
         Raises:
-            InputError: it failed; the process said why.
+            InputError: it failed; the process gave the reason.
         """
         try:
             return self._answer.recv()

@@ -1,4 +1,4 @@
-"""Drives of one car in order, each foretold from speed without its battery, then learned from.
+"""Drives of one car in order, each forecast from speed without its battery, then learned from.
 
 What is learned is carried over from drive to drive as it is on board; what a drive costs is
 predicted by a car that has never seen it.
@@ -23,8 +23,8 @@ from evpinn_ros.vehicle.files import Vehicle
 
 
 @dataclass(frozen=True, slots=True)
-class Foretold:
-    """One drive, foretold. Powers in W, energy in J; None where nothing was measured."""
+class CarriedForecast:
+    """One drive, forecast. Powers in W, energy in J; None where nothing was measured."""
 
     rmse_w: float | None
     coverage_90: float | None
@@ -34,16 +34,16 @@ class Foretold:
 
 
 class CarriedBenchmark:
-    """Foretells drives and learns them, one after the other."""
+    """Forecasts drives and learns them, one after the other."""
 
     def __init__(self, vehicle: Vehicle, clock: Clock, *, speed_only: bool) -> None:
         """Start at the vehicle's priors; `speed_only` hides grade, temperature and loads."""
         self._vehicle, self._clock, self._speed_only = vehicle, clock, speed_only
         self._learned: dict[str, Any] | None = None
 
-    def drive(self, readings: Callable[[], Iterable[Reading]]) -> Foretold:
-        """Foretell a drive, whose readings can be had twice, and learn from it."""
-        found = self._foretell(self._seen(readings()))
+    def drive(self, readings: Callable[[], Iterable[Reading]]) -> CarriedForecast:
+        """Forecast a drive, whose readings can be had twice, and learn from it."""
+        found = self._forecast(self._seen(readings()))
         self._learn(self._seen(readings()))
         return found
 
@@ -52,7 +52,7 @@ class CarriedBenchmark:
             if not self._speed_only or isinstance(reading, (SpeedReading, BatteryReading)):
                 yield reading
 
-    def _foretell(self, readings: Iterable[Reading]) -> Foretold:
+    def _forecast(self, readings: Iterable[Reading]) -> CarriedForecast:
         estimator, history, predictions = self._estimator(), History(), Predictions()
         for reading in readings:
             history.add_reading(reading)
@@ -66,7 +66,7 @@ class CarriedBenchmark:
                     predictions.add(output.kind, stamp_ns, time, output.power, output.sigma, lag)
         scores = drive_scores(predictions.over(history.drive()), warm_up=0.0)
         power, energy = scores["power"], scores["energy"]
-        return Foretold(
+        return CarriedForecast(
             power["rmse_w"],
             power["coverage_90"],
             energy["measured_j"],
@@ -90,7 +90,7 @@ class CarriedBenchmark:
         return estimator
 
 
-def energy_errors(drives: Iterable[Foretold]) -> tuple[float, float] | None:
+def energy_errors(drives: Iterable[CarriedForecast]) -> tuple[float, float] | None:
     """Median and mean of the absolute energy errors, percent, of the drives after the first.
 
     Before the first nothing is known of the car. None without any.

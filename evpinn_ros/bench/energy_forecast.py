@@ -1,4 +1,4 @@
-"""Drives of one car in order: each is foretold as a plan before it is driven, then learned from.
+"""Drives of one car in order: each is forecast as a plan before it is driven, then learned from.
 
 The plan holds speed once a second and elevation, nothing else: no heater, no wind, no traffic.
 What the car knows of itself then is what it learned on the drives before, and of the day what its
@@ -37,7 +37,7 @@ MIN_DURATION = 10.0  # s
 
 
 @dataclass(frozen=True, slots=True)
-class Foretold:
+class PlannedForecast:
     """One drive.
 
     Attributes:
@@ -63,12 +63,12 @@ class Foretold:
 
     @property
     def covered(self) -> bool:
-        """Whether the 90 % band holds the truth."""
+        """True if the 90 % band holds the truth."""
         return abs(self.forecast_j - self.measured_j) <= GAUSSIAN_QUANTILE * self.sigma_j
 
 
 class ForecastBenchmark:
-    """Foretells drives and learns them, one after the other."""
+    """Forecasts drives and learns them, one after the other."""
 
     def __init__(self, vehicle: Vehicle, clock: Clock) -> None:
         """Start at the vehicle's priors."""
@@ -76,8 +76,8 @@ class ForecastBenchmark:
         self._battery = BatteryBenchmark(vehicle)
         self._estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(clock))
 
-    def drive(self, readings: Iterable[Reading]) -> Foretold:
-        """Foretell a drive, and learn from it.
+    def drive(self, readings: Iterable[Reading]) -> PlannedForecast:
+        """Forecast a drive, and learn from it.
 
         Raises:
             InputError: too short to be a drive.
@@ -104,7 +104,7 @@ class ForecastBenchmark:
         distance = float(plan.distance[-1])
         energy, sigma = float(found.energy[-1]), float(found.sigma[-1])
         end = self._battery.drive(drive, found)
-        return Foretold(measured, energy, sigma, float(simple.energy[-1]), distance, end)
+        return PlannedForecast(measured, energy, sigma, float(simple.energy[-1]), distance, end)
 
 
 def driven_plan(readings: Iterable[Reading]) -> Plan:
@@ -125,7 +125,7 @@ def driven_plan(readings: Iterable[Reading]) -> Plan:
     return drive_plan(_series(speeds, start), _series(altitudes, start))
 
 
-def forecast_totals(drives: Sequence[Foretold]) -> tuple[float, float, int, int] | None:
+def forecast_totals(drives: Sequence[PlannedForecast]) -> tuple[float, float, int, int] | None:
     """Median and mean absolute error, percent, drives covered and counted, after the first."""
     counted = drives[1:]
     if not counted:
@@ -145,5 +145,5 @@ def _measured(readings: Iterable[Reading]) -> float:
     integral = EnergyIntegral()
     for reading in readings:
         if isinstance(reading, BatteryReading):
-            integral.push(reading.stamp_ns, reading.power)
+            integral.append(reading.stamp_ns, reading.power)
     return integral.energy

@@ -1,9 +1,9 @@
-"""How well energy is counted: quadrature, gaps, a silent battery, the distance to empty.
+"""Accuracy of counted energy: quadrature, gaps, battery dropouts, the distance to empty.
 
 Recorded drives go through the chain in order, as on board: what was learned is carried over. At
-every `STRIDE` of a drive a copy of the chain goes on without the battery for `SILENCE`, and one
-goes through the whole drive without it; what they count is held against the battery, which the
-benchmark has heard all along. Energy errors are relative to the gross energy (drawn and
+every `STRIDE` of a drive a copy of the chain goes on without the battery for `DROPOUT`, and one
+goes through the whole drive without it; their counts are compared with the battery, which the
+benchmark measures all along. Energy errors are relative to the gross energy (drawn and
 regenerated together) that the battery gave over the same time.
 """
 
@@ -36,7 +36,7 @@ from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 DAY = 24 * 3600  # s
-STRIDE, SILENCE = 150.0, 600.0  # s
+STRIDE, DROPOUT = 150.0, 600.0  # s
 SEED = 0
 GAP_SHARE, LONGEST_GAP = 0.1, 20  # of the seconds of a 1 Hz battery; s
 NOISE, NOISE_TIME = 1e3, 0.5  # 1-sigma, W, and correlation time, s, of predictions of real drives
@@ -96,7 +96,7 @@ def day_row() -> IntegrationRow:
     power = 8e3 + 15e3 * np.random.default_rng(SEED).standard_normal(DAY * 10 + 1)
     integral, terms = EnergyIntegral(), []
     for tick, watts in enumerate(power.tolist()):
-        step = integral.push(tick * NANOSECONDS // 10, watts)
+        step = integral.append(tick * NANOSECONDS // 10, watts)
         if step is not None:
             terms.append(step.energy)
     exact = math.fsum(terms)
@@ -130,16 +130,16 @@ def _metered(power: np.ndarray) -> float:
     for index in range(0, len(power), 10):
         stamp_ns, watts = index * NANOSECONDS // SAMPLE_RATE, float(power[index])
         if index % SAMPLE_RATE == 0 and (index == 0 or random.random() > GAP_SHARE):
-            meter.push_measured(stamp_ns, watts, 0.0)
+            meter.add_measured(stamp_ns, watts, 0.0)
         noise = kept * noise + NOISE * math.sqrt(1 - kept**2) * random.standard_normal()
-        meter.push_predicted(stamp_ns, (1 + PRIOR_SHARE) * watts + noise, NOISE)
+        meter.add_predicted(stamp_ns, (1 + PRIOR_SHARE) * watts + noise, NOISE)
     return meter.state.consumed
 
 
 def _integral(time: np.ndarray, power: np.ndarray) -> float:
     integral = EnergyIntegral()
     for t, watts in zip(time.tolist(), power.tolist(), strict=True):
-        integral.push(round(t * NANOSECONDS), watts)
+        integral.append(round(t * NANOSECONDS), watts)
     return integral.energy
 
 
@@ -148,10 +148,10 @@ def _car_rows(logs: Sequence[Log], clock: Clock) -> Iterator[IntegrationRow]:
     drives = list(_measured_drives(logs, vehicle))
     if not drives:
         return
-    silent, whole, slow = _through_the_chain(vehicle, drives, clock)
+    dropouts, whole, slow = _through_the_chain(vehicle, drives, clock)
     name = vehicle.key
-    yield from _error_rows(f"{name}, battery silent for {SILENCE:g} s", silent, "<= 3 %")
-    so_far = [abs(100 * one.error / one.gross_so_far) for one in silent if one.gross_so_far > 0]
+    yield from _error_rows(f"{name}, battery dropout of {DROPOUT:g} s", dropouts, "<= 3 %")
+    so_far = [abs(100 * one.error / one.gross_so_far) for one in dropouts if one.gross_so_far > 0]
     if so_far:
         text = f"{name}, the same of the gross energy since the start of the drive: "
         yield from _spread_rows(text, so_far, "<= 3 %")
@@ -190,8 +190,8 @@ def _spread_rows(name: str, errors: Sequence[float], goal: str = "") -> Iterator
 def _through_the_chain(
     vehicle: Vehicle, drives: Sequence[Sequence[Reading]], clock: Clock
 ) -> tuple[list[Counted], list[Counted], dict[tuple[int, str], list[float]]]:
-    """Silences, whole drives without the battery, and errors in % of a slow one with gaps."""
-    silent: list[Counted] = []
+    """Dropouts, whole drives without the battery, and errors in % of a slow one with gaps."""
+    dropouts: list[Counted] = []
     whole: list[Counted] = []
     slow: dict[tuple[int, str], list[float]] = {}
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(clock))
@@ -203,19 +203,19 @@ def _through_the_chain(
         start_ns, end_ns = readings[0].stamp_ns, readings[-1].stamp_ns
         next_ns = start_ns + round(STRIDE * NANOSECONDS)
         for index, reading in enumerate(readings):
-            if reading.stamp_ns >= next_ns and end_ns - next_ns >= SILENCE * NANOSECONDS:
-                silent.append(_without_battery(chain, readings, index, SILENCE))
+            if reading.stamp_ns >= next_ns and end_ns - next_ns >= DROPOUT * NANOSECONDS:
+                dropouts.append(_without_battery(chain, readings, index, DROPOUT))
                 next_ns += round(STRIDE * NANOSECONDS)
-            for _ in chain.push(reading):
+            for _ in chain.add_reading(reading):
                 pass
         chain.begin_next_drive()
-    return silent, whole, slow
+    return dropouts, whole, slow
 
 
 def _without_battery(
     chain: Chain, readings: Sequence[Reading], begin: int, seconds: float
 ) -> Counted:
-    """What a copy of the chain counts from a reading on, the battery withheld."""
+    """Count of a copy of the chain from a reading on, the battery withheld."""
     fork = copy.deepcopy(chain)
     before = fork.account.state
     begin_ns = readings[begin].stamp_ns
@@ -223,12 +223,12 @@ def _without_battery(
         if reading.stamp_ns - begin_ns > seconds * NANOSECONDS:
             break
         if not isinstance(reading, BatteryReading):
-            for _ in fork.push(reading):
+            for _ in fork.add_reading(reading):
                 pass
     after = fork.account.state
     # From the battery's last word, or the first prediction, to the last prediction.
-    heard_ns = max(before.stamp_ns, begin_ns)
-    truth = _battery(readings, heard_ns, after.stamp_ns)
+    begin_ns = max(before.stamp_ns, begin_ns)
+    truth = _battery(readings, begin_ns, after.stamp_ns)
     so_far = _battery(readings, readings[0].stamp_ns, after.stamp_ns)
     error = after.consumed - before.consumed - truth.energy
     sigma = math.sqrt(max(after.consumed_sigma**2 - before.consumed_sigma**2, 0.0))
@@ -248,21 +248,21 @@ def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[s
     """
     estimator = copy.deepcopy(chain.estimator)
     meters = {each: EnergyMeter(load_rknn(), integrator=each) for each in Integrator}
-    hears, heard_ns = _heard_seconds(readings), -NANOSECONDS
-    hears &= np.arange(len(hears)) % period == 0
+    measures, used_s = _measured_seconds(readings), -NANOSECONDS
+    measures &= np.arange(len(measures)) % period == 0
     for reading in readings:
         if isinstance(reading, BatteryReading):
             second = (reading.stamp_ns - readings[0].stamp_ns) // NANOSECONDS
-            if second == heard_ns or not hears[second]:
+            if second == used_s or not measures[second]:
                 continue
-            heard_ns = second
+            used_s = second
         for output in estimator.push(reading):
             if not isinstance(output, PowerEstimate) or output.kind is PowerKind.PREDICTED:
                 continue
             for meter in meters.values():
                 measured = output.kind is PowerKind.MEASURED
-                push = meter.push_measured if measured else meter.push_predicted
-                push(output.stamp_ns, output.power, output.sigma)
+                add = meter.add_measured if measured else meter.add_predicted
+                add(output.stamp_ns, output.power, output.sigma)
     states = {each.value: meter.state for each, meter in meters.items()}
     truth = _battery(readings, readings[0].stamp_ns, next(iter(states.values())).stamp_ns)
     return {
@@ -271,23 +271,23 @@ def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[s
     }
 
 
-def _heard_seconds(readings: Sequence[Reading]) -> np.ndarray:
-    """Whether the battery is heard in each second of a drive, shape (n,)."""
+def _measured_seconds(readings: Sequence[Reading]) -> np.ndarray:
+    """Mask of the seconds of a drive in which the battery is measured, shape (n,)."""
     random = np.random.default_rng(SEED)
     seconds = (readings[-1].stamp_ns - readings[0].stamp_ns) // NANOSECONDS + 1
-    hears = np.ones(seconds, dtype=bool)
-    while np.mean(~hears) < GAP_SHARE:
+    measures = np.ones(seconds, dtype=bool)
+    while np.mean(~measures) < GAP_SHARE:
         start = random.integers(seconds)
-        hears[start : start + random.integers(1, LONGEST_GAP + 1)] = False
-    return hears
+        measures[start : start + random.integers(1, LONGEST_GAP + 1)] = False
+    return measures
 
 
 def _battery(readings: Sequence[Reading], begin_ns: int, end_ns: int) -> EnergyIntegral:
-    """Integral of what the battery said between two stamps."""
+    """Integral of the battery's power between two stamps."""
     integral = EnergyIntegral()
     for reading in readings:
         if isinstance(reading, BatteryReading) and begin_ns <= reading.stamp_ns <= end_ns:
-            integral.push(reading.stamp_ns, reading.power)
+            integral.append(reading.stamp_ns, reading.power)
     return integral
 
 
@@ -313,11 +313,11 @@ def _range_rows(name: str, drives: Sequence[Sequence[Reading]]) -> Iterator[Inte
                 cost_spread(log.windows[2].whole),
             )
             left = Uncertain(energies[end] - energies[index + 1], 0.0)
-            told = remaining(left, cost)
+            estimate = remaining(left, cost)
             driven = distances[end] - distances[index + 1]
-            if told is not None:
-                inside.append(told.lower <= driven <= told.upper)
-                errors.append(abs(100 * (told.distance / driven - 1)))
+            if estimate is not None:
+                inside.append(estimate.lower <= driven <= estimate.upper)
+                errors.append(abs(100 * (estimate.distance / driven - 1)))
         if inside:
             text = f"{name}, distance to empty {horizon / 1e3:g} km ahead: "
             yield IntegrationRow(text + "median error", float(np.median(errors)), "%", len(errors))
@@ -331,9 +331,9 @@ def _kilometres(drives: Sequence[Sequence[Reading]]) -> Iterator[Stretch]:
         energy, road, last = EnergyIntegral(), EnergyIntegral(), Stretch(0.0, 0.0)
         for reading in readings:
             if isinstance(reading, BatteryReading):
-                energy.push(reading.stamp_ns, reading.power)
+                energy.append(reading.stamp_ns, reading.power)
             elif isinstance(reading, SpeedReading):
-                road.push(reading.stamp_ns, abs(reading.speed))
+                road.append(reading.stamp_ns, abs(reading.speed))
             if road.drawn - last.distance >= 1e3:
                 here = Stretch(road.drawn, energy.energy)
                 yield Stretch(here.distance - last.distance, here.energy - last.energy)
@@ -350,9 +350,9 @@ def _capacity_rows(
         gauge.begin_anew()
         for reading in readings:
             if isinstance(reading, BatteryReading):
-                integral.push(reading.stamp_ns, reading.power)
+                integral.append(reading.stamp_ns, reading.power)
                 taken = Uncertain(before + integral.energy, 0.0)
-                gauge.push(reading.stamp_ns, reading.state_of_charge, taken, 0.0)
+                gauge.update(reading.stamp_ns, reading.state_of_charge, taken, 0.0)
         before += integral.energy
     if gauge.learned:
         for word, joules in (("", gauge.capacity.value), (", 1-sigma", gauge.capacity.sigma)):

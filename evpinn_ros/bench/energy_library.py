@@ -1,4 +1,4 @@
-"""How quick forecasts of many profiles are, alone and beside FASTSim on drive cycles."""
+"""Speed of forecasts of many profiles, alone and beside FASTSim on drive cycles."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CYCLES = ("udds", "hwfet", "us06")
 NO_SIGMA = Identifiable(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Throughput(NamedTuple):
+class ForecastThroughput(NamedTuple):
     """Milliseconds of the processor for `BATCH` profiles of `POINTS` points, the quickest run."""
 
     vehicle_file_ms: float
@@ -61,7 +61,7 @@ class CycleRow(NamedTuple):
     ours_us: float
 
 
-def measure_throughput(vehicle: Vehicle) -> Throughput:
+def measure_throughput(vehicle: Vehicle) -> ForecastThroughput:
     """Time the library in the calling thread alone."""
     import torch
 
@@ -77,7 +77,7 @@ def measure_throughput(vehicle: Vehicle) -> Throughput:
         (energy + sigma).sum().backward()
 
     try:
-        return Throughput(
+        return ForecastThroughput(
             _quickest_ms(lambda: forecast(profiles, vehicle)),
             _quickest_ms(lambda: forecast(profiles, vehicle, learned)),
             _quickest_ms(lambda: forecast(tensors, vehicle, learned)),

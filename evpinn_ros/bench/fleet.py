@@ -18,9 +18,9 @@ import numpy as np
 
 from evpinn_ros.fleet.executor import LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Told
+from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, PopulationValue
 from evpinn_ros.fleet.run import claimed, learn_fleet
-from evpinn_ros.fleet.tables import Summary, write_tables
+from evpinn_ros.fleet.tables import FleetSummary, write_tables
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.output import write
@@ -63,12 +63,12 @@ class Scaling:
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What the cars were drawn from, logarithms but for p_aux, and what was found of it."""
+    """Distribution the cars were drawn from, logarithms but for p_aux, and its estimate."""
 
     name: str
     mean: float
     spread: float
-    told: Told
+    told: PopulationValue
 
 
 def many_drives(folder: Path, vehicle: Vehicle, drives: int, seconds: float) -> list[CarDrives]:
@@ -153,7 +153,7 @@ def recovered(
 def _learning(
     fleet: list[CarDrives], out: Path, workers: int, stopped: Callable[[], bool]
 ) -> Iterator[int]:
-    """How many cars are done, after each of them, until stopped."""
+    """Count of cars that are done, after each of them, until stopped."""
     with claimed(out), closing(learn_fleet(fleet, out, LocalExecutor(workers))) as outcomes:
         for count, outcome in enumerate(outcomes, start=1):
             if outcome.problem is not None:
@@ -163,15 +163,15 @@ def _learning(
                 return
 
 
-def _compared(vehicle: Vehicle, summary: Summary) -> Iterator[Recovered]:
+def _compared(vehicle: Vehicle, summary: FleetSummary) -> Iterator[Recovered]:
     population = summary.populations[vehicle.key]
     for name in COMPARED:
         combined = name in COMBINATIONS
-        told = population.combination(name) if combined else population.parameter(name)
+        learned = population.combination(name) if combined else population.parameter(name)
         parts = COMBINATIONS.get(name, {name: 1.0})
         means, spreads = zip(*(_known(vehicle, each) for each in parts), strict=True)
         mean = sum(sign * each for sign, each in zip(parts.values(), means, strict=True))
-        yield Recovered(name, mean, math.hypot(*spreads), told)
+        yield Recovered(name, mean, math.hypot(*spreads), learned)
 
 
 def _known(vehicle: Vehicle, name: str) -> tuple[float, float]:

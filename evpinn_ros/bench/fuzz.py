@@ -22,7 +22,7 @@ STATISTICS = {"inputs": "number_of_executed_units", "memory_mb": "peak_rss_mb"}
 
 @dataclass(frozen=True, slots=True)
 class FuzzResult:
-    """What came of one target.
+    """Result of one target.
 
     Attributes:
         target: its name.

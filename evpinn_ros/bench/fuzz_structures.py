@@ -22,7 +22,7 @@ from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 Mutate: TypeAlias = Callable[[bytes, Random], bytes]
 
 MOST_GROWTH = 64
-"""Times that a part is said again: limits and ratios lie beyond what single bytes reach."""
+"""Times that a part is repeated: limits and ratios lie beyond what single bytes reach."""
 
 CHUNK = struct.Struct("<QQQI")  # start, end, size unpacked, checksum; then compression, data
 COMPRESSIONS: dict[str, Callable[[bytes], bytes]] = {
@@ -83,7 +83,7 @@ def mutate_mcap(data: bytes, chance: Random) -> bytes:
 
 
 def _records(data: bytes) -> list[tuple[int, int, bytes]]:
-    """Opcode, length as told and body of each record; of the last what is there."""
+    """Opcode, length as stated and body of each record; of the last what is there."""
     found, at = [], 0
     while at + HEAD.size <= len(data) and data[at : at + len(MAGIC)] != MAGIC:
         opcode, size = HEAD.unpack_from(data, at)
@@ -130,13 +130,13 @@ def _chunk(body: bytes, chance: Random) -> bytes:
     records = _records(content)
     for _ in range(chance.randint(0, 2) if records else 0):
         _change_records(records, chance)
-    inside = b"".join(HEAD.pack(op, told) + each for op, told, each in records) or content
+    inside = b"".join(HEAD.pack(op, stated) + each for op, stated, each in records) or content
     inside *= chance.choice((1, 1, 1, MOST_GROWTH))
     name = chance.choice((*COMPRESSIONS, "none"))
     packed = COMPRESSIONS.get(name, bytes)(inside)
-    told = chance.choice((len(inside), len(inside), size, *SIZES))
+    stated = chance.choice((len(inside), len(inside), size, *SIZES))
     times = [chance.choice((value, value, *SIZES)) for value in (start, end)]
-    head = CHUNK.pack(*times, told, chance.choice((0, checksum)))
+    head = CHUNK.pack(*times, stated, chance.choice((0, checksum)))
     text = struct.pack("<I", len(name)) + name.encode()
     return head + text + struct.pack("<Q", chance.choice((len(packed), *SIZES))) + packed
 
@@ -180,7 +180,7 @@ def mutate_yaml(data: bytes, chance: Random) -> bytes:
 
 
 def _changed(value: Any, chance: Random) -> Any:
-    """The value with one place in it, chosen level by level, replaced, removed or said again."""
+    """The value with one place in it, chosen level by level, replaced, removed or repeated."""
     if isinstance(value, dict) and value and chance.randrange(8):
         key = chance.choice(list(value))
         what = chance.randrange(8)

@@ -113,7 +113,7 @@ def _bag_folder(path: Path) -> None:
 
 
 def _recovered(path: Path) -> None:
-    """What is saved shall be a bag that holds what was said of it."""
+    """Check that a recovered bag holds what the recovery reported."""
     with TemporaryDirectory(dir=path.parent) as folder:
         saved = sum(one.messages for one in recover(path, Path(folder, "saved")))
         try:
@@ -221,7 +221,7 @@ def _frames(path: Path) -> None:
     profile = _profiles()[data[0] % len(_profiles())] if data else _profiles()[0]
     bridge = CanBridge(profile, guard=FitGuard(profile, _profiles()))
     for frame in _cut(data):
-        bridge.push(frame)
+        bridge.decode(frame)
     bridge.finish()
     bridge.status(seeds.START)
 

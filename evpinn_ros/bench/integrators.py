@@ -2,7 +2,7 @@
 
 Truth is the integral of a straight line through every sample of the log (compensated sum of
 trapezoids), of a simulated drive through its 100 Hz. What a car does between two samples of a
-10 Hz log nobody knows, so there the trapezoid is the yardstick and has no error. Errors are in
+10 Hz log is unknown, so there the trapezoid is the yardstick and has no error. Errors are in
 percent of the gross energy, drawn and regenerated together.
 
 The networks as published (`reproduction.energy_network`) are trained on the car's first drive, for
@@ -55,7 +55,7 @@ class IntegratorRow(NamedTuple):
     drives: int
 
 
-class Agreement(NamedTuple):
+class IntegratorAgreement(NamedTuple):
     """Shipped network less trapezoid on every sample of a log, % of gross energy."""
 
     log: str
@@ -124,10 +124,10 @@ def compare_integrators(
             yield IntegratorRow(car, method, sampling, median, max(found), len(found))
 
 
-def agreement(drive: PowerSeries) -> Agreement:
+def agreement(drive: PowerSeries) -> IntegratorAgreement:
     """The shipped network against the trapezoid on every sample of a log."""
     rule = _integral(drive)
-    return Agreement(drive.name, 100 * (_shipped(drive) - rule.energy) / rule.gross)
+    return IntegratorAgreement(drive.name, 100 * (_shipped(drive) - rule.energy) / rule.gross)
 
 
 def at_most(rate: float, drive: PowerSeries) -> PowerSeries:
@@ -157,7 +157,7 @@ def divided(drive: PowerSeries) -> PowerSeries:
 def _integral(drive: PowerSeries) -> EnergyIntegral:
     integral = EnergyIntegral(float(np.ptp(drive.time)) + 1.0)
     for time, power in zip(drive.time.tolist(), drive.power.tolist(), strict=True):
-        integral.push(round(time * NANOSECONDS), power)
+        integral.append(round(time * NANOSECONDS), power)
     return integral
 
 

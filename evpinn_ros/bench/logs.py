@@ -1,4 +1,4 @@
-"""Which logs a benchmark runs over, and whose car each is.
+"""Logs that a benchmark runs over, and the car of each.
 
 `PATH`, `PATH=VEHICLE` or `PATH=VEHICLE,PROFILE`: so one run covers several cars. A folder that is
 no bag is searched for bags, CAN logs and CSV drives, however deep.

@@ -1,4 +1,4 @@
-"""What the learner is held against: the interface of a peer, and peers that learn nothing.
+"""Peers of the learner: their interface, and baselines that learn nothing.
 
 A peer predicts each sample first and learns from it after, in the order of the stream. All peers
 get what the learner gets: speed, acceleration, grade, air density and known auxiliary loads.
@@ -31,7 +31,7 @@ TABLE_V: Mapping[str, Parameters] = {
 }
 
 
-class Method(Protocol):
+class OnlineMethod(Protocol):
     """A peer. Time enters only through the samples' stamps."""
 
     def predict(self, sample: Sample) -> PowerPrediction:
@@ -91,7 +91,7 @@ class PublishedParameters:
         """Nothing is learned."""
 
 
-PEERS: Mapping[str, Callable[[Vehicle], Method]] = {
+PEERS: Mapping[str, Callable[[Vehicle], OnlineMethod]] = {
     "prior": PriorOnly,
     "table5_recovery": lambda vehicle: PublishedParameters(vehicle, RegenForm.RECOVERY),
     "table5_printed": lambda vehicle: PublishedParameters(vehicle, RegenForm.PRINTED),
@@ -103,7 +103,7 @@ PEERS: Mapping[str, Callable[[Vehicle], Method]] = {
 }
 
 
-def peers(names: list[str], vehicle: Vehicle) -> dict[str, Method]:
+def peers(names: list[str], vehicle: Vehicle) -> dict[str, OnlineMethod]:
     """The peers of these names that exist for a car, each at its start."""
     published = vehicle.key in TABLE_V
     return {

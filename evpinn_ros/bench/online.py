@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from evpinn_ros.bench.methods import PEERS, Method, peers
+from evpinn_ros.bench.methods import PEERS, OnlineMethod, peers
 from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
@@ -33,12 +33,12 @@ class Run:
     """One log after all methods.
 
     Attributes:
-        drive: what the car told; it holds no predictions.
+        drive: readings of the car; it holds no predictions.
         predicted: for each method the same drive with its predictions.
         moments: number of smoothed samples.
         stream_s: what the samples themselves took, s.
         method_s: what predicting and learning took, s. Of `paper` and `hybrid` it includes the
-            samples; the nulls have none.
+            samples; the baselines have none.
     """
 
     drive: Drive
@@ -62,7 +62,7 @@ class Predictions:
         """Take a prediction, W, for a stamp that lies `time` after the start of the drive, s."""
         self._rows[kind].add(time, power, sigma, lag)
         if kind is PowerKind.SMOOTHED:
-            self._integral.push(stamp_ns, power)
+            self._integral.append(stamp_ns, power)
             # The Runge-Kutta network integrates no peer: its column stays unknown.
             self._energy.add(time, self._integral.energy, math.nan)
 
@@ -81,7 +81,7 @@ class OnlineBenchmark:
         self._history = History()
         self._stream = SampleStream(StreamSettings(), vehicle.air_density)
         self._names = list(names)
-        self._peers: dict[str, Method] = peers(self._names, vehicle)
+        self._peers: dict[str, OnlineMethod] = peers(self._names, vehicle)
         self._estimators = {
             mode.value: OnlineEstimator(vehicle, EstimatorSettings(mode), InlineWorker(clock))
             for mode in Mode
@@ -92,7 +92,7 @@ class OnlineBenchmark:
         self._moments: list[tuple[PowerKind, int, float]] = []
         self._stream_s = 0.0
 
-    def push(self, reading: Reading) -> float:
+    def add_reading(self, reading: Reading) -> float:
         """Take one reading; returns s since the first."""
         self._history.add_reading(reading)
         begin = self._clock()
@@ -161,7 +161,7 @@ class OnlineBenchmark:
         """The last battery power measured strictly before each moment, held.
 
         Taken from the readings themselves, which are newer than what the stream has joined: the
-        strongest form of this null.
+        strongest form of this baseline.
         """
         held = Predictions()
         times = [self._history.seconds(stamp_ns) for _, stamp_ns, _ in self._moments]

@@ -1,4 +1,4 @@
-"""How much `evpinn recover` saves of broken bags, against the whole ones; and how fast it is."""
+"""Share of broken bags that `evpinn recover` saves, against the whole ones; and its speed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Identity = tuple[str, int, int, bytes]  # topic, log time, sequence, data
 
 @dataclass(slots=True)
 class Tally:
-    """What became of the cases of one storage and fault.
+    """Results of the cases of one storage and fault.
 
     Attributes:
         cases: that were tried.
@@ -147,7 +147,7 @@ def campaign(
         cases: in all, dealt out to storages and faults.
         size: bytes of each bag.
         seed: of bags and faults.
-        progress: is told the cases done.
+        progress: takes the cases done.
     """
     rng = random.Random(seed)
     kinds = [(storage, fault) for storage in STORAGES for fault in FAULTS]

@@ -1,4 +1,4 @@
-"""What the methods are worth: scores of one log, and of all logs together.
+"""Scores of the methods on one log, and on all logs together.
 
 Every number comes from `replay.scoring`; here they are put side by side and added up.
 """
@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.bench.online import RANDOM_SPLIT, Run
 from evpinn_ros.replay.history import Drive, PowerSeries
-from evpinn_ros.replay.scoring import Span, drive_scores, null_scores, scored, worst_window
+from evpinn_ros.replay.scoring import Span, baseline_scores, drive_scores, scored, worst_window
 
 Score: TypeAlias = dict[str, Any]
 
@@ -71,7 +71,7 @@ def _split_score(run: Run, warm_up: float) -> Score:
     """Interpolation under a random split: RMSE alone, of battery readings held out."""
     span = Span(warm_up, run.drive.duration)
     readings = int(span.holds(run.drive.measured[:, 0]).sum())
-    rmse = null_scores(run.drive, span)["interpolation"]
+    rmse = baseline_scores(run.drive, span)["interpolation"]
     unknown = dict.fromkeys(MEANS)
     return {
         **{"samples": readings, "rmse_w": rmse, **unknown},

@@ -70,7 +70,7 @@ def others(car: str, cars: Iterable[str]) -> list[str]:
 
 
 def choose(scores: Scores, judges: Sequence[str]) -> dict[Place, Any]:
-    """What of the core these cars would replace, each constant by itself.
+    """Choose the core's constants on these cars, each constant by itself.
 
     Args:
         scores: of `alternatives` on these cars at least; no other car's are looked at.
@@ -92,7 +92,7 @@ def support(scores: Scores, judges: Sequence[str], variant: str) -> float:
 
 
 def final_variants(scores: Scores, car: str) -> list[Variant]:
-    """What a car is scored with: constants chosen without it, the product's, and its own."""
+    """Variants that a car is scored with: constants chosen without it, the product's, its own."""
     return [
         Variant(UNSEEN, choose(scores, others(car, scores))),
         Variant(PRODUCT),
@@ -101,7 +101,7 @@ def final_variants(scores: Scores, car: str) -> list[Variant]:
 
 
 def changes_text(changes: Mapping[Place, Any]) -> str:
-    """What is replaced, by name and value."""
+    """Replaced constants, by name and value."""
     return ", ".join(f"{place.name} {_text(value)}" for place, value in changes.items())
 
 

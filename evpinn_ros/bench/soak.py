@@ -69,7 +69,7 @@ def soak(
             count, seconds = 0, 0.0
             while piece := receiving.recv():
                 begin = clock()
-                _push(chain, piece)
+                _add_readings(chain, piece)
                 seconds += clock() - begin
                 count += len(piece)
                 progress((piece[-1].stamp_ns - EPOCH_NS) / NANOSECONDS - hour * PAUSE)
@@ -90,9 +90,9 @@ def _simulate(sending: Connection, hours: int, duration: float) -> None:
         sending.send(())
 
 
-def _push(chain: Chain, readings: Sequence[Reading]) -> None:
+def _add_readings(chain: Chain, readings: Sequence[Reading]) -> None:
     for reading in readings:
-        for _ in chain.push(reading):
+        for _ in chain.add_reading(reading):
             pass
 
 

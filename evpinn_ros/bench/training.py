@@ -1,4 +1,4 @@
-"""How long each way of training takes to the loss that Adam as published ends with.
+"""Time that each way of training takes to the loss that Adam as published ends with.
 
 All on the same drive, network, split and loss, in one run, process and thread, each after a step
 of warm-up. Its beginning and its training count; the clock stands still while the validation loss
@@ -92,7 +92,7 @@ def bench_training(
         vehicle: its vehicle file.
         epochs: of Adam; the others stop there too if they have not reached its loss.
         seed: of split, networks and batches.
-        on_epoch: told how it goes.
+        on_epoch: called with the losses.
     """
     stop = -math.inf
     for contender in _contenders(log, vehicle, seed):
@@ -170,7 +170,7 @@ class _Clock:
         self.training = contender.begin()
 
     def after_epoch(self) -> bool:
-        """Whether to stop."""
+        """True if training is to stop."""
         self.epoch += 1
         if self.epoch % self._contender.every and self.epoch < self._epochs:
             return False

@@ -1,4 +1,4 @@
-"""How true the published parameters are: simulated cars, whose truth is known.
+"""Errors of the published parameters: simulated cars, whose truth is known.
 
 Readings of a simulated drive go through the stream and the learning of the car, as in the
 estimator of `mode: hybrid`; its network and its power do not touch the parameters and are left
@@ -87,7 +87,7 @@ class Comparison:
 
     @property
     def covered(self) -> bool:
-        """Whether the interval of 95 % holds the truth.
+        """True if the interval of 95 % holds the truth.
 
         What is learned as a logarithm has its interval there: all but C_rr and p_aux.
         """
@@ -99,7 +99,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class TruthSummary:
     """Comparisons of one quantity at one time over many drives."""
 
     name: str
@@ -155,7 +155,7 @@ def compare(
             chain.add_reading(reading)
 
 
-def summaries(found: Iterable[Comparison]) -> list[Summary]:
+def summaries(found: Iterable[Comparison]) -> list[TruthSummary]:
     """Median, 90th percentile and coverage of each quantity at each time."""
     groups: dict[tuple[int, str], list[Comparison]] = {}
     for one in found:
@@ -164,10 +164,10 @@ def summaries(found: Iterable[Comparison]) -> list[Summary]:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class LoadStep:
     """A change of payload at a stop and what was found of it.
 
-    `detected_after` is s of motion (NaN: never), `error` kg of the change as told at the end.
+    `detected_after` is s of motion (NaN: never), `error` kg of the change as estimated at the end.
     """
 
     vehicle: str
@@ -179,7 +179,7 @@ class Step:
 
 def load_steps(
     vehicles: Sequence[str], seeds: Iterable[int], *, before: int = 900, after: int = 240
-) -> Iterator[Step]:
+) -> Iterator[LoadStep]:
     """Drive in town, stop, change the load by 150 kg, up or down in turn, and drive on."""
     for number, seed in enumerate(seeds):
         vehicle = load_vehicle(vehicles[number % len(vehicles)])
@@ -208,7 +208,7 @@ def load_steps(
             if chain.car.payload.change is not None and chain.motion <= 90.0:
                 change = chain.car.payload.change
         error = change.delta_mass - delta if change is not None else math.nan
-        yield Step(vehicle.key, seed, delta, detected, error)
+        yield LoadStep(vehicle.key, seed, delta, detected, error)
 
 
 def false_alarms(
@@ -250,10 +250,10 @@ def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
     return true_values(drive.car, Trace(motion=motion, **columns))
 
 
-def _summary(group: list[Comparison]) -> Summary:
+def _summary(group: list[Comparison]) -> TruthSummary:
     error = np.array([one.error_percent for one in group])
     first = group[0]
-    return Summary(
+    return TruthSummary(
         first.name,
         first.seconds,
         len(group),

@@ -39,7 +39,7 @@ TABLES: Mapping[str, MutableMapping[Any, Any]] = {
 
 
 class Place(NamedTuple):
-    """Where a constant stands: a table of `TABLES` and its key there."""
+    """Place of a constant: a table of `TABLES` and its key there."""
 
     table: str
     key: str | State
@@ -116,7 +116,7 @@ def replaced(changes: Mapping[Place, Any]) -> Iterator[None]:
 
 
 def score(variant: Variant, car: RecordedCar) -> Row:
-    """What a variant says of a car's drives."""
+    """Score a variant on a car's drives."""
     with replaced(variant.changes):
         return _score(variant.name, car)
 

@@ -1,4 +1,4 @@
-"""What is believed of a car before driving, held against certificates it was not told."""
+"""Priors of a car before driving, compared with certificates that were withheld."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ JOULES_PER_WH_KM = 3.6  # J/m
 LEARNED = (2, 3, 4)  # of the parameters: mass, c_rr, c_d
 
 
-class Belief(NamedTuple):
-    """Error of a belief about the force on cars it was not told of, over the certified force.
+class PriorError(NamedTuple):
+    """Error of a prior of the force on cars withheld from it, over the certified force.
 
     Attributes:
-        name: whose belief.
+        name: whose prior.
         speed: m/s.
         bias: in the median.
         error: its size, in the median.
@@ -73,7 +73,7 @@ class CycleEnergy(NamedTuple):
         return self.forecast / self.certified - 1.0
 
 
-def beliefs(others: Mapping[str, Vehicle]) -> Iterator[Belief]:
+def prior_errors(others: Mapping[str, Vehicle]) -> Iterator[PriorError]:
     """The population of the other models, with and without correlations, and given vehicles."""
     cars = certified_cars()
     models = {key: _model(key) for key in cars}
@@ -81,9 +81,9 @@ def beliefs(others: Mapping[str, Vehicle]) -> Iterator[Belief]:
         model: population(car for key, car in cars.items() if models[key] != model)
         for model in set(models.values())
     }
-    told = [(car, left_out[models[key]]) for key, car in cars.items()]
-    yield from _judge("population of the other models", told)
-    alone = [(car, Population(p.mean, np.diag(np.diag(p.covariance)))) for car, p in told]
+    priors = [(car, left_out[models[key]]) for key, car in cars.items()]
+    yield from _judge("population of the other models", priors)
+    alone = [(car, Population(p.mean, np.diag(np.diag(p.covariance)))) for car, p in priors]
     yield from _judge("likewise, without correlations", alone)
     for name, vehicle in others.items():
         yield from _judge(name, [(car, of_vehicle(vehicle)) for car in cars.values()])
@@ -95,24 +95,24 @@ def _model(key: str) -> str:
 
 
 def of_vehicle(vehicle: Vehicle) -> Population:
-    """A vehicle file's belief of mass, c_rr and drag area."""
+    """A vehicle file's prior of mass, c_rr and drag area."""
     covariance = prior_of(vehicle).covariance[np.ix_(LEARNED, LEARNED)]
     start = vehicle.initial
     mean = np.log([start.mass, start.c_rr, start.c_d * vehicle.frontal_area])
     return Population(mean, covariance)
 
 
-def _judge(name: str, told: Sequence[tuple[CertifiedCar, Population]]) -> Iterator[Belief]:
+def _judge(name: str, priors: Sequence[tuple[CertifiedCar, Population]]) -> Iterator[PriorError]:
     for speed in SPEEDS:
         rows = []
-        for car, belief in told:
+        for car, prior in priors:
             mass, c_rr, area = np.exp([np.log(load.physics) for load in car.loads]).mean(axis=0)
             truth = np.log([mass, c_rr, area])
             certain = float(RoadLoad(*np.mean(car.loads, axis=0)).force(np.array(speed)))
-            learned = _learn(belief, truth)
-            rows.append([*_off(belief, speed, certain), *_off(learned, speed, certain)])
+            learned = _learn(prior, truth)
+            rows.append([*_off(prior, speed, certain), *_off(learned, speed, certain)])
         off, inside, after, after_inside = np.array(rows).T
-        yield Belief(
+        yield PriorError(
             name,
             speed,
             float(np.median(off)),
@@ -131,30 +131,30 @@ def _force(logs: np.ndarray, speed: float) -> tuple[float, np.ndarray]:
     return math.log(force), np.array([rolling, rolling, drag]) / force
 
 
-def _off(belief: Population, speed: float, certain: float) -> tuple[float, bool]:
+def _off(prior: Population, speed: float, certain: float) -> tuple[float, bool]:
     """Error of the force over the certified one, and whether the interval holds it."""
-    force, gradient = _force(belief.mean, speed)
+    force, gradient = _force(prior.mean, speed)
     away = force - math.log(certain)
-    sigma = math.sqrt(gradient @ belief.covariance @ gradient)
+    sigma = math.sqrt(gradient @ prior.covariance @ gradient)
     return math.expm1(away), abs(away) < NINETY * sigma
 
 
-def _learn(belief: Population, truth: np.ndarray) -> Population:
-    """The belief once mass and the force at `TOWN_SPEED` are known: Gauss-Newton to the mode."""
+def _learn(prior: Population, truth: np.ndarray) -> Population:
+    """Posterior once mass and the force at `TOWN_SPEED` are known: Gauss-Newton to the mode."""
     measured = np.array([truth[0], _force(truth, TOWN_SPEED)[0]])
-    mean = belief.mean
+    mean = prior.mean
     for _ in range(5):
         force, gradient = _force(mean, TOWN_SPEED)
         rows = np.array([PLAIN, gradient])
-        left = measured - np.array([mean[0], force]) - rows @ (belief.mean - mean)
-        seen = rows @ belief.covariance @ rows.T + TOWN_ERROR**2 * np.eye(2)
-        gain = belief.covariance @ rows.T @ np.linalg.inv(seen)
-        mean = belief.mean + gain @ left
-    return Population(mean, belief.covariance - gain @ rows @ belief.covariance)
+        left = measured - np.array([mean[0], force]) - rows @ (prior.mean - mean)
+        seen = rows @ prior.covariance @ rows.T + TOWN_ERROR**2 * np.eye(2)
+        gain = prior.covariance @ rows.T @ np.linalg.inv(seen)
+        mean = prior.mean + gain @ left
+    return Population(mean, prior.covariance - gain @ rows @ prior.covariance)
 
 
 def cycle_energies(folder: Path, car: CertifiedCar, vehicle: Vehicle) -> Iterator[CycleEnergy]:
-    """Certified cycles of a car, forecast by what is believed of a vehicle.
+    """Certified cycles of a car, forecast by the priors of a vehicle.
 
     Raises:
         InputError: a cycle is missing.

@@ -40,7 +40,7 @@ class AnswerDecoder:
         self._charge_stamp_ns = 0
         self._charge = math.nan
 
-    def push(self, answer: Answer) -> tuple[Reading, ...]:
+    def decode(self, answer: Answer) -> tuple[Reading, ...]:
         """The readings that this answer makes or completes."""
         readings: list[Reading] = []
         values = self._values(answer)
@@ -52,8 +52,8 @@ class AnswerDecoder:
             # A rounded number is off by a uniform error of one step: variance step^2 / 12.
             speed, step = values["speed"]
             readings.append(SpeedReading(stamp_ns, speed, step**2 / 12))
-        told = {field.signal.name for field in self._fields[answer.request.name]}
-        if told.issuperset(PARTS) and not values.keys() >= {*PARTS}:
+        asked = {field.signal.name for field in self._fields[answer.request.name]}
+        if asked.issuperset(PARTS) and not values.keys() >= {*PARTS}:
             self.dropped["not_together"] += any(part in values for part in PARTS)
             return tuple(readings)
         for part in PARTS:
@@ -76,7 +76,7 @@ class AnswerDecoder:
         return values
 
     def _late(self, stamp_ns: int, part: str) -> list[BatteryReading]:
-        """What waited for its other half in vain, as a reading of its own."""
+        """Reading of a value that waited for its other half in vain."""
         late = {
             name: at
             for name, at in self._waiting.items()

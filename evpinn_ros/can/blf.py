@@ -1,4 +1,4 @@
-"""Vector .blf logs of anywhere: python-can believes every length that a damaged one claims."""
+"""Vector .blf logs of anywhere: python-can trusts every length that a damaged one claims."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class _Bounded:
 
 
 def _sound_until(data: bytes) -> int:
-    """Where the first object begins that is shorter than its own header; else the end."""
+    """Position of the first object that is shorter than its own header; else the end."""
     position = 0
     while True:
         position = data.find(_MARK, position, position + 2 * _PADDING)

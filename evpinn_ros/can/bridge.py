@@ -30,7 +30,7 @@ _KINDS: Mapping[str, type[Reading]] = {"speed": SpeedReading, "battery": Battery
 
 @dataclass(frozen=True, slots=True)
 class SignalStatus:
-    """How one quantity arrives.
+    """Arrival of one quantity: count, rate, age.
 
     Attributes:
         count: readings so far.
@@ -58,7 +58,7 @@ class BridgeStatus:
         dropped: values not used, by reason (see `Decoder`).
         signals: `speed` and `battery`, as far as the profile has them.
         refusal: why nothing is let out, None while the traffic does not contradict the profile.
-        suspicion: what the signals say of the sign of the current, None while all is well.
+        fault: wrong sign of the current by the other signals, None while all is well.
     """
 
     ok: bool
@@ -69,13 +69,13 @@ class BridgeStatus:
     dropped: Mapping[str, int]
     signals: Mapping[str, SignalStatus]
     refusal: str | None = None
-    suspicion: str | None = None
+    fault: str | None = None
 
 
 class CanBridge:
     """Decodes the frames of one bus and watches over them; for one thread at a time.
 
-    A reading is made of one frame and told once: when a signal falls silent, nothing follows.
+    A reading is made of one frame and given once: when a signal drops out, nothing follows.
 
     Attributes:
         poller: asks for what the profile says is not broadcast, or None when all of it is.
@@ -99,20 +99,20 @@ class CanBridge:
         """
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.evidence if guard is not None else None)
-        told = {*profile.messages, *profile.asked}
-        self._arrivals = {name: _Arrivals() for name in _KINDS if name in told}
+        known = {*profile.messages, *profile.asked}
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in known}
         self.poller = Poller(profile, send) if profile.requests else None
         self._answers = 0
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings a frame makes known, its own and those held back so far; never raises."""
-        if self.poller is not None and self.poller.hears(frame):
+        if self.poller is not None and self.poller.is_answer(frame):
             self._answers += 1
-            readings = self.poller.push(frame)
+            readings = self.poller.decode(frame)
             if self._guard is not None:
                 readings = self._guard.pass_answer(readings)
         else:
-            readings = self._decoder.push(frame)
+            readings = self._decoder.decode(frame)
             if self.poller is not None:
                 self.poller.note(frame, readings)
             if self._guard is not None:
@@ -127,7 +127,7 @@ class CanBridge:
 
     @property
     def refusal(self) -> str | None:
-        """Why nothing is let out, and what would fit; None while the profile is not refused."""
+        """Reason why nothing is let out, and what would fit; None while nothing is refused."""
         found = self._guard.contradiction if self._guard is not None else None
         if found is None:
             return None
@@ -137,18 +137,18 @@ class CanBridge:
     def _watched(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
         for reading in readings:
             if self._sign is not None:
-                self._sign.push(reading)
+                self._sign.add_reading(reading)
             for name, arrivals in self._arrivals.items():
                 if isinstance(reading, _KINDS[name]):
-                    arrivals.push(reading.stamp_ns)
+                    arrivals.record(reading.stamp_ns)
         return readings
 
     def status(self, now_ns: int) -> BridgeStatus:
         """The state at `now_ns`, a time of the clock that stamped the frames."""
         signals = {name: arrivals.status(now_ns) for name, arrivals in self._arrivals.items()}
         stale = [name for name, signal in signals.items() if signal.stale]
-        suspicion = self._sign.suspicion if self._sign is not None else None
-        text = self.refusal or self._fault(signals) or suspicion
+        fault = self._sign.fault if self._sign is not None else None
+        text = self.refusal or self._fault(signals) or fault
         return BridgeStatus(
             ok=not text and not stale,
             text=text or (f"no {' and no '.join(stale)}" if stale else "receiving"),
@@ -158,11 +158,11 @@ class CanBridge:
             dropped=dict(self._dropped),
             signals=signals,
             refusal=self.refusal,
-            suspicion=suspicion,
+            fault=fault,
         )
 
     def _fault(self, signals: Mapping[str, SignalStatus]) -> str | None:
-        """What is wrong with the whole bus, most telling first."""
+        """Fault of the whole bus, the most informative first."""
         decoder, guard = self._decoder, self._guard
         if not decoder.known and not self._answers:
             if not decoder.unknown:
@@ -185,14 +185,14 @@ class CanBridge:
 
 
 class _Arrivals:
-    """When the readings of one quantity came, and how often they usually do."""
+    """Arrival times of the readings of one quantity, and their usual interval."""
 
     def __init__(self) -> None:
         self._count = 0
         self._last_ns: int | None = None
         self._period_ns = math.nan
 
-    def push(self, stamp_ns: int) -> None:
+    def record(self, stamp_ns: int) -> None:
         self._count += 1
         if self._last_ns is not None:
             self._learn(stamp_ns - self._last_ns)
@@ -214,7 +214,7 @@ class _Arrivals:
         return STALE_PERIODS * max(period_ns, SHORTEST_PERIOD_NS)
 
     def _learn(self, interval_ns: int) -> None:
-        """Average the intervals, plainly at first; a silence counts as one long period at most."""
+        """Average the intervals, plainly at first; a pause counts as one long period at most."""
         clipped = min(max(interval_ns, 0), LONGEST_PERIOD_NS)
         intervals = self._count - 1
         if intervals == 1:

@@ -1,11 +1,11 @@
-"""A CAN adapter, read in one thread, that survives silence, unplugging and a broken driver.
+"""A CAN adapter, read in one thread, that survives a quiet bus, unplugging and a broken driver.
 
 Nothing is sent unless `send` is called, which the poller does through its gate, and only when
 polling is allowed. Otherwise an adapter that takes `listen_only` (slcan does) should be given it,
 so that it does not even acknowledge the car's frames.
 
 Stamps follow one rule, chosen at the first frame after every opening: the epoch (more than 1e9 s)
-of a driver that reads this computer's clock is believed. Every other one counts by a quartz of its
+of a driver that reads this computer's clock is used. Every other one counts by a quartz of its
 adapter, and a `ClockMap` lays it on the node's clock. A frame without a stamp has its arrival's.
 """
 
@@ -49,7 +49,7 @@ DRIVERS: Mapping[str, str] = {
     "udp_multicast": "the Python package msgpack",
     "vector": "Vector's XL Driver Library",
 }
-"""What python-can needs beside itself for the adapters people have most."""
+"""Packages that python-can needs beside itself for the adapters people have most."""
 
 INTERFACES = can.VALID_INTERFACES | {elm327.NAME}
 """Drivers of python-can, and our own."""
@@ -71,7 +71,7 @@ epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counte
 
 
 class BusState(Enum):
-    """What the adapter is doing."""
+    """State of the adapter."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -161,7 +161,7 @@ class BusReader:
 
     def _begin(self) -> None:
         """Forget what was known of the bus that was open before."""
-        self._believed: bool | None = None
+        self._stamps_are_ours: bool | None = None
         self._clock = ClockMap()
         self._silent_s = 0.0
         self._errors = self._garbled = 0
@@ -222,12 +222,12 @@ class BusReader:
                 self._was_off = True
                 self._lose(_explain_bus_off(self._interface, self._channel), BusState.OFF)
             elif message is None:
-                self._silence()
+                self._note_quiet()
             else:
                 self._take(message)
 
     def _is_off(self, message: Any) -> bool:
-        """Whether the controller took itself off the bus. Few drivers tell their state."""
+        """True if the controller took itself off the bus. Few drivers report their state."""
         if message is not None and self._interface == "socketcan":
             return bool(message.arbitration_id & SOCKETCAN_BUS_OFF)
         return self._bus.state is can.BusState.ERROR
@@ -251,7 +251,7 @@ class BusReader:
         else:
             self._stop.wait(GARBLED_PAUSE_S)
 
-    def _silence(self) -> None:
+    def _note_quiet(self) -> None:
         self._silent_s += RECEIVE_TIMEOUT_S
         if self._silent_s >= SILENT_AFTER_S:
             self._state = BusState.OFF if self._was_off else BusState.SILENT
@@ -291,11 +291,11 @@ class BusReader:
     def _stamp_ns(self, seconds: float) -> int:
         if seconds == 0.0:  # python-can's default: a gs_usb without clock gives no other
             return self._now_ns()
-        if self._believed is None:
-            self._believed = self._interface in OUR_CLOCK and seconds > EPOCH_S
-        if self._believed:
+        if self._stamps_are_ours is None:
+            self._stamps_are_ours = self._interface in OUR_CLOCK and seconds > EPOCH_S
+        if self._stamps_are_ours:
             return nanoseconds(seconds)
-        return self._clock.push(nanoseconds(seconds), self._now_ns())
+        return self._clock.convert(nanoseconds(seconds), self._now_ns())
 
     def _close(self, state: BusState) -> None:
         bus, self._bus = self._bus, None
@@ -305,7 +305,7 @@ class BusReader:
         try:
             bus.shutdown()
         except Exception as error:
-            # An unplugged adapter cannot be told to stop; it is gone already.
+            # An unplugged adapter cannot be stopped; it is gone already.
             self._counters["close_errors"] += 1
             self._problem = self._problem or f"{self._name}: closing failed: {_one_line(error)}"
 
@@ -329,7 +329,7 @@ def _deepen_queue(bus: Any) -> None:
 
 
 def _explain(error: BaseException, interface: str, channel: str | int) -> str:
-    """The fault in one line: which bus, what the driver said, what a person can do."""
+    """The fault in one line: which bus, the driver's message, what a person can do."""
     what = f"CAN bus {interface} {channel}: {_one_line(error)}"
     remedy = _remedy(error, interface, channel)
     return f"{what}; {remedy}" if remedy else what

@@ -1,4 +1,4 @@
-"""How much of a bus the frames on it take."""
+"""Share of a bus that the frames on it take."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ INFOCOM 1999, fit one line below them; ours may bend, as temperature bends the c
 from __future__ import annotations
 
 LARGEST_DRIFT_PPM = 500
-"""How fast the clocks may part: quartz 100 ppm each; NTP slews a computer's clock by 500 ppm."""
+"""Largest drift of the clocks: quartz 100 ppm each; NTP slews a computer's clock by 500 ppm."""
 SET_ANEW_NS = 1_000_000_000
 """A delay of more is no delay: the node's clock was set forward, as NTP does after booting."""
 
@@ -34,7 +34,7 @@ class ClockMap:
         self._offset_ns = self._device_ns = self._now_ns = self._stamp_ns = 0
         self._started = False
 
-    def push(self, device_ns: int, now_ns: int) -> int:
+    def convert(self, device_ns: int, now_ns: int) -> int:
         """The moment of a frame on the node's clock, ns.
 
         Args:

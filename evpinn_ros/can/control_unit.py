@@ -20,16 +20,16 @@ from evpinn_ros.can.request import Address, RequestRule
 
 ANSWER_TIMEOUT_S = 1.0
 PENDING_TIMEOUT_S = 5.0
-"""How long to wait for an answer, and for one that the control unit asked to be waited for."""
+"""Time to wait for an answer, and for one that the control unit asked to be waited for."""
 
 LONGEST_WAIT_S = 10.0
-"""How long a control unit may go on asking to be waited for."""
+"""Longest time that a control unit may go on asking to be waited for."""
 
 REFUSALS = 3
 """Refusals in a row after which a request is not made again."""
 
 ANSWERS = ("answered", "short_answer", "pending", "busy", "refused")
-"""What a control unit counts when it spoke, and not noise on its id."""
+"""Counters of a control unit's answers, not of noise on its id."""
 
 LOGGER = "evpinn_ros.isotp"
 LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
@@ -56,7 +56,7 @@ SERVICES = {
     service.request_id(): service
     for service in (CurrentData, ReadDataByLocalIdentifier, ReadDataByIdentifier)
 }
-"""How udsoncan writes each of `evpinn_ros.can.request.READ_SERVICES`."""
+"""Name that udsoncan gives each of `evpinn_ros.can.request.READ_SERVICES`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class ControlUnit:
             params=LINK_OPTIONS,
         )
 
-    def push(self, frame: CanFrame, now_s: float) -> Answer | None:
+    def receive(self, frame: CanFrame, now_s: float) -> Answer | None:
         """The answer that this frame completes; never raises.
 
         Args:
@@ -133,14 +133,14 @@ class ControlUnit:
 
     @property
     def answers(self) -> int:
-        """Times that the control unit said something a control unit says, be it a refusal."""
+        """Count of all replies of the control unit, refusals too."""
         return sum(self.counters[kind] for kind in ANSWERS)
 
     def step(self, now_s: float, may_ask: Collection[str]) -> float:
         """Give up waiting, ask what is due; gives the time of the next step.
 
         Args:
-            now_s: of a clock that never goes back.
+            now_s: of the monotonic clock.
             may_ask: names of the requests that may be made now.
         """
         if self._asked is not None and now_s >= self._deadline_s:

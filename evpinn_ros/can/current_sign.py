@@ -1,4 +1,4 @@
-"""Whether the current of a bus has the sign that its profile says."""
+"""Check of a bus's current against the sign that its profile declares."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class CurrentSign:
         self._speed, self._speed_ns = math.nan, 0
 
     @property
-    def told(self) -> bool:
-        """Whether there was enough pulling away, braking or charging to judge by."""
+    def decided(self) -> bool:
+        """True if there was enough pulling away, braking or charging to judge by."""
         return self._driving.judged or self._charging.judged
 
     @property
-    def suspicion(self) -> str | None:
-        """What is wrong and what to do about it, in one line; None while all is well."""
+    def fault(self) -> str | None:
+        """Detected fault and its remedy, in one line; None while all is well."""
         if self._driving.suspected:
             why = "to accelerate charges the battery"
         elif self._charging.suspected:
@@ -45,16 +45,16 @@ class CurrentSign:
             return None
         return f"{CURRENT_SIGN}: {why}; flip positive_means in the profile"
 
-    def push(self, reading: Reading) -> None:
+    def add_reading(self, reading: Reading) -> None:
         """Learn from a reading; where time jumps nothing is joined."""
         for item in self._time.follow(reading):
             if isinstance(item, Jump):
                 self._stream.reset()
                 self._newest.clear()
             else:
-                self._push(item)
+                self._add_reading(item)
 
-    def _push(self, reading: Reading) -> None:
+    def _add_reading(self, reading: Reading) -> None:
         newest = self._newest.get(type(reading))
         if newest is not None and 0 <= reading.stamp_ns - newest < PERIOD_NS:
             return
@@ -62,7 +62,7 @@ class CurrentSign:
         if isinstance(reading, SpeedReading):
             self._speed, self._speed_ns = reading.speed, reading.stamp_ns
         elif isinstance(reading, BatteryReading):
-            self._push_battery(reading, newest)
+            self._add_battery(reading, newest)
         for event in self._stream.push(reading):
             if isinstance(event, MeasuredSample):
                 sample = event.sample
@@ -70,7 +70,7 @@ class CurrentSign:
                 self._sampled_ns = sample.stamp_ns
                 self._driving.push(sample, event.power, step)
 
-    def _push_battery(self, reading: BatteryReading, before_ns: int | None) -> None:
+    def _add_battery(self, reading: BatteryReading, before_ns: int | None) -> None:
         if before_ns is None or math.isnan(reading.power):
             return
         age_ns = abs(reading.stamp_ns - self._speed_ns)

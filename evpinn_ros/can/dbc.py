@@ -54,7 +54,7 @@ class DbcFile:
         """The `cantools.database.Message` that a section names.
 
         Raises:
-            InputError: there is none, or its pages cannot be told apart.
+            InputError: there is none, or its pages cannot be distinguished.
         """
         name = section.text("message")
         if name not in self._messages:
@@ -70,7 +70,7 @@ class DbcFile:
         return message
 
     def _has_pages(self, name: str) -> bool:
-        """Whether a signal of a message is marked as one of a page: `SG_ Name m3 :`."""
+        """True if a signal of a message is marked as one of a page: `SG_ Name m3 :`."""
         block = re.search(
             rf"^\s*BO_\s+\d+\s+{re.escape(name)}\s*:.*\n((?:\s*SG_ .*\n?)*)", self._text, re.M
         )
@@ -97,7 +97,7 @@ def find_signal(section: Section, key: str, message: Any) -> Any:
 
 
 def _fault_of_pages(message: Any) -> str | None:
-    """Why cantools, which reads a page as a whole, would misread a multiplexed message."""
+    """Reason why cantools, which reads a page as a whole, would misread a multiplexed message."""
     for signal in message.signals:
         if _hangs_over(signal, message):
             return _overhang(signal, message)
@@ -108,7 +108,7 @@ def _fault_of_pages(message: Any) -> str | None:
 
 
 def _share_page(one: Any, other: Any) -> bool:
-    """Whether one frame can hold both of two signals of a message."""
+    """True if one frame can hold both of two signals of a message."""
     pages, others = one.multiplexer_ids, other.multiplexer_ids
     return not pages or not others or bool(set(pages) & set(others))
 
@@ -123,8 +123,8 @@ def _overhang(signal: Any, message: Any) -> str:
 
 def refuse_other_unit(section: Section, signal: Any) -> None:
     """Raise when profile and DBC file name different units of speed, and no scale says why."""
-    said = _SPEED_UNITS.get(str(signal.unit or "").strip().lower())
-    if said and said != section.text("unit") and not section.has("scale"):
+    stated = _SPEED_UNITS.get(str(signal.unit or "").strip().lower())
+    if stated and stated != section.text("unit") and not section.has("scale"):
         reason = (
             f"the DBC file gives '{signal.name}' in {signal.unit}; if it is wrong, say scale: 1"
         )
@@ -141,7 +141,7 @@ def bits(signal: Any) -> frozenset[int]:
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """What a person may have meant, to append to an error; empty when nothing is near."""
+    """Nearest name, to append to an error; empty when nothing is near."""
     by_lower = {each.lower(): each for each in names}
     found = [by_lower[each] for each in get_close_matches(name.lower(), by_lower, cutoff=0.5)]
     return f"; nearest are {', '.join(found)}" if found else ""

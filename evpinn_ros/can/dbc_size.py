@@ -1,4 +1,4 @@
-"""How much a DBC file would make of little: cantools lays out every bit and page it claims."""
+"""Limit on what a DBC file expands to: cantools lays out every bit and page it claims."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NUMBER = re.compile(r"\b\d+")
 
 
 def excess(text: str) -> str | None:
-    """What is too large in the text of a DBC file, None when nothing is."""
+    """Name the too large part in the text of a DBC file; None when nothing is."""
     # What looks like a comment may be the inside of a string, and the other way round.
     return next(_excesses(text), None) or next(_excesses(_COMMENT.sub(" ", text)), None)
 

@@ -24,19 +24,19 @@ STUCK_AFTER = 5
 frames repeat a value now and then, so one repetition proves nothing."""
 
 CHARGE_HOLD_NS = 10 * NANOSECONDS
-"""How long a state of charge is told along with later battery readings. Cars send it about once
+"""Time for which a state of charge goes with later battery readings. Cars send it about once
 a second, in another message; at 100 kW it moves less than 0.5 % in this time."""
 
 TORQUE_HOLD_NS = NANOSECONDS // 5
-"""How long the torque of a second motor is added to that of the first. Cars send both 100 times a
+"""Time for which a second motor's torque is added to that of the first. Cars send both 100 times a
 second; logs of slow adapters hold one of each about every 0.1 s."""
 
 ALONE_AFTER_NS = 2 * NANOSECONDS
-"""A car whose second motor was not heard for so long since the first has none."""
+"""A car whose second motor sent nothing for so long since the first has none."""
 
 
 class Witness(Protocol):
-    """Hears what became of every frame of the profile's ids."""
+    """Witness of the result of every frame of the profile's ids."""
 
     def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
         """The frame gave values, SI, in the order of the quantity's signals."""
@@ -50,7 +50,7 @@ class _DroppedError(Exception):
 
 
 class Decoder:
-    """Decodes the frames of one bus. `push` never raises: what cannot be used is counted.
+    """Decodes the frames of one bus. `decode` never raises: what cannot be used is counted.
 
     Attributes:
         known: frames with an id of the profile.
@@ -84,7 +84,7 @@ class Decoder:
                 reader = _Reader(quantity, rule, maker)
                 self._readers.setdefault(rule.key, []).append(reader)
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings in a frame, none when it is of another id or may not be used."""
         readers = self._readers.get((frame.can_id, frame.extended))
         if readers is None:
@@ -138,7 +138,7 @@ class Decoder:
         self, frame: CanFrame, _rule: MessageRule, values: list[float]
     ) -> None:
         assert self._second_motor is not None
-        self._second_motor.hear(frame.stamp_ns, values[0] if values else math.nan)
+        self._second_motor.update(frame.stamp_ns, values[0] if values else math.nan)
 
 
 class _SecondMotor:
@@ -146,17 +146,17 @@ class _SecondMotor:
 
     def __init__(self) -> None:
         self._asked_ns: int | None = None
-        self._heard_ns: int | None = None
+        self._updated_ns: int | None = None
         self._torque = math.nan
 
-    def hear(self, stamp_ns: int, torque: float) -> None:
+    def update(self, stamp_ns: int, torque: float) -> None:
         """Its torque, N m; NaN where the profile knows the message alone."""
-        self._heard_ns, self._torque = stamp_ns, torque
+        self._updated_ns, self._torque = stamp_ns, torque
 
     def torque(self, stamp_ns: int) -> float:
         """Torque at a moment, N m: 0 in a car without it, NaN while that or it is unknown."""
-        if self._heard_ns is not None:
-            fresh = abs(stamp_ns - self._heard_ns) <= TORQUE_HOLD_NS
+        if self._updated_ns is not None:
+            fresh = abs(stamp_ns - self._updated_ns) <= TORQUE_HOLD_NS
             return self._torque if fresh else math.nan
         if self._asked_ns is None or stamp_ns < self._asked_ns:
             self._asked_ns = stamp_ns

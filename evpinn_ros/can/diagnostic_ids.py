@@ -14,7 +14,7 @@ TESTER = 0xF1
 """Address of a tester on the plug, in ISO 15765-4 and at BMW."""
 
 FUNCTIONAL = frozenset({0x7DF, 0x18DB33F1})
-"""Ids that every control unit hears; flow control must not go there (ISO 15765-4)."""
+"""Ids that every control unit receives; flow control must not go there (ISO 15765-4)."""
 
 BMW_GATEWAY = 0x6F1
 """The one id whose first byte names the control unit (extended addressing)."""
@@ -57,12 +57,12 @@ _ANSWERS = {tx: rx for pairs in REQUEST_IDS.values() for tx, rx in pairs.items()
 
 
 def is_request_id(can_id: int, extended: bool) -> bool:
-    """Whether testers send on this id, and no control unit of a car does."""
+    """True if testers send on this id, and no control unit of a car does."""
     return can_id in _ANSWERS and extended == (can_id > LAST_11_BIT_ID)
 
 
 def refusal(tx_id: int, rx_id: int, target: int | None, source: int | None) -> str | None:
-    """Why no request may go to a control unit, None where one may.
+    """Reason why no request may go to a control unit, None where one may.
 
     Args:
         tx_id: id of the requests.

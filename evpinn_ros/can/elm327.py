@@ -33,9 +33,9 @@ MOST_BYTES = 4096  # without an end of line; 8 bytes of data make 40
 BANNER = re.compile(rb"ELM327|OBDLink|STN\d", re.IGNORECASE)
 FRAME = re.compile(r"(?:[0-9A-F]{3}|[0-9A-F]{8})(?:[0-9A-F]{2}){0,8}")
 SILENT = {"", "OK", "?", "NO DATA", "STOPPED", "BUFFER FULL", "SEARCHING..."}
-"""What the adapter says of itself and no frame: "?" to a command that it does not know."""
+"""Replies of the adapter that are no frame: "?" to a command that it does not know."""
 FAULTS = ("ERROR", "UNABLE TO CONNECT", "BUS BUSY", "FB ", "<")
-"""What it says of a bus that it cannot read; the end of a line that is damaged, after "<"."""
+"""Replies about a bus that it cannot read; the end of a line that is damaged, after "<"."""
 
 START = ("ATE0", "ATL0", "ATS0", "ATH1", "ATCAF1", "ATCFC1", "ATAT1", "ATCSM1")
 NEEDED = frozenset(("ATE0", "ATH1", "ATCAF1"))
@@ -78,7 +78,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         self._commands: deque[str] = deque()
         self._lines: deque[tuple[float, str]] = deque()
         self._rest, self._last = b"", ""
-        self._settings = {"ATCEA": "", "ATFCSM": "0"}  # what the adapter has been told
+        self._settings = {"ATCEA": "", "ATFCSM": "0"}  # commands that the adapter has
         self._monitoring = self._extended = False
         self._deadline_s: float | None = None  # while the adapter's prompt is awaited
         self._port = self._find(channel, tty_baudrate)
@@ -154,7 +154,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             return can.Message(timestamp=now_s, is_error_frame=True)
         digits = 8 if self._extended else 3
         if FRAME.fullmatch(word) is None or len(word) < digits or (len(word) - digits) % 2:
-            raise ValueError(f"the adapter said {text[:40]!r}")
+            raise ValueError(f"the adapter replied {text[:40]!r}")
         return can.Message(
             timestamp=now_s,
             arbitration_id=int(word[:digits], 16),
@@ -162,7 +162,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             data=bytes.fromhex(word[digits:]),
         )
 
-    # What is said to it --------------------------------------------------------------------------
+    # Commands to it ----------------------------------------------------------------------------
 
     def _go_on(self) -> None:
         """Say the next thing, if it is the adapter's turn to listen."""
@@ -196,7 +196,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             self._commands.append("ATMA")
 
     def _turn_to(self, address: Address) -> Iterator[tuple[str, str]]:
-        """How to ask one control unit, and to hear it alone."""
+        """Commands to ask one control unit, and to receive it alone."""
         yield "ATSP", self._long if address.extended else self._short
         width = 8 if address.extended else 3
         request = f"{address.tx_id:0{width}X}"
@@ -214,7 +214,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             yield "ATFCSM", "1"
 
     def _to_monitor(self) -> Iterator[tuple[str, str]]:
-        """What to monitor: the bits that all ids have in common."""
+        """Filter to monitor by: the bits that all ids have in common."""
         ids = [each for each in self._broadcast or () if each <= LAST_11_BIT_ID]
         yield "ATSP", self._short
         yield "ATCRA", ""
@@ -249,32 +249,32 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
 
         network = channel.startswith("tcp:")
         url = f"socket://{channel.removeprefix('tcp:')}" if network else channel
-        said = b""
+        reply = b""
         for rate in (baud_rate,) if baud_rate else BAUD_RATES[: 1 if network else None]:
             port = serial.serial_for_url(url, baudrate=rate, timeout=PAUSE_S, write_timeout=1.0)
             port.write(b"\r")  # ends whatever it was doing
             self._until_prompt(port, WAKE_S)
             port.write(b"ATZ\r")
-            said = self._until_prompt(port, RESET_S)
-            if BANNER.search(said):
+            reply = self._until_prompt(port, RESET_S)
+            if BANNER.search(reply):
                 return port
             port.close()
-        word = f"it said {said[:40]!r}" if said else "it said nothing"
+        word = f"it replied {reply[:40]!r}" if reply else "it replied nothing"
         raise can.CanInitializationError(f"no ELM327 or OBDLink is there: {word}")
 
     def _prepare(self) -> None:
         for command in START:
             self._port.write(command.encode() + b"\r")
-            said = self._until_prompt(self._port, ANSWER_S)
-            if b"OK" not in said and command in NEEDED:
+            reply = self._until_prompt(self._port, ANSWER_S)
+            if b"OK" not in reply and command in NEEDED:
                 self._port.close()
                 raise can.CanInitializationError(f"the adapter does not know {command}: a clone?")
 
     @staticmethod
     def _until_prompt(port: Any, seconds: float) -> bytes:
-        """What the adapter says up to its prompt, or within a time."""
-        end, said = time.monotonic() + seconds, b""
+        """Reply of the adapter up to its prompt, or within a time."""
+        end, reply = time.monotonic() + seconds, b""
         port.timeout = PAUSE_S
-        while not said.rstrip().endswith(b">") and time.monotonic() < end:
-            said += port.read(max(1, getattr(port, "in_waiting", 0)))
-        return bytes(said)
+        while not reply.rstrip().endswith(b">") and time.monotonic() < end:
+            reply += port.read(max(1, getattr(port, "in_waiting", 0)))
+        return bytes(reply)

@@ -1,4 +1,4 @@
-"""How well a profile fits the traffic of a bus, and when the traffic contradicts it.
+"""Fit of a profile to the traffic of a bus, and contradictions between the two.
 
 For each message of the profile the frames that say something are counted. A frame that repeats
 the payload before it says nothing new, and neither does "not available". The rest is *good* when
@@ -7,7 +7,7 @@ length, checksum, counter and range hold and the value did not jump; otherwise *
     score = mean over the messages of good / (good + bad)
 
 Motors are left out: not every car of a profile sends the torque, and not every log holds it. A
-message that never came counts 0, one that came and said nothing 0.5. A profile is *proven* when
+message that never came counts 0, one that came without a value 0.5. A profile is *proven* when
 checksums of its own hold: by chance one in 256 does.
 """
 
@@ -24,21 +24,21 @@ from evpinn_ros.signals.readings import NANOSECONDS
 SILENT_ON_FIT = "not_available"
 JUMPED = "jumped"
 JUMPS: Mapping[str, tuple[float, float]] = {"speed": (1.0, 15.0), "battery": (40.0, 100.0)}
-"""What the first signal of a quantity cannot change by: at once, and in a second more. No tyre
+"""Largest plausible change of a quantity's first signal: at once, and in a second more. No tyre
 holds 15 m/s^2; 500 A through 0.1 ohm move 50 V."""
 SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are not to be trusted
 
-ENOUGH = 5  # frames before a message can be said to fail, or to have come right
-RIGHT = 0.9  # share of good frames that makes a message that failed believable again
+ENOUGH = 5  # frames before a message can count as failed, or to have come right
+RIGHT = 0.9  # share of good frames that makes a message that failed plausible again
 NEARLY_ALL = 0.99  # share that is called all
 ENOUGH_PROOF = 2  # checksums that hold
 MARGIN = 0.1  # of the score by which another profile is better
-HOLDS = 0.5  # mean share of the messages heard from which on a profile is worth naming
+HOLDS = 0.5  # mean share of the received messages from which on a profile is worth naming
 
 
 @dataclass(frozen=True, slots=True)
 class MessageFit:
-    """What the frames of one message say.
+    """Fit of the frames of one message.
 
     Attributes:
         quantity: of the profile: `speed`, `battery`, `state_of_charge`.
@@ -59,10 +59,10 @@ class MessageFit:
     @property
     def share(self) -> float:
         """Of good frames, 0..1."""
-        told = self.good + sum(self.bad.values())
-        if not told:
+        total = self.good + sum(self.bad.values())
+        if not total:
             return 0.5 if self.frames else 0.0
-        return self.good / told
+        return self.good / total
 
     @property
     def fails(self) -> bool:
@@ -86,13 +86,13 @@ class MessageFit:
         if self.share >= NEARLY_ALL:
             return f"{what} holds"
         reason, count = max(self.bad.items(), key=lambda item: item[1], default=("", 0))
-        told = self.good + sum(self.bad.values())
-        return f"{what}: {100 * count / told:.0f} % {reason}" if told else f"{what} says nothing"
+        total = self.good + sum(self.bad.values())
+        return f"{what}: {100 * count / total:.0f} % {reason}" if total else f"{what}: no values"
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """How well one profile fits.
+    """Fit of one profile.
 
     Attributes:
         profile: its key.
@@ -112,7 +112,7 @@ class ProfileFit:
 
     @property
     def holds(self) -> bool:
-        """What was heard of it fits: a log may hold few of its ids."""
+        """True if its received messages fit: a log may hold few of its ids."""
         shares = [message.share for message in self.messages if message.frames]
         return bool(shares) and sum(shares) / len(shares) > HOLDS
 
@@ -140,7 +140,7 @@ class ProfileFit:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Why a profile cannot be the right one.
+    """Reason why a profile cannot be the right one.
 
     Attributes:
         wrong: quantities of the messages that speak against it.
@@ -153,11 +153,11 @@ class Contradiction:
     better: str | None
 
 
-class Evidence:
+class ProfileEvidence:
     """Gathers what the frames say of one profile: the `Witness` of its decoder."""
 
     def __init__(self, profile: CanProfile) -> None:
-        """Begin with nothing said."""
+        """Begin without any frame."""
         self._profile = profile
         self._tallies = {
             quantity: _Tally(*JUMPS.get(quantity, ()))
@@ -187,7 +187,7 @@ class Evidence:
         return sum(tally.frames for tally in self._tallies.values())
 
     def fit(self) -> ProfileFit:
-        """What they say so far."""
+        """Fit by the frames so far."""
         messages = (
             MessageFit(
                 quantity,
@@ -245,7 +245,7 @@ def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
 
 
 def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradiction | None:
-    """Whether the traffic contradicts a profile.
+    """Contradiction between the traffic and a profile, None where there is none.
 
     A profile is contradicted when one of its messages fails, unless its checksums prove it and
     no other profile explains the traffic better (a battery that is switched off is no wrong

@@ -39,7 +39,7 @@ class FirstBus:
         self._buses: dict[tuple[int, bool], Any] = {}
 
     def takes(self, can_id: int, extended: bool, bus: Any) -> bool:
-        """Whether a frame of this bus, by whatever name the recording gives it, is to be read.
+        """True if a frame of this bus, by whatever name the recording gives it, is to be read.
 
         With more than `MOST_IDS` ids the log is garbage; what comes then is taken.
         """

@@ -16,7 +16,7 @@ from dataclasses import replace
 from enum import Enum
 
 from evpinn_ros.can.decoder import Decoder
-from evpinn_ros.can.fit import Contradiction, Evidence, ProfileFit, contradiction, ranked
+from evpinn_ros.can.fit import Contradiction, ProfileEvidence, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, MotorReading, Reading
@@ -31,8 +31,8 @@ LEADING = ("speed", "battery")  # without them a profile has nothing to let out
 MOST_HELD = 10_000  # readings, should all frames bear one stamp
 
 
-class Verdict(Enum):
-    """What is thought of the profile."""
+class ProfileVerdict(Enum):
+    """Verdict on the profile."""
 
     UNDECIDED = "weighing whether the profile fits"
     TRUSTED = "the profile fits"
@@ -57,10 +57,10 @@ class FitGuard:
         Args:
             profile: which decodes the bus.
             others: that may fit better.
-            patient: always weigh ten seconds first, where nobody waits for the readings.
+            patient: always weigh ten seconds first, where nothing waits for the readings.
         """
-        self.evidence = Evidence(profile)
-        self.verdict = Verdict.UNDECIDED
+        self.evidence = ProfileEvidence(profile)
+        self.verdict = ProfileVerdict.UNDECIDED
         self.contradiction: Contradiction | None = None
         self.dropped: Counter[str] = Counter()
         self._patient = patient
@@ -68,37 +68,37 @@ class FitGuard:
         self._begin_ns: int | None = None
         self._held: list[Reading] = []
         self._comparing = True
-        self._others: list[Evidence] = []
+        self._others: list[ProfileEvidence] = []
         self._decoders: dict[tuple[int, bool], list[Decoder]] = {}
         for other in others:
             if other.key != profile.key:
                 self._compare_with(other)
 
     def pass_on(self, frame: CanFrame, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """What may be published now that a frame, with these readings in it, was decoded."""
+        """Readings to publish now that a frame, with these readings in it, was decoded."""
         if self._comparing:
             for decoder in self._decoders.get((frame.can_id, frame.extended), ()):
-                decoder.push(frame)
+                decoder.decode(frame)
         if self._begin_ns is None and self.evidence.frames:
             self._begin_ns = frame.stamp_ns
         begin_ns = frame.stamp_ns if self._begin_ns is None else self._begin_ns
         due = not 0 <= frame.stamp_ns - begin_ns < self._period_ns
-        if self.verdict is Verdict.UNDECIDED:
+        if self.verdict is ProfileVerdict.UNDECIDED:
             return self._weigh(frame, readings, due)
         if due and self.evidence.frames >= REVIEW_FRAMES:
             self._review(frame)
         return self.pass_answer(readings)
 
     def pass_answer(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """What may be published of an answer: it echoes the question, so it is not weighed."""
-        if self.verdict is Verdict.REFUSED:
+        """Readings of an answer to publish: it echoes the question, so it is not weighed."""
+        if self.verdict is ProfileVerdict.REFUSED:
             self.dropped["contradicted"] += len(readings)
             return ()
         return readings
 
     def finish(self) -> tuple[Reading, ...]:
         """At the end of the frames: decide about what is still held."""
-        return self._decide() if self.verdict is Verdict.UNDECIDED else ()
+        return self._decide() if self.verdict is ProfileVerdict.UNDECIDED else ()
 
     def advice(self) -> str | None:
         """Key of the other profile that fits the traffic best, None when none does."""
@@ -111,7 +111,7 @@ class FitGuard:
         return len(self._held)
 
     def _compare_with(self, other: CanProfile) -> None:
-        evidence = Evidence(other)
+        evidence = ProfileEvidence(other)
         decoder = Decoder(other, evidence)
         self._others.append(evidence)
         for key in {rule.key for rule in other.messages.values()}:
@@ -128,14 +128,14 @@ class FitGuard:
             self._period_ns += DECIDE_NS
             return ()
         released = self._decide()
-        if self.verdict is Verdict.UNDECIDED:  # nothing to let out yet: go on gathering
+        if self.verdict is ProfileVerdict.UNDECIDED:  # nothing to let out yet: go on gathering
             self._begin_ns = frame.stamp_ns
         else:
             self._begin(frame)
         return released
 
     def _is_plain(self) -> bool:
-        """Whether all that can be asked of the first frames is there."""
+        """True if all that can be asked of the first frames is there."""
         if self._patient:
             return False
         messages = [each for each in self.evidence.fit().messages if each.quantity in LEADING]
@@ -143,7 +143,7 @@ class FitGuard:
         return plain and any(message.has_checksum for message in messages)
 
     def _is_torn(self) -> bool:
-        """Whether some message neither holds nor fails."""
+        """True if some message neither holds nor fails."""
         messages = self.evidence.fit().messages
         return any(each.bad and not (each.came_right or each.fails) for each in messages)
 
@@ -172,7 +172,7 @@ class FitGuard:
                 self._trust()
         # Others are decoded only where they could tell: that costs as much as our own profile.
         spotless = own.proven and not any(message.bad for message in own.messages)
-        self._comparing = self.verdict is Verdict.REFUSED or not spotless
+        self._comparing = self.verdict is ProfileVerdict.REFUSED or not spotless
         self._begin(frame)
 
     def _judge(self, own: ProfileFit) -> Contradiction | None:
@@ -181,14 +181,14 @@ class FitGuard:
 
     def _refuse(self, found: Contradiction) -> None:
         better = found.better or self.advice()
-        self.verdict = Verdict.REFUSED
+        self.verdict = ProfileVerdict.REFUSED
         self.contradiction = replace(found, better=better)
 
     def _trust(self) -> None:
-        self.verdict, self.contradiction = Verdict.TRUSTED, None
+        self.verdict, self.contradiction = ProfileVerdict.TRUSTED, None
 
     def _begin(self, frame: CanFrame) -> None:
-        refused = self.verdict is Verdict.REFUSED
+        refused = self.verdict is ProfileVerdict.REFUSED
         self._period_ns = RESUME_NS if refused else REVIEW_NS
         self._begin_ns = frame.stamp_ns
         for evidence in (self.evidence, *self._others):

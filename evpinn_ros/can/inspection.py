@@ -1,4 +1,4 @@
-"""What is on a bus: ids, rates, load, values, and which profile fits; one pass, bounded memory."""
+"""Contents of a bus: ids, rates, load, values, fitting profile; one pass, bounded memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import math
 from evpinn_ros.can.bus_load import frame_bits
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
-from evpinn_ros.can.fit import Evidence, MessageFit, ProfileFit, contradiction, ranked
+from evpinn_ros.can.fit import MessageFit, ProfileEvidence, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import QUANTITIES, CanProfile
@@ -65,17 +65,17 @@ class ValueStatus:
 
 @dataclass(frozen=True, slots=True)
 class ProfileReport:
-    """What one profile makes of the traffic.
+    """Report of one profile on the traffic.
 
     Attributes:
         fit: how well it fits.
         contradicted: why it cannot be the right one, None while nothing says so.
         values: `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came.
         dropped: values not used, by reason.
-        asks: some of its quantities must be asked for; only what others ask for is heard here.
+        asks: some of its quantities must be asked for; only answers to others are seen here.
         experimental: its sources disagree, so it is never the best.
         sign: what is wrong with the sign of the current, None while nothing is.
-        sign_told: whether the car pulled away, braked or charged enough to judge that.
+        sign_decided: whether the car pulled away, braked or charged enough to judge that.
     """
 
     fit: ProfileFit
@@ -85,12 +85,12 @@ class ProfileReport:
     asks: bool
     experimental: bool
     sign: str | None
-    sign_told: bool
+    sign_decided: bool
 
 
 @dataclass(frozen=True, slots=True)
 class BusReport:
-    """What is on a bus.
+    """Report of a bus's contents.
 
     Attributes:
         duration: from the first frame to the end, s.
@@ -130,7 +130,7 @@ class Inspection:
         self._last_ns = 0
         self._candidates = [_Candidate(profile) for profile in profiles]
 
-    def push(self, frame: CanFrame) -> None:
+    def add_frame(self, frame: CanFrame) -> None:
         """Take a frame; never raises."""
         self._frames += 1
         if self._first_ns is None:
@@ -140,14 +140,14 @@ class Inspection:
             self._bits[index] += bits
         key = (frame.can_id, frame.extended)
         if key in self._ids or len(self._ids) < MOST_IDS:
-            self._ids.setdefault(key, _Id()).push(frame)
+            self._ids.setdefault(key, _Id()).add_frame(frame)
         else:
             self._uncounted += 1
         for candidate in self._candidates:
-            candidate.push(frame)
+            candidate.add_frame(frame)
 
     def report(self, end_ns: int | None = None) -> BusReport:
-        """What was found; ages count to `end_ns`, or to the newest frame."""
+        """Findings so far; ages count to `end_ns`, or to the newest frame."""
         end_ns = self._last_ns if end_ns is None else end_ns
         first_ns = end_ns if self._first_ns is None else self._first_ns
         duration = (end_ns - first_ns) / NANOSECONDS
@@ -174,7 +174,7 @@ class _Id:
         self._last_ns = 0
         self._mean = self._squares = 0.0
 
-    def push(self, frame: CanFrame) -> None:
+    def add_frame(self, frame: CanFrame) -> None:
         self._lengths[len(frame.data)] += 1
         if self._count:
             interval = (frame.stamp_ns - self._last_ns) / NANOSECONDS
@@ -202,24 +202,24 @@ class _Candidate:
 
     def __init__(self, profile: CanProfile) -> None:
         self.key, self._experimental = profile.key, profile.experimental
-        self.evidence = Evidence(profile)
+        self.evidence = ProfileEvidence(profile)
         self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder = Decoder(profile, self.evidence)
         self._asks, self._asked = bool(profile.asked), _Asked(profile)
         self._values: dict[str, _Values] = {}
         self._sign = CurrentSign()
 
-    def push(self, frame: CanFrame) -> None:
+    def add_frame(self, frame: CanFrame) -> None:
         for reading in self._readings(frame):
-            self._sign.push(reading)
+            self._sign.add_reading(reading)
             for name, value in _named_values(reading):
-                self._values.setdefault(name, _Values()).push(value)
+                self._values.setdefault(name, _Values()).record(value)
 
     def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
-        if self._asked.hears(frame):
-            return self._asked.push(frame)
+        if self._asked.is_answer(frame):
+            return self._asked.decode(frame)
         if (frame.can_id, frame.extended) in self._keys:
-            return self._decoder.push(frame)
+            return self._decoder.decode(frame)
         return ()
 
     def fit(self) -> ProfileFit:
@@ -235,8 +235,8 @@ class _Candidate:
             dropped=dict(self._decoder.dropped + self._asked.dropped),
             asks=self._asks,
             experimental=self._experimental,
-            sign=self._sign.suspicion,
-            sign_told=self._sign.told,
+            sign=self._sign.fault,
+            sign_decided=self._sign.decided,
         )
 
 
@@ -257,12 +257,12 @@ class _Asked:
     def dropped(self) -> Counter[str]:
         return self._poller.dropped
 
-    def hears(self, frame: CanFrame) -> bool:
-        return self._poller.hears(frame)
+    def is_answer(self, frame: CanFrame) -> bool:
+        return self._poller.is_answer(frame)
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         self._frames[frame.can_id, frame.extended] += 1
-        readings = self._poller.push(frame)
+        readings = self._poller.decode(frame)
         for reading in readings:
             self._good.update(name for name, _ in _named_values(reading))
         return readings
@@ -288,7 +288,7 @@ class _Values:
         self._newest = math.nan
         self._lowest, self._highest = math.inf, -math.inf
 
-    def push(self, value: float) -> None:
+    def record(self, value: float) -> None:
         self._count += 1
         self._newest = value
         self._lowest, self._highest = min(self._lowest, value), max(self._highest, value)

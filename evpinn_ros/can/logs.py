@@ -86,7 +86,7 @@ class LogFile:
             raise InputError(f"{self.path}: the file is empty")
 
     def frames(self) -> Iterator[CanFrame]:
-        """Every data frame up to the end, or up to the first damage, told in `problem`.
+        """Every data frame up to the end, or up to the first damage, named in `problem`.
 
         Raises:
             InputError: the file cannot be opened, or there is no frame in it.
@@ -119,7 +119,7 @@ class LogFile:
             path = Path(folder) / "converted.log"
             command = [sys.executable, "-m", "can.logconvert", str(self.path), str(path)]
             failed = run_limited(command)
-            with suppress(InputError):  # no file, or no frame in it: told below
+            with suppress(InputError):  # no file, or no frame in it: refused below
                 log = LogFile(path)
                 self.skipped = log.skipped
                 for frame in log.frames():
@@ -169,7 +169,7 @@ class LogFile:
 
 
 def _is_possible(message: Any) -> bool:
-    """Whether id and data fit into a frame; the readers take any number that they find."""
+    """True if id and data fit into a frame; the readers take any number that they find."""
     last_id = LAST_EXTENDED_ID if message.is_extended_id else LAST_ID
     possible = 0 <= message.arbitration_id <= last_id and len(message.data) <= LONGEST_DATA
     return possible and abs(message.timestamp) < LAST_TIME
@@ -226,13 +226,13 @@ def run_limited(command: list[str]) -> str | None:
             with suppress(ProcessLookupError):  # it has ended already
                 resource.prlimit(process.pid, which, (limit, limit))
         try:
-            _, said = process.communicate(timeout=MF4_SECONDS)
+            _, errors = process.communicate(timeout=MF4_SECONDS)
         except subprocess.TimeoutExpired:
             process.kill()
             return f"not read within {MF4_SECONDS:g} s"
     if not process.returncode:
         return None
-    return said.splitlines()[-1] if said else "asammdf crashed"
+    return errors.splitlines()[-1] if errors else "asammdf crashed"
 
 
 def write_log(path: str | Path, frames: Iterable[CanFrame], channel: str = "can0") -> int:

@@ -23,13 +23,13 @@ from evpinn_ros.can.restraint import Leave, Restraint
 from evpinn_ros.signals.readings import Reading
 
 LISTEN_FIRST_S = 1.0
-"""How long the bus is heard before the first question: whoever else sends on its id is found."""
+"""Time to listen before the first question: whoever else sends on its id is found."""
 
 ECHO_S = 1.0
-"""How late an adapter may show us a frame of our own."""
+"""Longest delay after which an adapter may show us a frame of our own."""
 
 LONGEST_SLEEP_S = 0.2
-"""How long `run` may take to notice `stop`, and the end of a rest."""
+"""Longest time that `run` may take to see `stop`, and the end of a rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class PollStatus:
 class Poller:
     """One question at a time to each control unit of a profile.
 
-    `run` is for a thread of its own, `push` for the thread that reads the bus; `stop` and
+    `run` is for a thread of its own, `decode` for the thread that reads the bus; `stop` and
     `status` may be called from any other.
 
     Attributes:
@@ -93,21 +93,21 @@ class Poller:
         self._changed = threading.Condition()
         self._stopped = threading.Event()
 
-    def hears(self, frame: CanFrame) -> bool:
-        """Whether the frame is (part of) an answer that the profile knows."""
+    def is_answer(self, frame: CanFrame) -> bool:
+        """True if the frame is (part of) an answer that the profile knows."""
         return (frame.can_id, frame.extended) in self._units
 
-    def push(self, frame: CanFrame) -> tuple[Reading, ...]:
+    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings that this frame completes; never raises."""
         with self._changed:
             now_s = self._clock()
-            self._heard(frame, now_s)
+            self._record_traffic(frame, now_s)
             unit = self._units[frame.can_id, frame.extended]
             answers = unit.answers
-            answer = unit.push(frame, now_s)
+            answer = unit.receive(frame, now_s)
             if unit.answers > answers:
                 self._restraint.answered()
-            readings = () if answer is None else self._decoder.push(answer)
+            readings = () if answer is None else self._decoder.decode(answer)
             self._observe(readings, now_s)
             if answer is not None and not math.isnan(self._decoder.auxiliary_voltage):
                 self._restraint.auxiliary(self._decoder.auxiliary_voltage, now_s)
@@ -117,10 +117,10 @@ class Poller:
             return readings
 
     def note(self, frame: CanFrame, readings: Iterable[Reading]) -> None:
-        """Something else came over the bus, with what it said."""
+        """Note another frame of the bus, with its readings."""
         with self._changed:
             now_s = self._clock()
-            self._heard(frame, now_s)
+            self._record_traffic(frame, now_s)
             self._observe(readings, now_s)
 
     def run(self) -> None:
@@ -137,7 +137,7 @@ class Poller:
         self._stopped.set()
 
     def status(self) -> PollStatus:
-        """Whether it asks, why not, and the counters so far."""
+        """Status of polling, a reason when it rests, and the counters so far."""
         with self._changed:
             counters: Counter[str] = sum(
                 (unit.counters for unit in self._units.values()), Counter()
@@ -197,16 +197,16 @@ class Poller:
         self._restraint.asked(now_s, sent)
         return sent
 
-    def _heard(self, frame: CanFrame, now_s: float) -> None:
+    def _record_traffic(self, frame: CanFrame, now_s: float) -> None:
         if self._is_foreign(frame, now_s):
             self._shared_id = frame.can_id
-        if self._restraint.heard(frame.can_id, frame.extended, now_s):
+        if self._restraint.record_frame(frame.can_id, frame.extended, now_s):
             for unit in self._units.values():
                 unit.revive()
             self._changed.notify()
 
     def _is_foreign(self, frame: CanFrame, now_s: float) -> bool:
-        """Whether somebody else sends where we do; some adapters echo what we sent ourselves."""
+        """True if somebody else sends where we do; some adapters echo what we sent ourselves."""
         if (frame.can_id, frame.extended) not in self._asked_ids:
             return False
         sent_s = self._sent_s.get((frame.can_id, frame.extended, frame.data), -math.inf)

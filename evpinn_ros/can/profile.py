@@ -208,7 +208,7 @@ def _refuse_broadcast_ids(
 
 
 class _Field(NamedTuple):
-    """What is read from a message: a value, or the counter or checksum that protects it."""
+    """Field read from a message: a value, or the counter or checksum that protects it."""
 
     name: str
     is_value: bool
@@ -216,7 +216,7 @@ class _Field(NamedTuple):
     bits: frozenset[int]
 
     def clashes(self, other: _Field) -> bool:
-        """Whether both claim one bit; two quantities of a message may share what protects it."""
+        """True if both claim one bit; two quantities of a message may share what protects it."""
         if self.name == other.name and not (self.is_value or other.is_value):
             return False
         other_page = self.pages and other.pages and not self.pages & other.pages

@@ -12,7 +12,7 @@ from evpinn_ros.can.request import QUESTIONS_PER_S, READ_SERVICES, RequestRule
 
 FRAME_BYTES = 8
 PADDING = b"\0"
-"""What fills a frame behind its bytes: every control unit takes frames of eight."""
+"""Padding of a frame behind its bytes: every control unit takes frames of eight."""
 
 FLOW_CONTROL = bytes((0x30, 0x00, 0x00))
 """Send all the rest, without pauses (ISO 15765-2)."""

@@ -50,7 +50,7 @@ class Address:
 
     @property
     def prefix(self) -> bytes:
-        """What stands before the ISO-TP bytes of a frame to the control unit."""
+        """Bytes before the ISO-TP bytes of a frame to the control unit."""
         return b"" if self.target is None else bytes((self.target,))
 
     @property
@@ -79,7 +79,7 @@ class RequestRule:
 
     @property
     def echo(self) -> bytes:
-        """How a positive answer begins."""
+        """First bytes of a positive answer."""
         return bytes((self.payload[0] + 0x40,)) + self.payload[1:]
 
     @property
@@ -90,7 +90,7 @@ class RequestRule:
 
 @dataclass(frozen=True, slots=True)
 class AnswerField:
-    """Where a value lies in an answer.
+    """Place of a value in an answer.
 
     Attributes:
         request: the question.
@@ -119,7 +119,7 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
 
     Raises:
         InputError: a key is missing or wrong, a service is none that reads, an id is none of
-            diagnostics, two requests cannot be told apart by their answers, or all of them ask
+            diagnostics, two requests cannot be distinguished by their answers, or all of them ask
             too often.
     """
     rules = {name: _request_rule(section.section(name), name) for name in section.names()}

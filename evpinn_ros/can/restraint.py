@@ -1,7 +1,7 @@
-"""When to stop asking, and when to ask again: whoever is asked stays awake, and draws 12 V power.
+"""Pauses of polling, and their end: whoever is asked stays awake, and draws 12 V power.
 
-A stop ends when the car is seen awake: it moves, or its bus, after a silence, carries the traffic
-of many ids again. Each time that this was followed by no answer, the next time is believed later,
+A stop ends when the car is seen awake: it moves, or its bus, after a pause, carries the traffic
+of many ids again. Each time that this was followed by no answer, the next time is accepted later,
 up to an hour later. Where nothing is broadcast, as behind the gateway at many diagnostic plugs, a
 stop lasts until the node is started anew. There is no probing in between, for a probe can wake a
 car.
@@ -16,20 +16,20 @@ from evpinn_ros.can.diagnostic_ids import is_request_id
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 
 UNANSWERED_S = 30.0
-"""Silence of every control unit after which the car is taken to be asleep."""
+"""Pause of every control unit after which the car is taken to be asleep."""
 
 WOKEN_UNANSWERED_S = 5.0
 """The same after a stop: control units of a car that woke answer within a second."""
 
 QUIET_S = 10.0
-"""Silence of the whole bus after which its traffic can show that the car woke."""
+"""Pause of the whole bus after which its traffic can show that the car woke."""
 
 AWAKE_FRAMES, AWAKE_IDS, AWAKE_WITHIN_S = 20, 3, 2.0
 """Traffic of a car that is awake: a stray frame or one restless control unit makes less. OVMS
 (vehicle_renaultzoe_ph2) takes 15 frames a second of a few ids for an awake Zoe."""
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 3600.0
-"""Time from one awakening that came to nothing to the next that is believed, doubled each time."""
+"""Time from one awakening that came to nothing to the next that is accepted, doubled each time."""
 
 LOW_VOLTAGE, RECOVERED_VOLTAGE = 12.0, 12.5
 """V of a lead battery at rest, charged to 40 % and 80 %; 13 and more while the car charges it."""
@@ -43,7 +43,7 @@ IDLE_FOR_S = 600.0
 
 
 class Leave(Enum):
-    """What may be asked: everything, the 12 V battery alone, nothing."""
+    """Leave to ask: everything, the 12 V battery alone, nothing."""
 
     ALL = auto()
     AUXILIARY = auto()
@@ -51,7 +51,7 @@ class Leave(Enum):
 
 
 class Restraint:
-    """Watches what comes back; all times in s of a clock that never goes back.
+    """Watches what comes back; all times in s of the monotonic clock.
 
     Attributes:
         reason: why not to ask, None while asking is fine.
@@ -85,14 +85,14 @@ class Restraint:
             )
 
     def answered(self) -> None:
-        """A control unit said anything, be it a refusal."""
+        """Note an answer of a control unit, be it a refusal."""
         self._unanswered_since_s = None
         if not self._low:
             self._patience_s, self._wait_s = UNANSWERED_S, 0.0
 
-    def heard(self, can_id: int, extended: bool, now_s: float) -> bool:
-        """A frame of whatever id came; True when asking is worth a try again."""
-        self._traffic.heard(can_id, extended, now_s)
+    def record_frame(self, can_id: int, extended: bool, now_s: float) -> bool:
+        """Record a frame of any id; True when asking is worth a try again."""
+        self._traffic.record(can_id, extended, now_s)
         moves = now_s - self._moved_s < DRIVING_FOR_S
         awake = self._traffic.awake or moves
         if self.leave is not Leave.NOTHING or not awake or now_s < self._not_before_s:
@@ -148,7 +148,7 @@ class Restraint:
 
 
 class _Traffic:
-    """Tells the traffic of a car that woke from a stray frame.
+    """Distinguishes the traffic of a car that woke from a stray frame.
 
     Attributes:
         awake: the bus was silent, and since then carried frames of several ids close together.
@@ -156,19 +156,19 @@ class _Traffic:
 
     def __init__(self) -> None:
         self.awake = False
-        self._heard_s = -math.inf
+        self._newest_s = -math.inf
         self._waking = False
         self._first_s = -math.inf
         self._frames = 0
         self._ids: set[int] = set()
 
-    def heard(self, can_id: int, extended: bool, now_s: float) -> None:
-        """A frame came. Those of testers say nothing of the car."""
+    def record(self, can_id: int, extended: bool, now_s: float) -> None:
+        """Record a frame. Those of testers hold no information on the car."""
         if is_request_id(can_id, extended):
             return
-        if now_s - self._heard_s >= QUIET_S:
+        if now_s - self._newest_s >= QUIET_S:
             self.awake, self._waking = False, True
-        self._heard_s = now_s
+        self._newest_s = now_s
         if not self._waking:
             return
         if now_s - self._first_s > AWAKE_WITHIN_S:

@@ -17,7 +17,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "torque": {"N m": 1.0},
     "motor_speed": {"rpm": 2 * math.pi / 60, "rad/s": 1.0},
 }
-"""What a quantity may be given in, and how much that is in SI."""
+"""Units that a quantity may be given in, each in SI."""
 
 POSITIVE_MEANS: Mapping[str, Mapping[str, float]] = {
     "current": {"charge": 1.0, "discharge": -1.0},
@@ -30,7 +30,7 @@ RULE_KEYS = ("unit", "scale", "valid", "not_available")
 
 @dataclass(frozen=True, slots=True)
 class SignalRule:
-    """How the raw bits of one signal become a number in SI units, and which numbers count.
+    """Conversion of one signal's raw bits to a number in SI units, and its valid range.
 
     Attributes:
         name: of the signal in the DBC file, or of the quantity in an answer.
@@ -63,7 +63,7 @@ class SignalRule:
         return min(max(value, self.lower), self.upper)
 
     def refusal(self, raw: int) -> str | None:
-        """Why the raw bits may not be used: `not_available`, `out_of_range`, or None."""
+        """Reason why the raw bits may not be used: `not_available`, `out_of_range`, or None."""
         if raw in self.not_available:
             return "not_available"
         return None if self.lower <= self.value(raw) <= self.upper else "out_of_range"

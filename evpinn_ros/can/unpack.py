@@ -14,7 +14,7 @@ Unpack = Callable[[bytes], dict[str, int]]
 
 
 def unpacker(message: Any, names: Collection[str]) -> Unpack:
-    """What reads some signals of a `cantools.database.Message`.
+    """Reader of some signals of a `cantools.database.Message`.
 
     Bits beyond the message's length are not looked at. A multiplexed message is left to cantools,
     whose exceptions then come through, and so is one with a wanted signal of floating point or
@@ -48,7 +48,7 @@ def unpacker(message: Any, names: Collection[str]) -> Unpack:
 
 
 class _Field:
-    """Where a signal lies. Bits count from the payload's start, in the signal's byte order.
+    """Place of a signal. Bits count from the payload's start, in the signal's byte order.
 
     Motorola signals (big endian) count the highest bit of a byte first; a DBC names their first
     bit by its place within the byte all the same, bit 7 of byte 0 being the very first.

@@ -20,7 +20,7 @@ from evpinn_ros.errors import InputError
 
 POLL_S = 0.2
 CUT_SHORT_S = 20.0
-"""How long a report may take that was told to end; a service manager kills after 90 s."""
+"""Time that a report may take after SIGTERM; a service manager kills after 90 s."""
 
 TERMINATED = 143  # 128 + SIGTERM, as shells have it
 
@@ -57,7 +57,7 @@ def reported(
         other = bag.is_file() or (bag.is_dir() and any(bag.iterdir()))
         yield bag
         if other or not bag.exists() or _is_empty(bag):
-            return  # nothing was recorded, and the nodes have said why
+            return  # nothing was recorded, and the nodes have logged the reason
         note(f"evpinn: writing {report}; Ctrl-C cuts it short")
         command = [sys.executable, "-m", "evpinn_ros", "replay", str(bag), *options]
         if code := _run([*command, "--report", str(report)]):
@@ -77,15 +77,15 @@ def _run(command: list[str]) -> int:
     signals_before = signal.signal(signal.SIGTERM, lambda *_: asked_s.append(time.monotonic()))
     try:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        told = False
+        signalled = False
         while True:
             try:
                 code = process.wait(POLL_S)
             except subprocess.TimeoutExpired:
                 if asked_s and time.monotonic() - asked_s[0] > CUT_SHORT_S:
                     process.kill()
-                elif asked_s and not told:
-                    told = True
+                elif asked_s and not signalled:
+                    signalled = True
                     process.send_signal(signal.SIGINT)
             else:
                 return code if code >= 0 else TERMINATED

@@ -82,11 +82,11 @@ def _measure_live(seconds: float) -> dict[str, Any]:
 
 def _live_rows(load: dict[str, Any], idle: Idle) -> Iterator[tuple[str, str, str]]:
     lost = load["frames_sent"] - load["frames_received"]
-    unheard = load["readings_sent"] - load["readings_heard"]
+    missing = load["readings_sent"] - load["readings_heard"]
     p50, p99, largest = load["latency_ms"]
     yield "frames sent", str(load["frames_sent"]), ""
     yield "frames lost", str(lost), "0"
-    yield "battery/state not heard", f"{unheard} of {load['readings_sent']}", ""
+    yield "battery/state not received", f"{missing} of {load['readings_sent']}", ""
     yield "bridge, share of one core", f"{load['core_share']:.1%}", "20 %"
     yield "  of that python-can's reading", f"{idle.core_share:.1%}", ""
     yield "frame to subscriber, p50", f"{p50:.2f} ms", "2 ms"

@@ -1,4 +1,4 @@
-"""`evpinn bench carried`: what a drive costs, foretold by a car that learned on those before."""
+"""`evpinn bench carried`: what a drive costs, forecast by a car that learned on those before."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.bench.carried import CarriedBenchmark, Foretold, energy_errors
+from evpinn_ros.bench.carried import CarriedBenchmark, CarriedForecast, energy_errors
 from evpinn_ros.bench.logs import find_logs
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
@@ -35,17 +35,17 @@ def carried(
     ] = False,
     json_file: JsonOption = None,
 ) -> None:
-    """Foretell each drive from its speed alone, the battery withheld, then learn from it.
+    """Forecast each drive from its speed alone, the battery withheld, then learn from it.
 
-    What is learned is carried from drive to drive. The first is foretold from the priors and does
+    What is learned is carried from drive to drive. The first is forecast from the priors and does
     not count in the totals.
 
     Example: evpinn bench carried $DATA/bmw_i3 --vehicle bmw_i3
     """
-    one_thread()
+    limit_blas_threads()
     car = load_vehicle(vehicle)
     benchmark = CarriedBenchmark(car, time.thread_time, speed_only=speed_only)
-    found: dict[str, Foretold] = {}
+    found: dict[str, CarriedForecast] = {}
     logs = find_logs(path, vehicle)
     try:
         with progress_bar("drives", len(logs), unit="drives") as progress:
@@ -67,7 +67,7 @@ def carried(
         raise InputError(f"{path}: nothing could be read")
 
 
-def _report(found: dict[str, Foretold], json_file: Path | None) -> None:
+def _report(found: dict[str, CarriedForecast], json_file: Path | None) -> None:
     show(_table(found))
     errors = energy_errors(found.values())
     if errors is not None:
@@ -76,8 +76,8 @@ def _report(found: dict[str, Foretold], json_file: Path | None) -> None:
         write_json(json_file, {name: asdict(one) for name, one in found.items()})
 
 
-def _table(found: dict[str, Foretold]) -> PlainTable:
-    table = PlainTable("drive", "measured Wh", "foretold Wh", "error %", "RMSE W", "in 90 % band")
+def _table(found: dict[str, CarriedForecast]) -> PlainTable:
+    table = PlainTable("drive", "measured Wh", "forecast Wh", "error %", "RMSE W", "in 90 % band")
     for name, one in found.items():
         numbers = (
             (one.measured_j and one.measured_j / 3600.0, ".0f"),

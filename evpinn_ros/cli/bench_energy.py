@@ -13,12 +13,12 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.bench.energy_forecast import ForecastBenchmark, Foretold, forecast_totals
+from evpinn_ros.bench.energy_forecast import ForecastBenchmark, PlannedForecast, forecast_totals
 from evpinn_ros.bench.energy_library import (
     BATCH,
     POINTS,
     CycleRow,
-    Throughput,
+    ForecastThroughput,
     compare_cycles,
     measure_throughput,
 )
@@ -29,7 +29,7 @@ from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -39,7 +39,7 @@ JOULES_PER_WH = 3600.0
 
 
 class Part(str, Enum):
-    """What can be measured by itself."""
+    """Part that can be measured by itself."""
 
     INTEGRATORS = "integrators"
     COUNTING = "counting"
@@ -77,13 +77,13 @@ def energy(
     The drives of a PATH are one car's, in order of names. Integrators: the networks of the paper
     beside the trapezoid and Simpson's rule, on all samples and on fewer. Counting: the battery at
     1 Hz with gaps, silent for ten minutes, silent all along; it takes as long as a fifth of all
-    drives. Forecasts: each drive is foretold from its own speed and elevation by what was learned
+    drives. Forecasts: each drive is forecast from its own speed and elevation by what was learned
     on those before, the first from the vehicle file. Battery: the end of each drive of known
     power, by energy over capacity and by the battery's state, learned on the drives before.
 
     Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
     """
-    one_thread()
+    limit_blas_threads()
     cars = [find_logs(path, vehicle) for path in paths]
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
     try:
@@ -120,7 +120,7 @@ def _library(cycles: Path | None) -> dict[str, Any]:
 def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
     car = load_vehicle(logs[0].vehicle)
     benchmark = ForecastBenchmark(car, time.thread_time)
-    found: dict[str, Foretold] = {}
+    found: dict[str, PlannedForecast] = {}
     with progress_bar("drives", len(logs), unit="drives") as progress:
         for number, log in enumerate(logs, start=1):
             try:
@@ -144,7 +144,7 @@ def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
     return {"vehicle": car.key, "drives": drives, "totals": totals}
 
 
-def _show_forecasts(car: str, found: Mapping[str, Foretold]) -> None:
+def _show_forecasts(car: str, found: Mapping[str, PlannedForecast]) -> None:
     table = titled_table(f"{car}: energy of each drive, forecast before it was driven")
     table.add_column("drive")
     for column in ("measured Wh", "forecast Wh", "1-sigma Wh", "error", "in band", "combinations"):
@@ -159,7 +159,7 @@ def _show_forecasts(car: str, found: Mapping[str, Foretold]) -> None:
     show(table)
 
 
-def _show_throughput(found: Throughput) -> None:
+def _show_throughput(found: ForecastThroughput) -> None:
     rows = [
         ("vehicle file, numpy", f"{found.vehicle_file_ms:.0f} ms", "100 ms"),
         ("learned model, numpy", f"{found.learned_ms:.0f} ms", "100 ms"),

@@ -105,15 +105,15 @@ def _show_population(known: list[Recovered]) -> None:
     for name in ("mean", "found", "sigma", "spread", "found", "sigma"):
         table.add_column(name, justify="right", no_wrap=name != "found")
     for one in known:
-        told = one.told
+        learned = one.told
         table.add_row(
             one.name,
             f"{one.mean:.4g}",
-            f"{told.mean:.4g} +- {told.mean_std:.2g}",
-            f"{(told.mean - one.mean) / told.mean_std:+.1f}",
+            f"{learned.mean:.4g} +- {learned.mean_std:.2g}",
+            f"{(learned.mean - one.mean) / learned.mean_std:+.1f}",
             f"{one.spread:.3g}",
-            f"{told.spread:.3g} +- {told.spread_std:.2g}",
-            f"{(told.spread - one.spread) / told.spread_std:+.1f}",
+            f"{learned.spread:.3g} +- {learned.spread_std:.2g}",
+            f"{(learned.spread - one.spread) / learned.spread_std:+.1f}",
         )
     show(table)
     say("Logarithms, p_aux in W; sigma: by how many of its own what was found is off")

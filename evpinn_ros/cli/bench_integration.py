@@ -11,7 +11,7 @@ from evpinn_ros.bench.battery_end import BatteryRow, battery_rows
 from evpinn_ros.bench.energy_integration import integration_rows
 from evpinn_ros.bench.integrators import (
     SIMULATED,
-    Agreement,
+    IntegratorAgreement,
     IntegratorRow,
     PowerSeries,
     agreement,
@@ -30,7 +30,7 @@ EPOCHS = 1000
 def integrators(cars: Sequence[Sequence[Log]], epochs: int) -> dict[str, Any]:
     """Compare integrators on each car's logs and on simulated drives; gives the figures."""
     rows: list[IntegratorRow] = []
-    agreements: list[Agreement] = []
+    agreements: list[IntegratorAgreement] = []
     for logs in cars:
         drives = _drives(logs)
         agreements += [agreement(drive) for drive in drives]
@@ -100,7 +100,7 @@ def _battery_cells(row: BatteryRow) -> Iterator[str]:
 
 
 def counting(cars: Sequence[Sequence[Log]]) -> list[dict[str, Any]]:
-    """How well the chain counts (`bench.energy_integration`); show and give the figures."""
+    """Count by the chain (`bench.energy_integration`); show and give the figures."""
     rows = integration_rows(cars, time.thread_time)
     shown = [
         (f"{row.name} ({row.cases})", f"{row.figure:.3g} {row.unit}", row.goal) for row in rows

@@ -1,4 +1,4 @@
-"""`evpinn bench logs`: logs of apps, read with no flag and held against themselves."""
+"""`evpinn bench logs`: logs of apps, read with no flag and checked against themselves."""
 
 from __future__ import annotations
 
@@ -98,8 +98,8 @@ def _measure(megabytes: int, rows: list[dict[str, float]]) -> None:
             )
 
 
-def _off(found: float, told: float) -> str:
-    return f"{found / told - 1:+.1%}" if math.isfinite(found) and told else ""
+def _off(found: float, stated: float) -> str:
+    return f"{found / stated - 1:+.1%}" if math.isfinite(found) and stated else ""
 
 
 def _finite(value: Any) -> Any:

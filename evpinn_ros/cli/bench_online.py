@@ -16,7 +16,7 @@ from evpinn_ros.bench.scores import Score, log_scores, total_scores
 from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.plain_table import PlainTable
 from evpinn_ros.replay.run import PROGRESS_STEP, WARM_UP, has_battery
 from evpinn_ros.replay.sources import open_source
@@ -61,7 +61,7 @@ def online(
 
     Example: evpinn bench online bags/urban --vehicle tesla_model_3_lr --methods null,ekf5,hybrid
     """
-    one_thread()
+    limit_blas_threads()
     names = _chosen(methods)
     found: dict[str, list[dict[str, Any]]] = {"logs": [], "failed": []}
     try:
@@ -119,7 +119,7 @@ def _run(log: Log, names: Sequence[str]) -> tuple[Run, str | None]:
     reported = 0.0
     with progress_bar(log.path.name, total=None) as progress:
         for reading in source.readings():
-            done = benchmark.push(reading)
+            done = benchmark.add_reading(reading)
             if done - reported >= PROGRESS_STEP:
                 progress(done)
                 reported = done

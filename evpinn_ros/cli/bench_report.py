@@ -16,7 +16,7 @@ from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import ReplayOptions, replay
 from evpinn_ros.replay.sources import open_source
@@ -36,7 +36,7 @@ def report(
 
     Example: evpinn simulate out/hour --duration 3600 && evpinn bench report out/hour
     """
-    one_thread()
+    limit_blas_threads()
     car, settings, options = load_vehicle(vehicle), EstimatorSettings(), ReplayOptions()
     chain = Chain(car, settings, InlineWorker(time.perf_counter))
     source = open_source(drive, car)

@@ -26,7 +26,7 @@ from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import MetricsOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 
 TABLE_WIDTH = 140  # characters; narrower ones would break the numbers
 
@@ -55,7 +55,7 @@ def settings(
     finals: dict[str, dict[str, Row]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
     try:
-        with ProcessPoolExecutor(jobs, initializer=one_thread) as pool:
+        with ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool:
             recorded = list(pool.map(partial(read_car, data), keys))
             tasks = [(each, car) for car in recorded for each in alternatives()]
             _score(pool, "alternatives on cars", tasks, scores)

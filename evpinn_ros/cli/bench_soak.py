@@ -15,7 +15,7 @@ from evpinn_ros.bench.soak import soak as drive_for
 from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import figures_table, titled_table
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 
 
 def soak(
@@ -31,7 +31,7 @@ def soak(
 
     Example: evpinn bench soak --hours 24 --json out/soak.json
     """
-    one_thread()
+    limit_blas_threads()
     found: dict[str, Any] = {"hours": []}
     try:
         _soak(hours, seconds, found)

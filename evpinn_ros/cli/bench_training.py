@@ -14,7 +14,7 @@ from evpinn_ros.cli.console import note, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.reproduce import training_progress
 from evpinn_ros.cli.tables import titled_table
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.reproduction.drive_log import read_drive_log
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -33,7 +33,7 @@ def training(
 
     Example: evpinn bench training drive.csv --vehicle tesla_model_3_lr --epochs 10000
     """
-    one_thread()
+    limit_blas_threads()
     car = load_vehicle(vehicle)
     drive = read_drive_log(log, car).drive
     if deepxde_version() is None:

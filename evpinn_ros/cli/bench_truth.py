@@ -13,8 +13,8 @@ from evpinn_ros.bench.floor import ASKED, floors
 from evpinn_ros.bench.truth import (
     VEHICLES,
     Comparison,
-    Step,
-    Summary,
+    LoadStep,
+    TruthSummary,
     compare,
     false_alarms,
     load_steps,
@@ -28,7 +28,7 @@ from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
 
 FIRST_SEED = 7000
-IN_TIME, NEAR = 90.0, 25.0  # s of motion and kg within which a change of load is to be told
+IN_TIME, NEAR = 90.0, 25.0  # s of motion and kg within which a change of load is to be detected
 
 
 def truth(
@@ -92,13 +92,13 @@ def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: in
             say(figures["unobservable"])
 
 
-def _show(figures: dict[str, Any], rows: list[Summary]) -> None:
+def _show(figures: dict[str, Any], rows: list[TruthSummary]) -> None:
     figures["summaries"] = [asdict(row) for row in rows]
     show(_table(rows))
 
 
 def _unobservable(found: Sequence[Comparison]) -> str:
-    """In how many drives C_d was said not to be told by the data, at the end."""
+    """In how many drives C_d was shown as not informed by the data, at the end."""
     end = max(one.seconds for one in found)
     shares = [one.prior_share for one in found if one.name == "c_d" and one.seconds == end]
     flagged = sum(share > UNOBSERVABLE_ABOVE for share in shares)
@@ -108,11 +108,11 @@ def _unobservable(found: Sequence[Comparison]) -> str:
 def _show_floor(figures: dict[str, Any], rows: Sequence[Mapping[str, float]]) -> None:
     least = {name: float(np.median([row[name] for row in rows])) for name in ASKED}
     figures["floor_median_percent"] = least
-    told = ", ".join(f"{name} {percent:.2f} %" for name, percent in least.items())
-    say(f"Floor of the median after 120 s: {told}")
+    text = ", ".join(f"{name} {percent:.2f} %" for name, percent in least.items())
+    say(f"Floor of the median after 120 s: {text}")
 
 
-def _show_loads(figures: dict[str, Any], steps: Sequence[Step]) -> None:
+def _show_loads(figures: dict[str, Any], steps: Sequence[LoadStep]) -> None:
     in_time = sum(step.detected_after <= IN_TIME for step in steps)
     near = sum(abs(step.error) <= NEAR for step in steps)
     figures["load"] = {"steps": len(steps), "in_time": in_time, "near": near}
@@ -129,7 +129,7 @@ def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
     say(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
 
 
-def _table(rows: list[Summary]) -> PlainTable:
+def _table(rows: list[TruthSummary]) -> PlainTable:
     """Errors and coverage of each quantity at each time."""
     table = PlainTable("quantity", "s", "drives", "bias %", "median %", "90 % within %", "sigma %")
     table.add_column("95 % covers %")

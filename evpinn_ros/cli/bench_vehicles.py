@@ -1,4 +1,4 @@
-"""`evpinn bench vehicles`: beliefs about cars before driving, against their certificates."""
+"""`evpinn bench vehicles`: priors of cars before driving, against their certificates."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from evpinn_ros.bench.vehicles import CycleEnergy, beliefs, cycle_energies
+from evpinn_ros.bench.vehicles import CycleEnergy, cycle_energies, prior_errors
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import titled_table
@@ -37,15 +37,15 @@ def vehicles(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Judge priors: road load of cars that they were not told, and energies of drive cycles.
+    """Judge priors: road load of cars withheld from them, and energies of drive cycles.
 
     Example: evpinn bench vehicles --beside my_generic.yaml
     """
     others = {name: load_vehicle(name) for name in ("generic", *(beside or ()))}
-    found: dict[str, Any] = {"beliefs": [each._asdict() for each in beliefs(others)]}
+    found: dict[str, Any] = {"beliefs": [each._asdict() for each in prior_errors(others)]}
     table = titled_table(f"Force on {len(certified_cars())} cars that roll, against certificates")
-    for name in ("belief", "km/h", "bias", "error", "in 90 %", "after a drive", "in 90 %"):
-        table.add_column(name, justify="left" if name == "belief" else "right")
+    for name in ("prior", "km/h", "bias", "error", "in 90 %", "after a drive", "in 90 %"):
+        table.add_column(name, justify="left" if name == "prior" else "right")
     for row in found["beliefs"]:
         name, speed, *shares = row.values()
         table.add_row(
@@ -61,8 +61,8 @@ def vehicles(
 def _cycles(folder: Path, others: dict[str, Vehicle]) -> list[dict[str, Any]]:
     cars = certified_cars()
     table = titled_table(f"Energy at the wall, {CHARGING_LOSS:.0%} lost in charging")
-    for name in ("belief", "cycles", "bias", "error", "within 15 %"):
-        table.add_column(name, justify="left" if name == "belief" else "right")
+    for name in ("prior", "cycles", "bias", "error", "within 15 %"):
+        table.add_column(name, justify="left" if name == "prior" else "right")
     rows: list[dict[str, Any]] = []
     with progress_bar("cars", total=len(cars) * (1 + len(others)), unit="cars") as progress:
 

@@ -22,7 +22,7 @@ from evpinn_ros.nodes.parameter_table import bus_options
 from evpinn_ros.signals.readings import NANOSECONDS
 
 BITRATE = 500_000  # bit/s, of every car in config/can
-LISTEN = 10.0  # s, if not told otherwise
+LISTEN = 10.0  # s, if not given otherwise
 LONGEST = 1e6  # s
 LONGEST_STOP = 5.0  # s to wait for the driver
 
@@ -99,7 +99,7 @@ def inspect(
         if bitrate is not None:
             options["bitrate"] = bitrate
         interface = interface or "socketcan"
-        reader = BusReader(interface, str(channel), inspection.push, time.time_ns, **options)
+        reader = BusReader(interface, str(channel), inspection.add_frame, time.time_ns, **options)
         name, end_ns, problem = f"{interface} {channel}", *_listen(reader, seconds or LISTEN)
     _print(name, inspection.report(end_ns), bitrate or BITRATE, as_json_text)
     if problem is not None:
@@ -114,7 +114,7 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
         first_ns = frame.stamp_ns if first_ns is None else first_ns
         if seconds is not None and frame.stamp_ns - first_ns > seconds * NANOSECONDS:
             break
-        inspection.push(frame)
+        inspection.add_frame(frame)
     for kind, count in sorted(log.skipped.items()):
         note(f"{path}: {count} frames left out: {kind}")
     return log.problem

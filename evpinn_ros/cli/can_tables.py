@@ -1,4 +1,4 @@
-"""What `evpinn can inspect` found, for people and for scripts."""
+"""Findings of `evpinn can inspect`, for people and for scripts."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def as_json(report: BusReport) -> dict[str, Any]:
 
 
 def verdict(profile: ProfileReport) -> str:
-    """One of `fits`, `contradicted`, `does not fit`, `not heard`, `must ask`."""
+    """One of `fits`, `contradicted`, `does not fit`, `not seen`, `must ask`."""
     if profile.contradicted is not None:
         return "contradicted"
     if not profile.fit.frames:
-        return "must ask" if profile.asks else "not heard"
+        return "must ask" if profile.asks else "not seen"
     return "fits" if profile.fit.holds else "does not fit"
 
 
@@ -131,7 +131,9 @@ def _verdict(best: ProfileReport | None) -> list[str]:
     if "current" not in best.values:
         return lines
     sign = best.sign or (
-        "agrees with acceleration and charging" if best.sign_told else "too little driving to tell"
+        "agrees with acceleration and charging"
+        if best.sign_decided
+        else "too little driving to judge"
     )
     return [*lines, f"Sign of the current: {sign}"]
 
@@ -168,7 +170,7 @@ def _profile_json(profile: ProfileReport) -> dict[str, Any]:
             for name, found in profile.values.items()
         },
         "dropped": dict(profile.dropped),
-        "current_sign": {"told": profile.sign_told, "suspicion": profile.sign},
+        "current_sign": {"told": profile.sign_decided, "suspicion": profile.sign},
     }
 
 

@@ -1,4 +1,4 @@
-"""What a person sees: results on stdout, everything else on stderr, progress on a terminal."""
+"""Output to a person: results on stdout, everything else on stderr, progress on a terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from evpinn_ros.durable import replaced
 from evpinn_ros.errors import InputError, printable
 from evpinn_ros.plain_table import PlainTable
 
-Report = Callable[[float], None]  # takes what is done, seconds of the drive if not told otherwise
+Report = Callable[[float], None]  # takes what is done, seconds of the drive unless named otherwise
 
 STDOUT = "-"  # as the path of a file
 DRIVE = "s of the drive"
@@ -50,7 +50,7 @@ def say(text: str = "", style: str = "") -> None:
 
 
 def show(table: PlainTable, at_least: int = 0) -> None:
-    """A table of the results, as wide as the terminal, or more if told so."""
+    """A table of the results, as wide as the terminal, or more if asked."""
     narrow = results.width < at_least
     (Console(width=at_least, stderr=results.stderr) if narrow else results).print(table)
 
@@ -99,7 +99,7 @@ def _finite(found: Any) -> Any:
 
 
 class RateColumn(ProgressColumn):
-    """How fast it goes: times real time for seconds of a drive, else so many a second."""
+    """Speed of the work: times real time for seconds of a drive, else so many a second."""
 
     def __init__(self, unit: str) -> None:
         """Of what is counted."""
@@ -111,8 +111,8 @@ class RateColumn(ProgressColumn):
         speed = task.finished_speed or task.speed
         if speed is None:
             return Text()
-        told = f"{speed:.0f}" if speed >= 100 else f"{speed:.3g}"
-        return Text(told + (" x real time" if self._unit == DRIVE else " a second"))
+        text = f"{speed:.0f}" if speed >= 100 else f"{speed:.3g}"
+        return Text(text + (" x real time" if self._unit == DRIVE else " a second"))
 
 
 @contextmanager
@@ -121,7 +121,7 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
 
     Args:
         title: of the bar.
-        total: how much there is to do, None if nobody knows.
+        total: how much there is to do, None if unknown.
         unit: of what is done.
     """
     columns = (

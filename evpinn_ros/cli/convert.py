@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.bags.convert import reported, write_readings
-from evpinn_ros.bags.metadata import told_seconds
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, writing
@@ -55,7 +55,7 @@ def convert(
 ) -> None:
     """Convert a recorded drive into a rosbag2 bag: MCAP of our topics.
 
-    Columns of a table are found by their names and values; what was taken for what is told.
+    Columns of a table are found by their names and values; what was taken for what is shown.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
     optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct, motor_torque_nm and
     motor_speed_rad_s are taken as they are.
@@ -85,7 +85,7 @@ def convert(
 
 def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str]:
     """Write the readings up to an interruption; gives those left out, by reason."""
-    with progress_bar(source.path.name, told_seconds(source.path)) as progress:
+    with progress_bar(source.path.name, stated_seconds(source.path)) as progress:
         readings = reported(source.readings(), progress)
         # What gives no reading at all is refused here, before there is an empty bag of it.
         begun = list(islice(readings, 1))
@@ -99,6 +99,6 @@ def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str
 
 def _change_storage(source: Path, out: Path, storage: Storage) -> None:
     with Interruption() as interruption:
-        with writing(out), progress_bar(source.name, told_seconds(source)) as progress:
+        with writing(out), progress_bar(source.name, stated_seconds(source)) as progress:
             change_storage(source, out, storage, progress, lambda: interruption.asked)
         say(f"{out}")

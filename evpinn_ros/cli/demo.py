@@ -43,7 +43,7 @@ def demo(
     """Replay a bundled drive through the three nodes over DDS, and show what they learned.
 
     A simulated car in town: its CAN frames go to the node `can_bridge`, its topics to `estimator`
-    and `energy`, each a process of its own. The truth of the car is known, and not told.
+    and `energy`, each a process of its own. The truth of the car is known, and withheld.
 
     Example: evpinn demo
     """

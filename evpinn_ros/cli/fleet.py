@@ -18,12 +18,12 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet
-from evpinn_ros.fleet.tables import Summary, population_rows, require_parquet, write_tables
+from evpinn_ros.fleet.tables import FleetSummary, population_rows, require_parquet, write_tables
 from evpinn_ros.report.fleet_page import POPULATION_HEAD, population_cells, write_fleet_page
 from evpinn_ros.vehicle.written import write_vehicle
 
 REPORT = "report.html"
-TOLD = 20  # problems printed; the tables hold all
+MOST_SHOWN = 20  # problems printed; the tables hold all
 
 
 def fleet(
@@ -116,7 +116,7 @@ def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[st
     return True
 
 
-def _write(summary: Summary, report: Path, vehicles: Path | None) -> None:
+def _write(summary: FleetSummary, report: Path, vehicles: Path | None) -> None:
     try:
         write_fleet_page(report, summary, shlex.join(["evpinn", *sys.argv[1:]]))
         for key, population in summary.populations.items():
@@ -128,7 +128,7 @@ def _write(summary: Summary, report: Path, vehicles: Path | None) -> None:
         raise InputError(f"{error.filename}: {error.strerror}") from error
 
 
-def _found(summary: Summary) -> dict[str, Any]:
+def _found(summary: FleetSummary) -> dict[str, Any]:
     """For scripts; every drive and car is in the tables."""
     return {
         **summary.counts,
@@ -140,12 +140,12 @@ def _found(summary: Summary) -> dict[str, Any]:
     }
 
 
-def _show(summary: Summary, out: Path) -> None:
-    for what, why in summary.problems[:TOLD]:
+def _show(summary: FleetSummary, out: Path) -> None:
+    for what, why in summary.problems[:MOST_SHOWN]:
         note(f"evpinn: {why}" if what in why else f"evpinn: {what}: {why}")
     counts = summary.counts
-    if counts["problems"] > TOLD:
-        note(f"evpinn: and {counts['problems'] - TOLD} more problems, in the tables")
+    if counts["problems"] > MOST_SHOWN:
+        note(f"evpinn: and {counts['problems'] - MOST_SHOWN} more problems, in the tables")
     for key, population in summary.populations.items():
         table = titled_table(f"Cars of model {key}")
         name, _, *rest = POPULATION_HEAD  # the vehicle file beside it is for the report

@@ -16,7 +16,7 @@ from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.contents import Contents, contents
-from evpinn_ros.replay.usable import Flow, Span, Usable
+from evpinn_ros.replay.usable import DataCoverage, ReadingFlow, Span
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_SPANS = 10  # on the terminal; --json has them all
@@ -69,8 +69,8 @@ def _lines(found: Contents) -> Iterator[str]:
     when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(found, begin)}" if end else "empty"
     yield f"{found.path}: {found.kind}, {when}"
     for column in found.columns:
-        told = f", {column.unit}, {column.why}" if column.why else ""
-        yield f"  {column.quantity}: column {column.name!r}{told}"
+        shown = f", {column.unit}, {column.why}" if column.why else ""
+        yield f"  {column.quantity}: column {column.name!r}{shown}"
     if found.unused:
         yield f"  columns not used: {shorter(found.unused)}"
     if found.frames:
@@ -87,7 +87,7 @@ def _lines(found: Contents) -> Iterator[str]:
 
 
 def _start(found: Contents, begin_ns: int) -> str:
-    """When it began, as far as it tells."""
+    """Start of a recording, as far as it is known."""
     if found.dated == "":
         return ", undated"
     day = ", the day by the file's name" if found.dated == "name" else ""
@@ -95,7 +95,7 @@ def _start(found: Contents, begin_ns: int) -> str:
     return f" from {_date(begin_ns)}{zone}{day}"
 
 
-def _drive_lines(drive: Usable, begin_ns: int) -> Iterator[str]:
+def _drive_lines(drive: DataCoverage, begin_ns: int) -> Iterator[str]:
     for kind, flow in drive.flows.items():
         count, rate, gap = _flow(flow)
         yield f"  {kind}: {count} readings, {rate} a second, longest gap {gap}"
@@ -115,7 +115,7 @@ def _relative(spans: tuple[Span, ...], begin_ns: int) -> Iterator[tuple[float, f
         yield (first - begin_ns) / NANOSECONDS, (last - begin_ns) / NANOSECONDS
 
 
-def _flow(flow: Flow) -> tuple[str, str, str]:
+def _flow(flow: ReadingFlow) -> tuple[str, str, str]:
     if not flow.count:
         return "0", "", ""
     rate = f"{flow.rate:.1f}" if math.isfinite(flow.rate) else ""
@@ -162,7 +162,7 @@ def _as_json(found: Contents) -> dict[str, Any]:
     }
 
 
-def _flow_json(flow: Flow) -> dict[str, Any]:
+def _flow_json(flow: ReadingFlow) -> dict[str, Any]:
     rate = flow.rate if math.isfinite(flow.rate) else None
     gaps = {"longest_gap_s": flow.longest_gap, "gaps": flow.gaps}
     return {"count": flow.count, "rate_hz": rate, **gaps}

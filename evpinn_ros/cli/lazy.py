@@ -43,7 +43,7 @@ class LazyCommands(TyperGroup):
         return typer.main.get_command(alone)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
-        """What a shell offers: names and options, without importing each for a line of help."""
+        """Completions: names and options, without importing each for a line of help."""
         self._completing = True
         try:
             return super().shell_complete(ctx, incomplete)

@@ -69,7 +69,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
-        _drop_output()  # whoever read it has gone, as `head` does; there is nobody left to tell
+        _drop_output()  # whoever read it has gone, as `head` does; no reader is left
         sys.exit(FAILED)
     except OSError as error:
         _drop_output()

@@ -1,4 +1,4 @@
-"""Options that several commands have: said once, so that they mean and complete the same."""
+"""Options that several commands have: defined once, so that they mean and complete the same."""
 
 from __future__ import annotations
 

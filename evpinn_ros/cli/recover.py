@@ -68,7 +68,7 @@ def _lines(one: RecoveredFile) -> Iterator[str]:
     elif one.lost_messages is not None:
         yield f"  {one.lost_messages} messages lost in all"
     else:
-        yield "  how many messages are lost cannot be told: the file's own count is gone"
+        yield "  how many messages are lost is unknown: the file's own count is gone"
 
 
 def _loss(loss: Loss) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.bags.metadata import told_seconds
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
@@ -29,7 +29,7 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import TABLES, Value
 from evpinn_ros.nodes.settings import estimator_settings, jump_rule
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import (
     WARM_UP,
@@ -103,7 +103,7 @@ def replay(
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
     # One thread, so that the same bag gives the same bits and other cores stay free.
-    one_thread()
+    limit_blas_threads()
     car = load_vehicle(vehicle)
     values = _parameters(params, mode, optimizer)
     settings = estimator_settings(values)
@@ -190,7 +190,7 @@ def _one(
         if folder is not None:
             stack.enter_context(writing(folder))
             writer = stack.enter_context(BagWriter(folder))
-        seconds = options.duration or told_seconds(source.path)
+        seconds = options.duration or stated_seconds(source.path)
         progress = stack.enter_context(progress_bar(source.path.name, total=seconds))
         return replay_drive(
             source,

@@ -19,7 +19,7 @@ from evpinn_ros.cli.console import TITLE, RateColumn, note, notes, say, show, wr
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
 from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, Settings
@@ -40,7 +40,7 @@ QUICK_ENERGY_EPOCHS = 1000
 
 
 class Device(str, Enum):
-    """Where to train."""
+    """Device to train on."""
 
     CPU = "cpu"
     CUDA = "cuda"
@@ -71,15 +71,15 @@ def reproduce(
     """Run the experiment of the EV-PINN paper on a drive, every claim checked beside it.
 
     Tables II to VI and figures 5 to 10 beside the paper's own numbers, and beside them what the
-    paper leaves out: a null, a chronological split, its published parameters on this drive, and
-    least squares. Stopped and started again it goes on where it was.
+    paper leaves out: a baseline, a chronological split, its published parameters on this drive,
+    and least squares. Stopped and started again it goes on where it was.
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
     """
     if device is Device.CUDA and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no CUDA device here")
     # One thread: small matrices gain nothing from two, and the same run gives the same bits.
-    one_thread()
+    limit_blas_threads()
     car = load_vehicle(vehicle)
     read = read_drive_log(log, car, can_profile)
     folder = _new_folder(out or Path("out") / "reproduce" / log.stem)

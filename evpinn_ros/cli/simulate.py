@@ -61,7 +61,7 @@ def simulate(
 ) -> None:
     """Simulate a drive whose true parameters are known.
 
-    The simulated car has what no estimator is told: an efficiency map, friction brakes, wind,
+    The simulated car has what no estimator knows: an efficiency map, friction brakes, wind,
     changing auxiliary loads, hills, lagging and noisy sensors. OUT becomes a bag with truth.yaml
     in it. The same arguments give the same drive.
 

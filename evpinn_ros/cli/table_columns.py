@@ -1,4 +1,4 @@
-"""What was made of the columns of a table, in words."""
+"""Use made of the columns of a table, in words."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def shorter(names: Sequence[str]) -> str:
             runs[-1].append(name)
         else:
             runs.append([name])
-    told = (f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(run) for run in runs)
-    return ", ".join(told)
+    shown = (f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(run) for run in runs)
+    return ", ".join(shown)
 
 
 def _stem(name: str) -> str:
@@ -51,5 +51,5 @@ def _stem(name: str) -> str:
 
 
 def _line(rule: Column) -> str:
-    told = f", {rule.unit}, {rule.why}" if rule.why else ""
-    return f"{rule.quantity}: {rule.name!r}{told}"
+    shown = f", {rule.unit}, {rule.why}" if rule.why else ""
+    return f"{rule.quantity}: {rule.name!r}{shown}"

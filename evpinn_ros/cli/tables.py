@@ -49,7 +49,7 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
 
 
 def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
-    """Scores of power and energy, with the nulls that say what they are worth."""
+    """Scores of power and energy, with the baselines that say what they are worth."""
     table = titled_table(f"Predict, then update; after {warm_up:.0f} s")
     for name in SCORE_COLUMNS:
         table.add_column(name, justify="right" if name != SCORE_COLUMNS[0] else "left")
@@ -64,7 +64,7 @@ def titled_table(title: str) -> PlainTable:
 
 
 def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> PlainTable:
-    """What was measured, beside its goal: (name, measured, goal)."""
+    """Table of figures, each beside its goal: (name, measured, goal)."""
     table = titled_table(title)
     table.add_column("")
     for column in ("measured", "goal"):

@@ -1,4 +1,4 @@
-"""`evpinn vehicles`: the cars of which something is believed before driving."""
+"""`evpinn vehicles`: the cars that have priors."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def _play(reader: BagReader, server: FoxgloveServer, rate: float) -> None:
         due += min(max(passed, 0.0), LONGEST_PAUSE) / rate
         before_ns = record.log_time_ns
         time.sleep(max(due - time.monotonic(), 0.0))
-        server.tell_time(record.log_time_ns)
+        server.send_time(record.log_time_ns)
         server.send(record.topic, record.type_name, record.data, record.log_time_ns)
     if before_ns is None:
         raise InputError(f"{reader.path}: no message that can be shown")

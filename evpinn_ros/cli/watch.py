@@ -18,7 +18,7 @@ def watch(
 ) -> None:
     """Show what a running system knows, until Ctrl-C: parameters, power, energy, what is missing.
 
-    Hears the topics of nodes started by `evpinn run` or a launch file, on this machine or, with
+    Receives the topics of nodes started by `evpinn run` or a launch file, on this machine or, with
     the same ROS_DOMAIN_ID, another; publishes nothing. Without a terminal: a line a second.
 
     Example: evpinn watch --namespace /ev

@@ -1,4 +1,4 @@
-"""Which of the columns that could be the time is the best one."""
+"""Choice of the best one of the columns that could be the time."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _clock(column: Column, survey: Survey, styles: Mapping[int, Style]) -> Clock
 
 
 def _is_day_alone(clock: Clock, survey: Survey) -> bool:
-    """Whether the column holds dates without a clock, or with that of midnight."""
+    """True if the column holds dates without a clock, or with that of midnight."""
     if clock.kind != "date" or len(clock.columns) > 1:
         return False
     stamps = clock.stamps([survey.cells[clock.columns[0]]])

@@ -30,7 +30,7 @@ class Column:
         name: in the file.
         factor: to SI.
         unit: that of the file, with a minus where the sign is turned.
-        why: the unit is believed; empty when the name is one of ours.
+        why: the reason for the unit; empty when the name is one of ours.
         offset: to SI, added after the factor.
         place: of the column in the file, from 0.
     """
@@ -64,9 +64,9 @@ def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column
         for i, name in enumerate(header)
         if name in BY_COLUMN
     ]
-    told = [_chosen(text, header) for text in chosen]
-    known = {column.quantity for column in told}
-    found = [column for column in own if column.quantity not in known] + told
+    given = [_chosen(text, header) for text in chosen]
+    known = {column.quantity for column in given}
+    found = [column for column in own if column.quantity not in known] + given
     if len({column.quantity for column in own}) < len(own):
         raise InputError("a column is there twice")
     if is_complete({column.quantity for column in found}):
@@ -100,7 +100,7 @@ def _of_app(quantity: str, header: Sequence[str]) -> dict[int, float]:
 
 
 def is_complete(quantities: set[str]) -> bool:
-    """Whether all that is needed is there: other columns of such a file are not guessed at."""
+    """True if all that is needed is there: other columns of such a file are not guessed at."""
     battery = "power" in quantities or {"voltage", "current"} <= quantities
     return battery and {"time", "speed"} <= quantities
 
@@ -132,13 +132,13 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
         raise InputError(f"--column {text}: no such column; there are {', '.join(header)}")
     place = list(header).index(name)
     if not unit:
-        told, meant = unit_of(quantity, name)
-        column = Column(quantity, name, why="as told", place=place)
-        return column.measured_in(told, meant, "as told") if meant else column
+        given_unit, meant = unit_of(quantity, name)
+        column = Column(quantity, name, why="as given", place=place)
+        return column.measured_in(given_unit, meant, "as given") if meant else column
     meant = known_unit(quantity, unit.lower().lstrip("-"))
     if meant is None:
         raise InputError(f"--column {text}: the unit is one of {_spellings(quantity)}")
-    column = Column(quantity, name, place=place).measured_in(unit, meant, "as told")
+    column = Column(quantity, name, place=place).measured_in(unit, meant, "as given")
     return turned(column) if unit.startswith("-") else column
 
 

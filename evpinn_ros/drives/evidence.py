@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """What was looked at of a column: times, s, and values in the file's unit; shape (n,)."""
+    """Sample of a column: times, s, and values in the file's unit; shape (n,)."""
 
     time: FloatArray
     value: FloatArray
@@ -77,8 +77,8 @@ def _is_known(column: Column) -> bool:
 
 
 def _is_guessed(column: Column) -> bool:
-    """Whether neither its name nor a person says how a column is to be read."""
-    return column.why != "as told" and column.name != QUANTITIES[column.quantity].column
+    """True if neither its name nor a person decides how a column is to be read."""
+    return column.why != "as given" and column.name != QUANTITIES[column.quantity].column
 
 
 def _by_app(column: Column, header: frozenset[str]) -> Column:
@@ -180,7 +180,7 @@ def _speed_unit(
 
 
 def stands_still(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> bool:
-    """Whether speed is zero throughout while the odometer goes on: a phone without GPS."""
+    """True if speed is zero throughout while the odometer goes on: a phone without GPS."""
     if "odometer" not in found or "speed" not in cells:
         return False
     speed, odometer = cells["speed"].value, cells["odometer"].value
@@ -226,7 +226,7 @@ def at_times(signal: Signal, times: FloatArray) -> FloatArray:
 
 
 def _sign(drawn: Signal, speed: Column, cells: Mapping[str, Signal]) -> tuple[bool, str]:
-    """Whether a current or power is positive while the battery discharges, and what shows it."""
+    """Sign of a current or power while the battery discharges, and the evidence for it."""
     if "voltage" in cells and (sag := _sag(drawn, cells["voltage"])) != 0.0:
         return sag < 0, "as the voltage shows"
     times, change = accelerations(cells["speed"])

@@ -1,4 +1,4 @@
-"""Which files are tables of drives."""
+"""File formats that are tables of drives."""
 
 from __future__ import annotations
 
@@ -17,5 +17,5 @@ def suffix_of(path: Path) -> str:
 
 
 def is_table(path: Path) -> bool:
-    """Whether a path is that of a table by its name."""
+    """True if a path is that of a table by its name."""
     return suffix_of(path) in TABLE_SUFFIXES

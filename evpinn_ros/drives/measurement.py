@@ -62,7 +62,7 @@ def _wanted(measured: Any) -> list[tuple[int, int]]:
 def signals_of(path: Path, folder: Path) -> Path | None:
     """The signals of an .mf4 as a long table in a folder; None when none can be read of it.
 
-    Why not is told where it is read as a CAN log then.
+    The reason is given where it is read as a CAN log then.
     """
     out = folder / "signals.csv"
     run_limited([sys.executable, "-m", __name__, str(path), str(out)])
@@ -70,7 +70,7 @@ def signals_of(path: Path, folder: Path) -> Path | None:
 
 
 def holds_signals(path: Path) -> bool:
-    """Whether an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
+    """True if an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
     with TemporaryDirectory() as folder:
         return signals_of(path, Path(folder)) is not None
 

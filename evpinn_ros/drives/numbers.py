@@ -17,7 +17,7 @@ _SPACES = "[ \u00a0\u202f'\u2019_]"
 
 
 class Style(NamedTuple):
-    """How the numbers of a column are written: signs before decimals and between thousands."""
+    """Style of a column's numbers: signs before decimals and between thousands."""
 
     decimal: str = "."
     thousands: str = ","

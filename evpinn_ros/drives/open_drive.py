@@ -46,12 +46,12 @@ class DriveSource:
 
     @property
     def problem(self) -> str | None:
-        """Where the file breaks off; rows that are wrong in themselves are dropped and counted."""
+        """Break in the file; rows that are wrong in themselves are dropped and counted."""
         return self._problem
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of how it was read; complete once exhausted."""
+        """Notes for a person on how it was read; complete once exhausted."""
         drive, notes = self.drive, []
         if drive.no_speed:
             notes.append("speed is 0 throughout while the odometer goes on, so it is not used")
@@ -95,7 +95,7 @@ def open_drive(
     Args:
         path: of the file.
         nominal_voltage: V; power alone becomes current at it.
-        columns: that are told, see `evpinn_ros.drives.column.columns_by_name`.
+        columns: that are given, see `evpinn_ros.drives.column.columns_by_name`.
 
     Raises:
         InputError: it cannot be read, or holds no drive.

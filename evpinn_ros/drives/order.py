@@ -42,7 +42,7 @@ class RowOrder:
 
 
 def _alone(times: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether a row is in the future of its neighbours: one broken digit of a date."""
+    """True if a row is in the future of its neighbours: one broken digit of a date."""
     found = np.zeros(times.size, dtype=bool)
     if times.size > 2:
         ahead = times[1:-1] - times[2:] > STRAGGLING_NS

@@ -1,4 +1,4 @@
-"""What the columns of log apps are called and in which units they come, as one table.
+"""Names and units of the columns of log apps, as one table.
 
 A name is matched by its words: `Battery DC Current (A)`, `pack_current_a`, `v.b.current` and
 `Batteriestrom [A]` are all the battery's current. Sources of the names: exports of Car Scanner and
@@ -24,7 +24,7 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """What a column may hold.
+    """Quantity that a column may hold.
 
     Attributes:
         column: the name that needs no guessing, with the unit in it.
@@ -237,7 +237,7 @@ def words_of(name: str) -> tuple[str, tuple[str, ...]]:
 
 @lru_cache(maxsize=65536)
 def score(quantity: str, name: str) -> float:
-    """How much a name speaks for a quantity; 0 when it is none."""
+    """Score of a name for a quantity; 0 when it is none."""
     known = QUANTITIES[quantity]
     words, brackets = words_of(name)
     # A bracket that qualifies, as in `Voltage (OBD Adapter)(V)`, is part of the name.
@@ -259,7 +259,7 @@ def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
 
     Returns:
         its spelling and what it means; (spelling, None) for a bracket that is no known unit, and
-        ("", None) where nothing is said.
+        ("", None) where it is not known.
     """
     units = QUANTITIES[quantity].units
     words, brackets = words_of(name)

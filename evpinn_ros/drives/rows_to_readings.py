@@ -109,7 +109,7 @@ class RowReadings:
             yield from found
 
     def _sorted(self, stamps: NDArray[np.int64]) -> bool:
-        """Whether each row is later than all before it, so that none needs to be asked."""
+        """True if each row is later than all before it, so that none needs to be asked."""
         newest = max(self._last.values(), default=-1)
         found = stamps.size > 0 and stamps[0] > newest and bool((np.diff(stamps) > 0).all())
         if found:
@@ -152,7 +152,7 @@ class RowReadings:
         return BatteryReading(stamp, volt, -amp if amp == amp else NAN, charge / 100)
 
     def _is_new(self, name: str, stamp: int) -> bool:
-        """Whether it is later than the last of its kind; those that are not are counted."""
+        """True if it is later than the last of its kind; those that are not are counted."""
         if self._is_sorted:
             return True
         if stamp <= self._last.get(name, -1):

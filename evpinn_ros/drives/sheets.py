@@ -95,7 +95,7 @@ class SheetTable:
             raise InputError(f"{self.path}: {error or type(error).__name__}") from error
 
     def _of_sheet(self, sheet: Any) -> Iterator[Row]:
-        # What a sheet says of its size is not believed: it may be a million rows.
+        # The size that a sheet states is not trusted: it may be a million rows.
         sheet.reset_dimensions()
         empty, begun = 0, False
         for number, cells in enumerate(sheet.iter_rows(values_only=True), 1):

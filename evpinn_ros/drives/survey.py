@@ -83,7 +83,7 @@ def long_form(head: Head) -> tuple[int, int, int | None] | None:
 
 
 def _names_some(row: Sequence[str]) -> bool:
-    """Whether two cells of a row or more are names of quantities."""
+    """True if two cells of a row or more are names of quantities."""
     names = [cell.strip() for cell in row if 0 < len(cell) < 100]
     names = [name for name in names if not name[:1].isdigit()][:1000]
     found = {
@@ -113,7 +113,7 @@ def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
 
 @dataclass(slots=True)
 class Survey:
-    """What was seen of a table.
+    """Survey of a table.
 
     Attributes:
         cells: of each wanted column, in the order of the file, thinned evenly.
@@ -126,7 +126,7 @@ class Survey:
     width: int
 
     def is_whole(self, width: int) -> bool:
-        """Whether a row of so many cells is one of this table and not torn."""
+        """True if a row of so many cells is one of this table and not torn."""
         if width == self.width:
             return True
         least, share = (3, LEAST_SHARE) if width > self.width else (10, NARROW_SHARE)
@@ -174,7 +174,7 @@ def look_through(
 
 
 def _until_broken(rows: Iterator[Row]) -> Iterator[Row]:
-    """The rows up to where the file breaks off, which is told on reading."""
+    """The rows up to where the file breaks off, which is reported on reading."""
     with suppress(InputError):
         yield from rows
 

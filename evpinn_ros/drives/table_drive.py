@@ -72,7 +72,7 @@ class TableDrive:
             table: its rows.
             path: for messages, and a date in its name.
             nominal_voltage: V, taken where a row has power alone.
-            chosen: columns that are told, see `column.columns_by_name`.
+            chosen: columns that are given, see `column.columns_by_name`.
 
         Raises:
             InputError: empty, columns are missing, a choice is wrong or a unit is not known.
@@ -273,12 +273,12 @@ class TableDrive:
         clock = self.clock
         header = self._head.names
         time = Column("time", header[clock.columns[0]], place=clock.columns[0])
-        told = any(column.quantity == "time" and column.why == "as told" for column in found)
+        given = any(column.quantity == "time" and column.why == "as given" for column in found)
         named = time.name == QUANTITIES["time"].column
         if not named:
             unit = clock.unit or clock.kind
             time = time.measured_in(
-                unit, _plain(clock.unit), "as told" if told else clock.why or "by its cells"
+                unit, _plain(clock.unit), "as given" if given else clock.why or "by its cells"
             )
         used = {column.quantity: column for column in found if column.quantity != "time"}
         if not own:
@@ -299,7 +299,7 @@ class TableDrive:
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
     def _start(self) -> tuple[int, str]:
-        """What is added to the times of the clock, ns, and what tells the date."""
+        """Offset to add to the times of the clock, ns, and the source of the date."""
         clock = self.clock
         stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
         known = stamps[stamps != NONE]
@@ -328,10 +328,10 @@ def _batched(rows: Iterator[tuple[int, list[str]]]) -> Iterator[Batch]:
 
 
 def _styles(survey: Survey) -> dict[int, Style]:
-    """How the numbers of each column are written; where one does not tell, as in the others."""
+    """Number style of each column; an undecided one takes that of the others."""
     found = {place: style_of(cells) for place, cells in survey.cells.items()}
-    told = Counter(style for style in found.values() if style is not None)
-    common = told.most_common(1)[0][0] if told else POINT
+    given = Counter(style for style in found.values() if style is not None)
+    common = given.most_common(1)[0][0] if given else POINT
     return {
         place: style or style_of(survey.cells[place], common) or common
         for place, style in found.items()

@@ -81,7 +81,7 @@ class TextTable:
             self.torn = lines.torn
 
     def _separator(self) -> str:
-        """What a line `sep=;` says, or the sign that most lines have in the same number."""
+        """Separator of a line `sep=;`, or the sign that most lines have in the same number."""
         try:
             with self._open() as file:
                 pieces = _pieces(self._texts(file))
@@ -91,8 +91,8 @@ class TextTable:
             raise InputError(f"{self.path}: {reason}") from error
         lines = [line for line in lines if line.strip()]
         if lines and _says_separator(lines[0]):
-            said = lines[0].strip('\ufeff"\r\n ')[4:]
-            return said[:1] or "\t"
+            rest = lines[0].strip('\ufeff"\r\n ')[4:]
+            return rest[:1] or "\t"
         counts = {
             sign: Counter(_outside_quotes(line, sign) for line in lines) for sign in SEPARATORS
         }
@@ -165,7 +165,7 @@ def _pieces(texts: Iterator[str]) -> Iterator[tuple[list[str], bool]]:
 
 
 def _says_separator(line: str) -> bool:
-    """Whether it is the first line of a file that Excel shall split rightly: `sep=;`."""
+    """True if it is the first line of a file that Excel shall split rightly: `sep=;`."""
     return line.lstrip('\ufeff"').lower().startswith("sep=")
 
 

@@ -72,7 +72,7 @@ _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s")
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """How the cells of the time columns are read.
+    """Reader of the cells of the time columns.
 
     Attributes:
         columns: of the table, one, or two where date and time are apart.
@@ -100,14 +100,14 @@ class Clock:
 
     @property
     def unwrapped(self) -> Unwrapped | None:
-        """What makes the times run on where the clock begins anew; None where it does not."""
+        """Offsets that make times run on where the clock begins anew; None where it does not."""
         if self.kind != "time of day" and not self.daily:
             return None
         return Unwrapped(self.twelve and "%p" not in self.formats)
 
     @property
     def dated(self) -> bool:
-        """Whether the cells tell the date."""
+        """True if the cells hold the date."""
         return self.kind == "date" or (self.kind == "number" and self.zoned)
 
     def stamps(self, cells: Sequence[Sequence[str]]) -> NDArray[np.int64]:
@@ -175,7 +175,7 @@ def _parsed(text: pl.Series, formats: str) -> NDArray[np.int64]:
 
 
 def is_newest_first(times: NDArray[Any]) -> bool:
-    """Whether times run backwards on the whole, as a database exports them."""
+    """True if times run backwards on the whole, as a database exports them."""
     steps = np.diff(times)
     return steps.size >= 3 and float(np.mean(steps < 0)) > MOSTLY
 
@@ -232,7 +232,7 @@ def clock_of_numbers(
 
 
 def _begins_anew(times_ns: NDArray[np.float64]) -> bool:
-    """Whether times are those of a day, and midnight passes."""
+    """True if times are those of a day, and midnight passes."""
     inside = times_ns.min() >= 0 and times_ns.max() <= DAY_NS
     return bool(inside and (np.diff(times_ns) < -0.9 * DAY_NS).any())
 
@@ -278,8 +278,8 @@ def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
     merit, clock = found[0]
     rivals = [other for m, other in found[1:] if m[:4] == merit[:4] and other.why != clock.why]
     if rivals and clock.why:
-        said = f"{clock.why}; could be {rivals[0].why} as well"
-        clock = replace(clock, why=said)
+        doubt = f"{clock.why}; could be {rivals[0].why} as well"
+        clock = replace(clock, why=doubt)
     return clock
 
 

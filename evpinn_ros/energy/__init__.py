@@ -1,4 +1,4 @@
-"""Energy: metered, integrated by the Runge-Kutta network, and foretold for plans."""
+"""Energy: metered, integrated by the Runge-Kutta network, and forecast for plans."""
 
 from evpinn_ros.energy.forecast import Energies, Profiles, forecast
 

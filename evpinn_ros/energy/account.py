@@ -25,7 +25,7 @@ from evpinn_ros.energy.plausible import (
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
 from evpinn_ros.energy.saved import numbers, or_none, section
-from evpinn_ros.energy.silence import Silence
+from evpinn_ros.energy.silence import Dropout
 from evpinn_ros.energy.trip import Stretch, TripLog
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
@@ -36,7 +36,7 @@ SUMMARY_NS = NANOSECONDS  # between two summaries
 
 
 class Totals(NamedTuple):
-    """What was counted over some time.
+    """Totals counted over some time.
 
     Attributes:
         drawn: J.
@@ -113,7 +113,7 @@ class EnergyAccount:
         trip: distance and consumption.
         gauge: state of charge and capacity.
         battery: its charge and voltage, for the end of a plan.
-        reconciled: of the last silence of the battery that ended, None before.
+        reconciled: of the last battery dropout that ended, None before.
         refused: readings of what no car can do, by reason, since the process began.
     """
 
@@ -121,7 +121,7 @@ class EnergyAccount:
         """Start at zero.
 
         Args:
-            meter: to be used by nobody else.
+            meter: to be used here alone.
             vehicle: whose account this is; that of another car is refused.
             capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
         """
@@ -132,7 +132,7 @@ class EnergyAccount:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all, as if nothing had ever been pushed."""
+        """Forget all, as if nothing had ever been counted."""
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
@@ -145,9 +145,9 @@ class EnergyAccount:
         self._correction, self._variance_taken = correction, variance_taken
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
-        self._seen: Silence | None = None
-        self._awaits_charge: tuple[Silence, float] | None = None
-        self._charge_before = math.nan  # the last one heard while the battery was measured
+        self._seen: Dropout | None = None
+        self._awaits_charge: tuple[Dropout, float] | None = None
+        self._charge_before = math.nan  # the last one received while the battery was measured
 
     def reset_trip(self) -> None:
         """Count from zero; the lifetime, what was learned and the last kilometres stay."""
@@ -158,7 +158,7 @@ class EnergyAccount:
         self._begin(lifetime, 0.0, 0.0)
         self._newest_ns = newest_ns
 
-    def begin_next_stretch(self) -> None:
+    def begin_after_jump(self) -> None:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
         self.restore(self.export())
 
@@ -170,23 +170,23 @@ class EnergyAccount:
 
     def begin_next_trip(self) -> None:
         """Likewise, and count the trip from zero; the lifetime goes on."""
-        self.begin_next_stretch()
+        self.begin_after_jump()
         self.reset_trip()
 
-    def push_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
+    def add_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
         if not power_is_possible(power, sigma):
             self.refused["power_out_of_range"] += 1
             return
         self._see(stamp_ns)
-        self.meter.push_measured(stamp_ns, power, sigma)
-        ended = self.meter.last_silence
+        self.meter.add_measured(stamp_ns, power, sigma)
+        ended = self.meter.last_dropout
         if ended is not None and ended is not self._seen:
             self._seen = ended
             self.reconciled = reconcile(ended, UNKNOWN)
             self._awaits_charge = (ended, self._charge_before)
 
-    def push_predicted(
+    def add_predicted(
         self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
     ) -> bool:
         """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
@@ -194,48 +194,50 @@ class EnergyAccount:
             self.refused["power_out_of_range"] += 1
             return False
         self._see(stamp_ns)
-        self.meter.push_predicted(stamp_ns, power, sigma, energy_sigma)
+        self.meter.add_predicted(stamp_ns, power, sigma, energy_sigma)
         return True
 
-    def push_speed(self, stamp_ns: int, speed: float) -> None:
+    def add_speed(self, stamp_ns: int, speed: float) -> None:
         """Take a speed, m/s."""
         if not speed_is_possible(speed):
             self.refused["speed_out_of_range"] += 1
             return
-        self.trip.push(stamp_ns, speed, self.meter.state.consumed)
+        self.trip.update(stamp_ns, speed, self.meter.state.consumed)
 
-    def push_battery(self, reading: BatteryReading) -> None:
+    def add_battery(self, reading: BatteryReading) -> None:
         """Take what the battery tells of itself: state of charge, voltage and current."""
-        self.battery.push(reading)
-        self.push_charge(reading.stamp_ns, reading.state_of_charge)
+        self.battery.add_reading(reading)
+        self.add_charge(reading.stamp_ns, reading.state_of_charge)
 
-    def push_charge(self, stamp_ns: int, charge: float) -> None:
+    def add_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
         if not 0.0 <= charge <= 1.0:
             return
         if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
-            silence, before = self._awaits_charge
+            dropout, before = self._awaits_charge
             self._awaits_charge = None
-            self._reconcile(silence, self._by_charge(silence, before, charge))
-        lifetime, silent = self.lifetime(), self.meter.silent_at(stamp_ns)
+            self._reconcile(dropout, self._by_charge(dropout, before, charge))
+        lifetime, silent = self.lifetime(), self.meter.in_dropout(stamp_ns)
         if not silent:
             self._charge_before = charge
-        self.gauge.push(stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s)
+        self.gauge.update(
+            stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s
+        )
 
     def _see(self, stamp_ns: int) -> None:
         self._newest_ns = max(self._newest_ns, stamp_ns)
 
-    def _by_charge(self, silence: Silence, before: float, after: float) -> Uncertain:
-        """What the state of charge says of a dropout; nothing where no car can do that."""
+    def _by_charge(self, dropout: Dropout, before: float, after: float) -> Uncertain:
+        """Energy of a dropout by the state of charge; nothing where no car can do that."""
         found = self.gauge.energy_between(before, after)
-        return found if abs(found.value) <= MAX_POWER * silence.duration else UNKNOWN
+        return found if abs(found.value) <= MAX_POWER * dropout.duration else UNKNOWN
 
-    def _reconcile(self, silence: Silence, by_charge: Uncertain) -> None:
-        found = self.reconciled = reconcile(silence, by_charge)
-        error = silence.bridge.energy - by_charge.value
-        known = math.hypot(silence.short_sigma, by_charge.sigma)
+    def _reconcile(self, dropout: Dropout, by_charge: Uncertain) -> None:
+        found = self.reconciled = reconcile(dropout, by_charge)
+        error = dropout.bridge.energy - by_charge.value
+        known = math.hypot(dropout.short_sigma, by_charge.sigma)
         if found.comparable:
-            self.meter.lasting.push(error, known, silence.bridge.gross)
+            self.meter.lasting.update(error, known, dropout.bridge.gross)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
         self._correction += found.correction
@@ -251,7 +253,7 @@ class EnergyAccount:
         return replace(state, consumed=state.consumed + self._correction, consumed_sigma=sigma)
 
     def since_reset(self) -> Totals:
-        """What was counted since the last reset."""
+        """Totals since the last reset."""
         state, stretch = self.state, self.trip.total
         return Totals(
             drawn=state.consumed + state.regenerated.energy,
@@ -264,7 +266,7 @@ class EnergyAccount:
         )
 
     def lifetime(self) -> Totals:
-        """What was counted since ever."""
+        """Totals since the first start."""
         return self._before_reset.plus(self.since_reset())
 
     def charge(self) -> Uncertain:

@@ -35,7 +35,7 @@ LEARN_EVERY = 1.0  # s
 NOISE = 10.0
 LEAST_SAMPLES = 60  # before the model is used
 LEVEL_TIME = 20.0  # s over which what it lacks now is averaged
-# 1-sigma before anything was heard, and drift in an hour (temperature): of the voltage U at half
+# 1-sigma before any reading, and drift in an hour (temperature): of the voltage U at half
 # charge, of its slope by charge, both as shares of it; of R as a share of its prior.
 PRIOR_SHARE = np.array([0.08, 0.1, 1.0])
 DRIFT_SHARE = np.array([0.01, 0.005, 0.1])
@@ -62,7 +62,7 @@ class BatteryModel:
     """
 
     def __init__(self, capacity: float) -> None:
-        """Nothing heard yet; `capacity` of the vehicle file, J, NaN if unknown."""
+        """Begin without a reading; `capacity` of the vehicle file, J, NaN if unknown."""
         self._capacity = capacity
         self.reset()
 
@@ -75,7 +75,7 @@ class BatteryModel:
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Join nothing to what was heard before: time jumped."""
+        """Join nothing to earlier readings: time jumped."""
         self._current = EnergyIntegral(MAX_GAP)
         self._gauge.begin_anew()
         self._charge, self._level = math.nan, 0.0
@@ -83,7 +83,7 @@ class BatteryModel:
 
     @property
     def known(self) -> bool:
-        """Whether there is enough of it to forecast with."""
+        """True if there is enough of it to forecast with."""
         return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
 
     @property
@@ -96,7 +96,7 @@ class BatteryModel:
         """Charge of the full battery, Q, A s."""
         return self._gauge.capacity
 
-    def push(self, reading: BatteryReading) -> None:
+    def add_reading(self, reading: BatteryReading) -> None:
         """Take a reading; of what no battery has, nothing."""
         if 0.0 <= reading.state_of_charge <= 1.0:
             self._charge = reading.state_of_charge
@@ -104,13 +104,13 @@ class BatteryModel:
         if not (MIN_VOLTAGE <= voltage <= MAX_VOLTAGE and abs(current) <= MAX_CURRENT):
             return
         dropped = self._current.dropped
-        self._current.push(reading.stamp_ns, current)
+        self._current.append(reading.stamp_ns, current)
         if self._current.dropped > dropped or math.isnan(self._charge):
             return
         if not self.samples:
             self._begin(voltage)
         taken = Uncertain(self._current.energy, 0.0)
-        self._gauge.push(reading.stamp_ns, self._charge, taken, self._current.gap_s)
+        self._gauge.update(reading.stamp_ns, self._charge, taken, self._current.gap_s)
         if reading.stamp_ns - self._learned_ns >= LEARN_EVERY * NANOSECONDS:
             self._learn(reading.stamp_ns, voltage, current)
 
@@ -122,7 +122,7 @@ class BatteryModel:
         self._covariance = np.diag((scale * PRIOR_SHARE) ** 2)
 
     def _scale(self, voltage: float) -> np.ndarray:
-        """What the shares of priors and drifts are of: U twice, V, and the prior of R, Ohm."""
+        """Scales of the shares of priors and drifts: U twice, V, and the prior of R, Ohm."""
         full = self._capacity / voltage
         hour = (USUAL_CHARGE if math.isnan(full) else full) / 3600
         return np.array([voltage, voltage, RESISTANCE_SHARE * voltage / hour])
@@ -134,7 +134,7 @@ class BatteryModel:
         scale = self._scale(float(self._state[0]))
         self._covariance += np.diag((scale * DRIFT_SHARE) ** 2 * elapsed / 3600)
         excess = np.sqrt(np.diag(self._covariance)) / (scale * PRIOR_SHARE)
-        narrow = 1 / np.maximum(excess, 1.0)  # never less sure than before anything was heard
+        narrow = 1 / np.maximum(excess, 1.0)  # never less sure than before any reading
         self._covariance *= np.outer(narrow, narrow)
         row = np.array([1.0, self._charge - 0.5, -current])
         error = voltage - float(row @ self._state)
@@ -189,7 +189,7 @@ class BatteryModel:
         return 2 * power / (voltage + root)  # the stable form, also for R = 0
 
     def exported(self) -> dict[str, Any]:
-        """What `restore` needs."""
+        """State that `restore` needs."""
         return {
             "samples": self.samples,
             "state": self._state.tolist(),

@@ -3,7 +3,7 @@
 A drop of the state of charge by d while the battery gave the measured energy E says that the full
 battery holds E / d. Readings are rounded, so d is only as good as their step, which is seen in
 them; what a percent is differs beside that with temperature and age, by `CAPACITY_SPREAD`. Such
-readings and the belief of the vehicle file are averaged by their variance.
+readings and the prior of the vehicle file are averaged by their variance.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from evpinn_ros.energy.saved import number, numbers
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
-CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # of silence, after which a state of charge is projected
+CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, then a state of charge is projected
 LEAST_CHANGE = 0.1  # of the state of charge, that says something of capacity
 LEAST_STEPS = 10  # of its rounding, in that change
 FIRST_STEP = 0.01  # of the readings, before one was seen
@@ -36,14 +36,14 @@ class Uncertain(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether there is a value."""
+        """True if there is a value."""
         return math.isfinite(self.value)
 
 
 UNKNOWN = Uncertain(math.nan, math.nan)
 
 
-class _Heard(NamedTuple):
+class _ChargeSample(NamedTuple):
     """A state of charge with what was counted at that moment.
 
     Attributes:
@@ -81,23 +81,23 @@ class ChargeGauge:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was heard and learned."""
+        """Forget all readings and all that was learned."""
         self.capacity, self.learned = self._prior, 0
         self._step = FIRST_STEP
         self._step_seen = False
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Join nothing to what was heard before: time jumped, or energy counts from elsewhere."""
-        self._last: _Heard | None = None
-        self._anchor: _Heard | None = None
+        """Join nothing to earlier readings: time jumped, or energy counts from elsewhere."""
+        self._last: _ChargeSample | None = None
+        self._anchor: _ChargeSample | None = None
 
     @property
     def rounding(self) -> float:
         """1-sigma of one reading, 0..1, from the size of its steps."""
         return self._step / math.sqrt(12.0)
 
-    def push(
+    def update(
         self, stamp_ns: int, charge: float, consumed: Uncertain, unmeasured_s: float | None
     ) -> None:
         """Take a state of charge; one that is not within 0..1 says nothing.
@@ -110,15 +110,15 @@ class ChargeGauge:
         """
         if not 0.0 <= charge <= 1.0:
             return
-        heard = _Heard(stamp_ns, charge, consumed.value, consumed.sigma**2, unmeasured_s)
+        sample = _ChargeSample(stamp_ns, charge, consumed.value, consumed.sigma**2, unmeasured_s)
         if self._last is not None:
             self._see_step(abs(charge - self._last.charge))
-        self._last = heard
+        self._last = sample
         anchor = self._anchor
         if anchor is None or unmeasured_s is None or anchor.unmeasured_s != unmeasured_s:
-            self._anchor = heard
+            self._anchor = sample
         else:
-            self._learn(anchor, heard)
+            self._learn(anchor, sample)
 
     def _see_step(self, step: float) -> None:
         if not 0.0 < step <= LARGEST_STEP:
@@ -127,12 +127,12 @@ class ChargeGauge:
         self._step = min(self._step, step) if self._step_seen else step
         self._step_seen = True
 
-    def _learn(self, anchor: _Heard, heard: _Heard) -> None:
-        change = anchor.charge - heard.charge
+    def _learn(self, anchor: _ChargeSample, sample: _ChargeSample) -> None:
+        change = anchor.charge - sample.charge
         if abs(change) < max(LEAST_CHANGE, LEAST_STEPS * self._step):
             return
-        self._anchor = heard
-        found = (heard.consumed - anchor.consumed) / change
+        self._anchor = sample
+        found = (sample.consumed - anchor.consumed) / change
         if not self._limits[0] <= found <= self._limits[1]:
             return
         spread = math.hypot(CAPACITY_SPREAD, math.sqrt(2) * self.rounding / change)
@@ -155,7 +155,7 @@ class ChargeGauge:
         self.capacity = Uncertain(value, sigma)
 
     def projected(self, stamp_ns: int) -> bool:
-        """Whether the state of charge at this moment is no reading but follows from energy."""
+        """True if the state of charge at this moment is no reading but follows from energy."""
         return self._last is not None and stamp_ns - self._last.stamp_ns > CHARGE_TIMEOUT_NS
 
     def charge(self, stamp_ns: int, consumed: Uncertain) -> Uncertain:
@@ -194,7 +194,7 @@ class ChargeGauge:
         return Uncertain(charge.value * self.capacity.value, sigma)
 
     def exported(self) -> dict[str, Any]:
-        """What `restore` needs: what was learned, not what was heard."""
+        """State that `restore` needs: what was learned, not the readings."""
         learned = self.learned > 0
         return {
             "capacity": list(self.capacity) if learned else None,

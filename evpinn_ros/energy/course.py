@@ -38,7 +38,7 @@ LONGEST = 59.0  # s; of a longer dropout the ends tell nothing, and the state of
 MEMORY = 0.5  # s, tau: of errors of the prediction; docs/benchmarks.md has others
 
 
-class Prediction(NamedTuple):
+class PredictedPower(NamedTuple):
     """Predicted power at a moment and its 1-sigma, W."""
 
     stamp_ns: int
@@ -62,41 +62,41 @@ class MeasuredStep(NamedTuple):
     dropout: Bridge | None = None
 
 
-class Correction(NamedTuple):
-    """What is to be added to what has been counted for a step, and its variance, J^2."""
+class EnergyCorrection(NamedTuple):
+    """Correction to what has been counted for a step, and its variance, J^2."""
 
     bridge: Bridge
     variance: float
 
 
-class Course:
+class PowerInterpolation:
     """Corrects what was counted between samples of the battery once predictions have passed.
 
     A step that no prediction ever passes, or that holds too few, stays as it was counted.
     """
 
     def __init__(self, max_gap: float, network: Rknn | None) -> None:
-        """Nothing heard yet.
+        """Begin without a reading.
 
         Args:
             max_gap: predictions further apart, s, tell no course.
             network: integrates, the trapezoid rule where there is none.
         """
         self._max_gap, self._network = max_gap, network
-        self._predictions: deque[Prediction] = deque(maxlen=WAITING)
+        self._predictions: deque[PredictedPower] = deque(maxlen=WAITING)
         self._steps: deque[MeasuredStep] = deque(maxlen=WAITING)
 
-    def push_predicted(self, prediction: Prediction) -> Iterator[Correction]:
+    def add_predicted(self, prediction: PredictedPower) -> Iterator[EnergyCorrection]:
         """Take a prediction newer than the last; gives the steps that it completes."""
         self._predictions.append(prediction)
         return self._completed()
 
-    def push_measured(self, step: MeasuredStep) -> Iterator[Correction]:
+    def add_measured(self, step: MeasuredStep) -> Iterator[EnergyCorrection]:
         """Take a step newer than the last; gives it if it is complete."""
         self._steps.append(step)
         return self._completed()
 
-    def _completed(self) -> Iterator[Correction]:
+    def _completed(self) -> Iterator[EnergyCorrection]:
         while self._steps and self._predictions and self._past(self._steps[0].end_ns):
             step = self._steps.popleft()
             while len(self._predictions) > 1 and self._predictions[1].stamp_ns <= step.begin_ns:
@@ -108,8 +108,8 @@ class Course:
     def _past(self, stamp_ns: int) -> bool:
         return self._predictions[-1].stamp_ns >= stamp_ns
 
-    def _correction(self, step: MeasuredStep) -> Correction | None:
-        """What the predictions around and in a step add to what was counted for it."""
+    def _correction(self, step: MeasuredStep) -> EnergyCorrection | None:
+        """Correction by the predictions around and in a step to what was counted for it."""
         near = [*self._predictions]
         end = next(i for i, each in enumerate(near) if each.stamp_ns >= step.end_ns)
         near = near[: end + 1]
@@ -123,10 +123,10 @@ class Course:
         time, power = _joined(step, near)
         found = self._integral(time, power)
         if step.dropout is not None:
-            return Correction(found.less(step.dropout)._replace(covered_s=0.0), 0.0)
+            return EnergyCorrection(found.less(step.dropout)._replace(covered_s=0.0), 0.0)
         sigma = math.fsum(each.sigma for each in inside) / len(inside)
         counted = Bridge.of_parts(*step.line.parts)
-        return Correction(found.less(counted), (sigma * step.line.dt) ** 2 / 2)
+        return EnergyCorrection(found.less(counted), (sigma * step.line.dt) ** 2 / 2)
 
     def _integral(self, time: np.ndarray, power: np.ndarray) -> Bridge:
         """Energy of a step, from the course of power at these times since its start, s."""
@@ -138,7 +138,7 @@ class Course:
         return Bridge.of_parts(drawn, regenerated)
 
 
-def _joined(step: MeasuredStep, near: list[Prediction]) -> tuple[np.ndarray, np.ndarray]:
+def _joined(step: MeasuredStep, near: list[PredictedPower]) -> tuple[np.ndarray, np.ndarray]:
     """Time since its start, s, and power, W, of the course of a step, from end to end."""
     stamps = [(each.stamp_ns - step.begin_ns) / NANOSECONDS for each in near]
     times, powers = np.array(stamps), np.array([each.power for each in near])

@@ -144,7 +144,7 @@ def forecast_plan(
     power = np.concatenate((powers[..., 0, 0], powers[..., -1:, 2, 0]), axis=-1)
     sigma = np.sqrt((energies[..., 1:] ** 2).sum(axis=-1) + beside)
     if not np.isfinite(energies[..., 0] + power + sigma).all():
-        raise PlanError("by what is told of the car its energy is not finite")
+        raise PlanError("by the model of the car its energy is not finite")
     end = PlanEnd(energies[..., -1, :], elapsed[..., -1], length[..., -1], square_speed[..., -1])
     return Forecast(time=plan.time, energy=energies[..., 0], power=power, sigma=sigma, end=end)
 

@@ -1,7 +1,7 @@
-"""What was consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
+"""Energy consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
 The measured integral stays where it is while the battery is silent; the predicted ones go on
-from speed alone, and bridge the silence. Between two samples of a slow battery the prediction
+from speed alone, and bridge the dropout. Between two samples of a slow battery the prediction
 tells the course of power (`energy.course`). When speed is silent as well, nothing is known of
 what was taken: that time is counted, and no line is drawn across it.
 """
@@ -14,19 +14,25 @@ from enum import Enum
 import math
 from typing import Any, NamedTuple
 
-from evpinn_ros.energy.course import LONGEST, Correction, Course, MeasuredStep, Prediction
+from evpinn_ros.energy.course import (
+    LONGEST,
+    EnergyCorrection,
+    MeasuredStep,
+    PowerInterpolation,
+    PredictedPower,
+)
 from evpinn_ros.energy.plausible import MAX_POWER, MOST_ENERGY, MOST_SECONDS, ROUNDING
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, Step
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.saved import number, numbers, or_none, section
-from evpinn_ros.energy.silence import Bridge, Silence, Silences
+from evpinn_ros.energy.silence import Bridge, Dropout, Dropouts
 from evpinn_ros.energy.uncertainty import CORRELATION_TIME, CorrelatedError, LastingShare
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 
 class Integrator(str, Enum):
-    """What integrates the predicted power that stands in for the battery."""
+    """Integrator of the predicted power that stands in for the battery."""
 
     RKNN = "rknn"
     TRAPEZOID = "trapezoid"
@@ -42,10 +48,10 @@ class Flow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EnergyState:
-    """What the meter says at one moment. Drawn energy is positive.
+    """State of the meter at one moment. Drawn energy is positive.
 
     Attributes:
-        stamp_ns: newest stamp pushed, 0 before the first.
+        stamp_ns: newest stamp counted, 0 before the first.
         measured: integral of measured power, sigma from the sensor's; power NaN while silent.
         predicted: quadrature of predicted power; for sigma see `energy.uncertainty`. The part of
             it that lasts is counted for the time the battery was silent.
@@ -59,7 +65,7 @@ class EnergyState:
         gaps: steps too long to integrate, of measured and predicted power together.
         dropped: samples dropped (out of order or not finite), of both together.
         unmeasured_s: time since reset without measured power, s.
-        unknown_s: the part of it without predicted power either, s: energy that nobody counted.
+        unknown_s: the part of it without predicted power either, s: energy that was not counted.
         measuring: False while the state is `predicting`.
     """
 
@@ -84,8 +90,8 @@ class EnergyMeter:
     over calls `reset`.
 
     Attributes:
-        lasting: how much of a silence's energy stays wrong.
-        last_silence: the last silence that ended, None before.
+        lasting: how much of a dropout's energy stays wrong.
+        last_dropout: the last dropout that ended, None before.
     """
 
     def __init__(
@@ -120,27 +126,29 @@ class EnergyMeter:
         self.reset()
 
     def reset(self) -> None:
-        """Set everything to zero, as if nothing had ever been pushed."""
+        """Set everything to zero, as if nothing had ever been counted."""
         self._measured = EnergyIntegral(self._timeout)
         self._predicted = EnergyIntegral(self._max_gap)
         self._rknn, self._rknn_power = CompensatedSum(), math.nan
         self._measured_error = CorrelatedError(self._tau)
         self._predicted_error = CorrelatedError(self._tau)
         self.lasting = LastingShare()
-        self._begin(Silences())
+        self._begin(Dropouts())
 
-    def _begin(self, silences: Silences) -> None:
+    def _begin(self, dropouts: Dropouts) -> None:
         self._newest_ns = 0
-        self._silent_since_ns: int | None = None
-        self.last_silence: Silence | None = None
-        self._silences = silences  # those that ended, and what the course of power added
+        self._dropout_since_ns: int | None = None
+        self.last_dropout: Dropout | None = None
+        self._dropouts = dropouts  # those that ended, and what the course of power added
         by_network = self._integrator is Integrator.RKNN
-        self._course = Course(self._max_gap, self._network if by_network else None)
-        self._silence_error = CorrelatedError(self._tau)
+        self._interpolation = PowerInterpolation(
+            self._max_gap, self._network if by_network else None
+        )
+        self._dropout_error = CorrelatedError(self._tau)
         self._energy_sigma = math.nan
         self._anchor = self._predicted_parts()
 
-    def push_predicted(
+    def add_predicted(
         self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
     ) -> None:
         """Take one prediction of power.
@@ -154,73 +162,75 @@ class EnergyMeter:
         """
         self._energy_sigma = energy_sigma
         dropped = self._predicted.dropped
-        step = self._predicted.push(stamp_ns, power)
+        step = self._predicted.append(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
-        if self._silent_since_ns is None:
-            self._silent_since_ns = stamp_ns
+        if self._dropout_since_ns is None:
+            self._dropout_since_ns = stamp_ns
         if self._predicted.dropped == dropped:
-            self._correct(self._course.push_predicted(Prediction(stamp_ns, power, sigma)))
+            self._correct(
+                self._interpolation.add_predicted(PredictedPower(stamp_ns, power, sigma))
+            )
         if step is None:
             return
         energy = float(self._network.step(step.power, step.power_next, step.dt))
         self._rknn.add(energy)
         self._rknn_power = energy / step.dt
-        self._predicted_error.push(sigma, step.dt)
-        self._silence_error.push(sigma, step.dt)
+        self._predicted_error.integrate(sigma, step.dt)
+        self._dropout_error.integrate(sigma, step.dt)
 
-    def push_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
+    def add_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
         dropped, last_ns = self._measured.dropped, self._measured.last_stamp_ns
         last_power = self._measured.last_power
-        step = self._measured.push(stamp_ns, power)
+        step = self._measured.append(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if self._measured.dropped > dropped:
             return
         if last_ns is None:
-            self._end_silence(stamp_ns)
+            self._end_dropout(stamp_ns)
         elif step is None:
-            ended = self._end_silence(stamp_ns)
+            ended = self._end_dropout(stamp_ns)
             line = Step((stamp_ns - last_ns) / NANOSECONDS, last_power, power)
             if line.dt <= LONGEST:
                 dropout = MeasuredStep(last_ns, stamp_ns, line, ended.bridge)
-                self._correct(self._course.push_measured(dropout))
+                self._correct(self._interpolation.add_measured(dropout))
         else:
-            self._measured_error.push(sigma, step.dt)
-            self._correct(self._course.push_measured(MeasuredStep(last_ns, stamp_ns, step)))
-        self._silent_since_ns = stamp_ns
-        self._silence_error = CorrelatedError(self._tau)
+            self._measured_error.integrate(sigma, step.dt)
+            self._correct(self._interpolation.add_measured(MeasuredStep(last_ns, stamp_ns, step)))
+        self._dropout_since_ns = stamp_ns
+        self._dropout_error = CorrelatedError(self._tau)
         self._anchor = self._predicted_parts()
 
-    def _correct(self, corrections: Iterable[Correction]) -> None:
+    def _correct(self, corrections: Iterable[EnergyCorrection]) -> None:
         for correction in corrections:
-            self._silences = self._silences.corrected(correction.bridge, correction.variance)
+            self._dropouts = self._dropouts.corrected(correction.bridge, correction.variance)
 
-    def _end_silence(self, stamp_ns: int) -> Silence:
-        ended = self._silence_until(stamp_ns)
-        self._silences = self._silences.after(ended)
+    def _end_dropout(self, stamp_ns: int) -> Dropout:
+        ended = self._dropout_until(stamp_ns)
+        self._dropouts = self._dropouts.after(ended)
         if ended.duration > self._measured.longest_step:
-            self.last_silence = ended
+            self.last_dropout = ended
         return ended
 
-    def _silence_until(self, stamp_ns: int) -> Silence:
-        """The silence since the last word of the battery, as if it ended at this stamp."""
+    def _dropout_until(self, stamp_ns: int) -> Dropout:
+        """The dropout since the last sample of the battery, as if it ended at this stamp."""
         bridge = self._predicted_parts().less(self._anchor)
         if math.isfinite(self._energy_sigma):
             short = sigma = self._energy_sigma
         else:
-            short = self._silence_error.sigma
+            short = self._dropout_error.sigma
             sigma = math.hypot(short, self.lasting.value * bridge.gross)
-        return Silence(stamp_ns, self._silence(stamp_ns), bridge, short, sigma)
+        return Dropout(stamp_ns, self._dropout_seconds(stamp_ns), bridge, short, sigma)
 
-    def silent_at(self, stamp_ns: int) -> bool:
-        """Whether the battery has said nothing within its timeout before this stamp."""
-        heard = self._measured.last_stamp_ns is not None
-        return not heard or self._silence(stamp_ns) > self._measured.longest_step
+    def in_dropout(self, stamp_ns: int) -> bool:
+        """True if the battery gave nothing within its timeout before this stamp."""
+        measured = self._measured.last_stamp_ns is not None
+        return not measured or self._dropout_seconds(stamp_ns) > self._measured.longest_step
 
     @property
     def measuring(self) -> bool:
-        """Whether the battery has been heard within its timeout."""
-        return not self.silent_at(self._newest_ns)
+        """True if the battery was measured within its timeout."""
+        return not self.in_dropout(self._newest_ns)
 
     @property
     def state(self) -> EnergyState:
@@ -262,7 +272,7 @@ class EnergyMeter:
             "bridged_sigma": or_none(math.sqrt(now.variance)),
             "lasting_sigma": or_none(math.sqrt(now.lasting_variance)),
             "unmeasured_s": now.seconds,
-            "lasting": [self.lasting.silences, self.lasting.squares],
+            "lasting": [self.lasting.dropouts, self.lasting.squares],
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -287,13 +297,13 @@ class EnergyMeter:
         self._measured_error = CorrelatedError(self._tau, measured_sigma)
         self._predicted_error = CorrelatedError(self._tau, predicted_sigma)
         self.lasting = lasting
-        self._begin(Silences(bridged, bridged_sigma**2, lasting_sigma**2, unmeasured_s))
+        self._begin(Dropouts(bridged, bridged_sigma**2, lasting_sigma**2, unmeasured_s))
 
-    def _until_now(self) -> Silences:
-        """All silences, the present one among them."""
+    def _until_now(self) -> Dropouts:
+        """All dropouts, the present one among them."""
         if self.measuring:
-            return self._silences
-        return self._silences.after(self._silence_until(self._newest_ns))
+            return self._dropouts
+        return self._dropouts.after(self._dropout_until(self._newest_ns))
 
     def _predicted_parts(self) -> Bridge:
         whole = self._predicted
@@ -301,9 +311,9 @@ class EnergyMeter:
         energy = self._rknn.value if by_network else whole.energy
         return Bridge(energy, whole.regenerated, whole.gross, whole.covered_s)
 
-    def _silence(self, stamp_ns: int) -> float:
+    def _dropout_seconds(self, stamp_ns: int) -> float:
         """Time from the last word of the battery (or the first stamp) to this stamp, s."""
-        since = self._silent_since_ns
+        since = self._dropout_since_ns
         return 0.0 if since is None else max(stamp_ns - since, 0) / NANOSECONDS
 
 

@@ -1,4 +1,4 @@
-"""What a planner means to drive: time, distance, speed and elevation along one trip or many.
+"""Plan of a planner: time, distance, speed and elevation along one trip or many.
 
 Between two points distance is the cubic that has the given speeds at its ends, so that legs agree
 with their length, their climb and their speeds at once.
@@ -17,7 +17,7 @@ from evpinn_ros.errors import InputError
 
 MAX_SPEED = 100.0  # m/s: faster is a teleport
 MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m
-LONGEST = 14 * 86_400.0  # s from the first point to the last: nobody calls more one trip
+LONGEST = 14 * 86_400.0  # s from the first point to the last: more is not one trip
 MAX_LEG = 10e3  # m between two points without stamps: farther is a teleport
 NOMINAL_SPEED = 50 / 3.6  # m/s, where a path has no usable stamps
 COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as well

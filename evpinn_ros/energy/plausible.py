@@ -21,7 +21,7 @@ MAX_POWER = 4e6  # W
 MOST_DISTANCE = 1e10  # m
 MOST_ENERGY = 1e14  # J
 MOST_SECONDS = 1e15  # s; a stamp that leaps may claim decades of dropout, so hardly a bound
-# Of a car that is told, from a model of one to a train; time and way in which errors forget
+# Of a car that is given, from a model of one to a train; time and way in which errors forget
 # themselves are not zero.
 CAR_RANGES = {
     "drag_area": (0.0, 100.0),
@@ -43,17 +43,17 @@ ROUNDING = 1.0 + 1e-6  # of sums
 
 
 def speed_is_possible(speed: float) -> bool:
-    """Whether a speed, m/s, may be counted as distance: the gate of the estimator's stream."""
+    """True if a speed, m/s, may be counted as distance: the gate of the estimator's stream."""
     return abs(speed) <= MAX_SPEED
 
 
 def power_is_possible(power: float, sigma: float) -> bool:
-    """Whether a power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
+    """True if a power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
     return abs(power) <= MAX_POWER and (math.isnan(sigma) or 0.0 <= sigma <= MAX_POWER)
 
 
 def car_is_possible(car: LinearPower) -> bool:
-    """Whether a car that was told may be one, so that no sum of its powers leaves all bounds."""
+    """True if a given car is plausible, so that no sum of its powers leaves all bounds."""
     named = ((getattr(car, name), *bounds) for name, bounds in CAR_RANGES.items())
     unsure = np.sqrt((np.clip(car.directions, -1e100, 1e100) ** 2).sum(axis=0))
     most = MAX_POWER / FAST_RIDE

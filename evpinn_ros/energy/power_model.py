@@ -1,4 +1,4 @@
-"""What a plan costs by a linear model of the car (`vehicle.linear_power`), with its variance.
+"""Energy of a plan by a linear model of the car (`vehicle.linear_power`), with its variance.
 
 The variance of the energy of a trip adds up
 
@@ -29,7 +29,7 @@ from evpinn_ros.vehicle.physics import GRAVITY
 
 TINY = 1e-6  # m/s
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
-LEAST_SPEED = 0.5  # m/s, below it no force is told from power
+LEAST_SPEED = 0.5  # m/s, below it no force follows from power
 
 
 class Motion(NamedTuple):

@@ -143,7 +143,7 @@ class EnergyIntegral:
         """Power of the last sample used, W, NaN before the first."""
         return self._last[1] if self._last else math.nan
 
-    def push(self, stamp_ns: int, power: float) -> Step | None:
+    def append(self, stamp_ns: int, power: float) -> Step | None:
         """Take one sample of power, W; returns the step it completed, None without one."""
         if not math.isfinite(power):
             self.not_finite += 1

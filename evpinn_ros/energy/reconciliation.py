@@ -1,11 +1,11 @@
-"""A silence of the battery, seen again when it is over.
+"""A battery dropout, seen again when it is over.
 
-The energy of a silence was predicted. The state of charge before and after says it too, as sure as
+The energy of a dropout was predicted. The state of charge before and after says it too, as sure as
 its steps and the capacity are: two statements of one quantity, joined by their variances. What
 cannot be: a state of charge that rose was charged in between, and two statements further apart
 than three sigma contradict each other; then the prediction stays, and the diagnostics say so.
 Where speed was silent as well the prediction lacks that time: the state of charge alone counts.
-Without a state of charge nothing can be said of how wrong the prediction was: the battery tells
+Without a state of charge nothing is known of how wrong the prediction was: the battery tells
 power, and the power of that time is gone.
 """
 
@@ -16,15 +16,15 @@ import math
 from typing import NamedTuple
 
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.silence import Silence
+from evpinn_ros.energy.silence import Dropout
 
-LEAST_SILENCE = 60.0  # s; in less the state of charge hardly moves a step
+LEAST_DROPOUT = 60.0  # s; in less the state of charge hardly moves a step
 MOST_UNKNOWN = 2.0  # s without speed that a prediction may lack
 CONTRADICTION = 3.0  # sigma
 
 
 class Verdict(str, Enum):
-    """What became of a silence."""
+    """Verdict on a dropout."""
 
     PREDICTED = "predicted: no state of charge to compare"
     SHORT = "predicted: too short for the state of charge to tell"
@@ -35,17 +35,17 @@ class Verdict(str, Enum):
 
 
 class Reconciled(NamedTuple):
-    """A silence and what was made of it; energies in J.
+    """A dropout and what was made of it; energies in J.
 
     Attributes:
-        silence: with what was predicted.
+        dropout: with what was predicted.
         by_charge: the energy that the state of charge says, NaN where it says nothing.
         correction: added to what was predicted.
         variance_taken: by which the variance of the energy fell, J^2; negative where it rose.
         verdict: which of the rules applied.
     """
 
-    silence: Silence
+    dropout: Dropout
     by_charge: Uncertain
     correction: float
     variance_taken: float
@@ -53,29 +53,29 @@ class Reconciled(NamedTuple):
 
     @property
     def comparable(self) -> bool:
-        """Whether the two statements are of the same time."""
+        """True if the two statements are of the same time."""
         return self.verdict in (Verdict.JOINED, Verdict.CONTRADICTED)
 
 
-def reconcile(silence: Silence, by_charge: Uncertain) -> Reconciled:
-    """Join the prediction of a silence with the energy, J, that the state of charge says."""
+def reconcile(dropout: Dropout, by_charge: Uncertain) -> Reconciled:
+    """Join the prediction of a dropout with the energy, J, that the state of charge says."""
 
     def keep(verdict: Verdict) -> Reconciled:
-        return Reconciled(silence, by_charge, 0.0, 0.0, verdict)
+        return Reconciled(dropout, by_charge, 0.0, 0.0, verdict)
 
-    difference = by_charge.value - silence.bridge.energy
-    if not (math.isfinite(difference) and math.isfinite(silence.sigma)):
+    difference = by_charge.value - dropout.bridge.energy
+    if not (math.isfinite(difference) and math.isfinite(dropout.sigma)):
         return keep(Verdict.PREDICTED)
-    if silence.duration < LEAST_SILENCE:
+    if dropout.duration < LEAST_DROPOUT:
         return keep(Verdict.SHORT)
-    both = math.hypot(silence.sigma, by_charge.sigma)
+    both = math.hypot(dropout.sigma, by_charge.sigma)
     if difference < -CONTRADICTION * both and by_charge.value < 0:
         return keep(Verdict.CHARGED)
-    if silence.unknown_s > MOST_UNKNOWN:
-        taken = silence.sigma**2 - by_charge.sigma**2
-        return Reconciled(silence, by_charge, difference, taken, Verdict.CHARGE_ALONE)
+    if dropout.unknown_s > MOST_UNKNOWN:
+        taken = dropout.sigma**2 - by_charge.sigma**2
+        return Reconciled(dropout, by_charge, difference, taken, Verdict.CHARGE_ALONE)
     if abs(difference) > CONTRADICTION * both:
         return keep(Verdict.CONTRADICTED)
-    gain = (silence.sigma / both) ** 2
-    taken = gain * silence.sigma**2
-    return Reconciled(silence, by_charge, gain * difference, taken, Verdict.JOINED)
+    gain = (dropout.sigma / both) ** 2
+    taken = gain * dropout.sigma**2
+    return Reconciled(dropout, by_charge, gain * difference, taken, Verdict.JOINED)

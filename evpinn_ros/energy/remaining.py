@@ -1,4 +1,4 @@
-"""How far the car gets with what is left in its battery.
+"""Distance to empty with the energy in the battery.
 
 What a metre costs ahead begins as it was lately and returns to what it is in the long run, over
 `MEMORY`. So the energy of the next d metres is
@@ -96,7 +96,7 @@ def remaining(usable: Uncertain, cost: Cost) -> Remaining | None:
 
 
 def _first_zero(function: Callable[[float], float]) -> float | None:
-    """Where a function that rises in the end crosses zero; 0 if it is above from the start."""
+    """First zero of a function that rises in the end; 0 if it is above from the start."""
     if function(0.0) >= 0:
         return 0.0
     if function(FARTHEST) <= 0:

@@ -36,7 +36,7 @@ from evpinn_ros.energy.rknn import (
     slopes,
 )
 from evpinn_ros.errors import printable
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 
 SEED = 20240601
 TRACES, KNOTS, STEPS_PER_TRACE = 128, 64, 32
@@ -198,7 +198,7 @@ def main(arguments: list[str]) -> int:
             printable("usage: python -m evpinn_ros.energy.rknn_training OUT.npz"), file=sys.stderr
         )
         return 2
-    one_thread()
+    limit_blas_threads()
     module = train()
     np.savez(Path(arguments[0]), **module.weights())  # type: ignore[arg-type]
     unseen = loss(module, synthetic_steps(np.random.default_rng(SEED + 1)))

@@ -1,4 +1,4 @@
-"""Reads saved numbers with suspicion: a file may hold anything."""
+"""Reads saved numbers with checks: a file may hold anything."""
 
 from __future__ import annotations
 

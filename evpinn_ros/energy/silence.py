@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Bridge(NamedTuple):
-    """What the prediction says of a silence, or of many.
+    """Prediction for a dropout, or for many.
 
     Attributes:
         energy: net, J.
@@ -30,12 +30,12 @@ class Bridge(NamedTuple):
         return Bridge(*(a + b for a, b in zip(self, other, strict=True)))
 
     def less(self, other: Bridge) -> Bridge:
-        """What came since another."""
+        """Difference to an earlier one."""
         return Bridge(*(a - b for a, b in zip(self, other, strict=True)))
 
 
-class Silence(NamedTuple):
-    """One silence of the battery that ended.
+class Dropout(NamedTuple):
+    """One battery dropout that ended.
 
     Attributes:
         end_ns: stamp of the battery's first word after it.
@@ -57,13 +57,13 @@ class Silence(NamedTuple):
         return max(self.duration - self.bridge.covered_s, 0.0)
 
 
-class Silences(NamedTuple):
-    """All silences together, and what the prediction adds between two samples of the battery.
+class Dropouts(NamedTuple):
+    """All dropouts together, and what the prediction adds between two samples of the battery.
 
     Attributes:
         bridged: what the prediction says of them.
         variance: of its energy, J^2.
-        lasting_variance: the part of that by errors that last through a silence, J^2.
+        lasting_variance: the part of that by errors that last through a dropout, J^2.
         seconds: their duration.
     """
 
@@ -72,15 +72,15 @@ class Silences(NamedTuple):
     lasting_variance: float = 0.0
     seconds: float = 0.0
 
-    def after(self, silence: Silence) -> Silences:
+    def after(self, dropout: Dropout) -> Dropouts:
         """With one more."""
-        return Silences(
-            self.bridged.plus(silence.bridge),
-            self.variance + silence.sigma**2,
-            self.lasting_variance + silence.sigma**2 - silence.short_sigma**2,
-            self.seconds + silence.duration,
+        return Dropouts(
+            self.bridged.plus(dropout.bridge),
+            self.variance + dropout.sigma**2,
+            self.lasting_variance + dropout.sigma**2 - dropout.short_sigma**2,
+            self.seconds + dropout.duration,
         )
 
-    def corrected(self, bridge: Bridge, variance: float) -> Silences:
+    def corrected(self, bridge: Bridge, variance: float) -> Dropouts:
         """With what a prediction adds, J, and its variance, J^2, while the battery speaks."""
         return self._replace(bridged=self.bridged.plus(bridge), variance=self.variance + variance)

@@ -44,12 +44,12 @@ class DistanceWindow:
 
     @property
     def known(self) -> bool:
-        """Whether the whole length has been driven."""
+        """True if the whole length has been driven."""
         return self.total.distance >= self.length
 
     @property
     def total(self) -> Stretch:
-        """All that it spans."""
+        """Sum of its whole span."""
         buckets = (*self._full, Stretch(self._distance.value, self._energy.value))
         return Stretch(*(math.fsum(column) for column in zip(*buckets, strict=True)))
 
@@ -115,11 +115,11 @@ class TripLog:
         """Time across which speed was silent, s."""
         return self._speed.gap_s
 
-    def push(self, stamp_ns: int, speed: float, energy: float) -> None:
+    def update(self, stamp_ns: int, speed: float, energy: float) -> None:
         """Take a speed, m/s, and the net energy since whenever, J, at that moment."""
         dropped = self._speed.dropped
         # The integral of speed is distance: one way to deal with gaps and doubled stamps.
-        step = self._speed.push(stamp_ns, abs(speed))
+        step = self._speed.append(stamp_ns, abs(speed))
         if self._speed.dropped > dropped:
             return
         if step is not None and self._energy_before is not None:

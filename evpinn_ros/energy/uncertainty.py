@@ -1,4 +1,4 @@
-"""How an error of power grows into an error of energy.
+"""Growth of an error of power into an error of energy.
 
 Model: the error of power is sigma(t) u(t), with u a stationary Gauss-Markov process of unit
 variance and correlation exp(-|s| / tau). The error of energy then is a double integral that has a
@@ -27,7 +27,7 @@ import numpy as np
 CORRELATION_TIME = 5.0  # s
 # Twelve BMW i3 trips, each without its battery after learning on those before: docs/benchmarks.md.
 PRIOR_SHARE = 0.06
-PRIOR_SILENCES = 10
+PRIOR_DROPOUTS = 10
 
 
 def energy_sigma(elapsed: np.ndarray, sigma: float, correlation_time: float) -> np.ndarray:
@@ -72,7 +72,7 @@ class CorrelatedError:
         """1-sigma of the energy, J."""
         return math.sqrt(self._variance)
 
-    def push(self, sigma: float, dt: float) -> None:
+    def integrate(self, sigma: float, dt: float) -> None:
         """Integrate over dt, s, with a 1-sigma of power, W, constant in it."""
         tau = self._tau
         relaxed = -math.expm1(-dt / tau)  # 1 - exp(-dt / tau)
@@ -83,35 +83,35 @@ class CorrelatedError:
 
 
 class LastingShare:
-    """How much of the gross energy predicted over a silence of the battery stays wrong.
+    """Share of the gross energy predicted over a battery dropout that stays wrong.
 
-    A prior of `PRIOR_SHARE`, which weighs as `PRIOR_SILENCES`, averaged with the silences whose
-    energy the state of charge told afterwards. While the battery speaks nothing is to be learned
+    A prior of `PRIOR_SHARE`, which weighs as `PRIOR_DROPOUTS`, averaged with the dropouts whose
+    energy the state of charge gave afterwards. While the battery speaks nothing is to be learned
     of it: predictions are corrected all the while, and over a minute they are wrong by 0.5 %.
 
     Attributes:
-        silences: how many it was learned from.
+        dropouts: how many it was learned from.
         squares: the sum of their squared shares.
     """
 
-    def __init__(self, silences: int = 0, squares: float = 0.0) -> None:
+    def __init__(self, dropouts: int = 0, squares: float = 0.0) -> None:
         """Start with what was learned.
 
         Raises:
             ValueError: these are not possible.
         """
-        if silences < 0 or not 0.0 <= squares < math.inf:
-            raise ValueError(f"{silences} silences with squares of {squares}")
-        self.silences, self.squares = silences, squares
+        if dropouts < 0 or not 0.0 <= squares < math.inf:
+            raise ValueError(f"{dropouts} dropouts with squares of {squares}")
+        self.dropouts, self.squares = dropouts, squares
 
     @property
     def value(self) -> float:
         """1-sigma of the lasting error over the gross energy."""
-        squares = PRIOR_SILENCES * PRIOR_SHARE**2 + self.squares
-        return math.sqrt(squares / (PRIOR_SILENCES + self.silences))
+        squares = PRIOR_DROPOUTS * PRIOR_SHARE**2 + self.squares
+        return math.sqrt(squares / (PRIOR_DROPOUTS + self.dropouts))
 
-    def push(self, error: float, known: float, gross: float) -> None:
-        """Take a silence, if it can tell.
+    def update(self, error: float, known: float, gross: float) -> None:
+        """Take a dropout, if it is informative.
 
         Args:
             error: its predicted energy less what the state of charge says, J.
@@ -120,5 +120,5 @@ class LastingShare:
         """
         if not known < self.value * gross:
             return
-        self.silences += 1
+        self.dropouts += 1
         self.squares += max(error**2 - known**2, 0.0) / gross**2

@@ -29,7 +29,7 @@ from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.fleet.manifest import CarDrives
 from evpinn_ros.fleet.row import drive_row, failed_row
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import ReplayOptions, replay
 from evpinn_ros.replay.sources import open_source
@@ -45,7 +45,7 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class CarTask:
-    """What a worker needs.
+    """Task of a worker.
 
     Attributes:
         drives: of which car.
@@ -75,7 +75,7 @@ def learn_car(task: CarTask) -> CarDone:
         StoppedError: asked to, before the last drive was done.
         InputError: the car's files cannot be written.
     """
-    one_thread()
+    limit_blas_threads()
     _stop_if(task.stop)
     vehicle = task.drives.vehicle
     found = _Found(task.folder, vehicle)
@@ -114,7 +114,7 @@ class _Input:
         return self.start_ns, str(self.path)
 
     def row(self) -> dict[str, Any]:
-        """What the row of the drive begins with."""
+        """First cells of the drive's row."""
         return {
             "path": str(self.path),
             "fingerprint": self.fingerprint,
@@ -155,14 +155,14 @@ class _Found:
         """Write the files after one more drive; without a state nothing was learned of it."""
         self.rows.append({**one.row(), **row})
         self.state = state or self.state
-        told = _evidence(self.vehicle, self.state)
+        evidence = _evidence(self.vehicle, self.state)
         self._write(
             state,
             {
                 "basis": self._basis,
                 "state": _digest_of(self.state or {}),
-                "precision": told.precision.tolist(),
-                "information": told.information.tolist(),
+                "precision": evidence.precision.tolist(),
+                "information": evidence.information.tolist(),
                 "drives": self.rows,
                 "unreadable": self._written.get("unreadable", []),
             },
@@ -221,7 +221,7 @@ def _evidence(vehicle: Vehicle, state: dict[str, Any] | None) -> Evidence:
 
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
-    """What the present program has of a car of this very vehicle file; empty if nothing."""
+    """Saved result of the present program for a car of this very vehicle file; empty if none."""
     found = _read(folder / RESULT_FILE)
     return found if found.get("basis") == _basis(vehicle) else {}
 

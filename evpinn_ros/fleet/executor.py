@@ -1,4 +1,4 @@
-"""Where tasks run: on this machine's cores, or on a cluster by Dask.
+"""Executors of tasks: this machine's cores, or a cluster by Dask.
 
 Both take any number of tasks and hold few of them at a time, so memory does not grow with the
 fleet. Both give back each task with what came of it, as it is done; a task that fails, or whose
@@ -43,7 +43,7 @@ class Executor(Protocol):
     def outcomes(
         self, work: Callable[[Task], Result], tasks: Iterable[Task]
     ) -> Iterator[Outcome[Task, Result]]:
-        """What came of each task, in order of their ends."""
+        """Outcome of each task, in order of their ends."""
 
     def close(self) -> None:
         """Begin nothing more, and wait for what has begun."""
@@ -57,14 +57,14 @@ class LocalExecutor:
     """
 
     def __init__(self, workers: int | None = None) -> None:
-        """As many workers as there are cores for this process, if not told."""
+        """As many workers as there are cores for this process, if not given."""
         self._count = workers or len(os.sched_getaffinity(0))
         self._pools: set[ProcessPoolExecutor] = set()
 
     def outcomes(
         self, work: Callable[[Task], Result], tasks: Iterable[Task]
     ) -> Iterator[Outcome[Task, Result]]:
-        """What came of each task, in order of their ends."""
+        """Outcome of each task, in order of their ends."""
         left = iter(tasks)
         running: dict[Future[Result], tuple[ProcessPoolExecutor, Task]] = {}
         for task in islice(left, self._count):
@@ -128,7 +128,7 @@ class DaskExecutor:
     def outcomes(
         self, work: Callable[[Task], Result], tasks: Iterable[Task]
     ) -> Iterator[Outcome[Task, Result]]:
-        """What came of each task, in order of their ends."""
+        """Outcome of each task, in order of their ends."""
         from distributed import as_completed
 
         left = iter(tasks)

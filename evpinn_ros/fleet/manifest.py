@@ -1,4 +1,4 @@
-"""Which drives are of which car: by the folders they lie in, or by a file that says so."""
+"""Drives of each car: by the folders they lie in, or by a file that lists them."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
 
 
 def cars_by_manifest(path: Path) -> list[CarDrives]:
-    """What `fleet.yaml` or a CSV says; paths in it are relative to it.
+    """Cars of `fleet.yaml` or a CSV; paths in it are relative to it.
 
     The YAML has `cars`, a mapping from names to `vehicle` and `drives` (a file, folder or
     pattern); the CSV has the columns drive, car and vehicle, a car on as many lines as it needs.

@@ -1,10 +1,10 @@
-"""What cars of one model have in common: mean and spread of their parameters (empirical Bayes).
+"""Common distribution of cars of one model: mean and spread of their parameters (empirical Bayes).
 
 Each car's parameters are a draw from N(mean, spread), in logarithms but for p_aux, which may be
 zero. Of each car only the likelihood counts (`estimation.evidence`), so a car that learned nothing
 changes nothing, and one that learned mass over eta alone tells of that alone.
 
-The vehicle file is the belief before: half of its variance is doubt of the model's mean, half is
+The vehicle file is the prior: half of its variance is doubt of the model's mean, half is
 how cars of the model differ, and that half weighs as much as a quarter of a car. So without any
 evidence the priors of a new car are those of the file, and what no car can tell, as eta, mass and
 C_d scaled together, stays what the file says.
@@ -39,7 +39,7 @@ COMBINATIONS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class PopulationValue:
     """One parameter, or combination, of a population; logarithms but for p_aux.
 
     Attributes:
@@ -47,7 +47,7 @@ class Told:
         mean_std: 1-sigma of the mean.
         spread: standard deviation from car to car.
         spread_std: 1-sigma of the spread.
-        cars: how many fully known cars would tell the spread as well.
+        cars: how many fully known cars would determine the spread as well.
     """
 
     mean: float
@@ -63,7 +63,7 @@ class Told:
 
 
 class Population:
-    """Mean and spread of the cars of one model, from what each of them told."""
+    """Mean and spread of the cars of one model, from the evidence of each."""
 
     def __init__(self, vehicle: Vehicle, found: Sequence[Evidence]) -> None:
         """Learn from the cars; their evidence is relative to this vehicle's priors."""
@@ -78,11 +78,11 @@ class Population:
         self._root = np.linalg.cholesky(self._spread)
         self._spread_doubt = _spread_doubt(self._root.T @ weight @ precision @ self._root)
 
-    def parameter(self, name: str) -> Told:
+    def parameter(self, name: str) -> PopulationValue:
         """One of `PARAMETER_NAMES`."""
         return self._along(np.eye(SIZE)[PARAMETER_NAMES.index(name)])
 
-    def combination(self, name: str) -> Told:
+    def combination(self, name: str) -> PopulationValue:
         """One of `COMBINATIONS`."""
         parts = COMBINATIONS[name]
         return self._along(np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES]))
@@ -92,26 +92,26 @@ class Population:
         return self._spread * np.outer(self._scale, self._scale)
 
     def priors(self, source: str) -> Vehicle:
-        """The vehicle with what to believe of the next car of this model."""
+        """The vehicle with the priors for the next car of this model."""
         priors = {name: self._new_prior(name, source) for name in PARAMETER_NAMES}
         return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
 
     def _new_prior(self, name: str, source: str) -> Prior:
-        told, limits = self.parameter(name), LIMITS[name]
-        value = told.mean if name == LINEAR else math.exp(told.mean)
+        found, limits = self.parameter(name), LIMITS[name]
+        value = found.mean if name == LINEAR else math.exp(found.mean)
         value = min(max(value, limits.lower), limits.upper)
-        std = told.new_car_std * (1.0 if name == LINEAR else value)
-        return Prior(value, std, f"{source}: worth {told.cars:.1f} cars")
+        std = found.new_car_std * (1.0 if name == LINEAR else value)
+        return Prior(value, std, f"{source}: worth {found.cars:.1f} cars")
 
-    def _along(self, direction: np.ndarray) -> Told:
-        """What is told of a sum of parameters, `direction` in their own units."""
+    def _along(self, direction: np.ndarray) -> PopulationValue:
+        """Estimate of a sum of parameters, `direction` in their own units."""
         scaled = direction * self._scale
         spreads = scaled @ self._root
         variance = float(spreads @ spreads)
         square = np.kron(spreads, spreads)
         doubt = float(square @ self._spread_doubt @ square)
         spread = math.sqrt(variance)
-        return Told(
+        return PopulationValue(
             mean=float(direction @ self._prior + scaled @ self._mean),
             mean_std=math.sqrt(float(scaled @ self._doubt @ scaled)),
             spread=spread,
@@ -143,16 +143,16 @@ def _mean(
     return doubt @ np.einsum("nij,nj->i", weight, information), (doubt + doubt.T) / 2
 
 
-def _spread_doubt(told: np.ndarray) -> np.ndarray:
+def _spread_doubt(informed: np.ndarray) -> np.ndarray:
     """Covariance of the elements of the spread, shape (36, 36): inverse Fisher information.
 
-    What a car tells of several parameters together is not counted as if told of each alone.
+    Information of a car on several parameters together is not counted as if on each alone.
 
     Args:
-        told: (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1: of
-            a car that is fully known 1, so this is well conditioned whatever the spread.
+        informed: (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1:
+            of a car that is fully known 1, so this is well conditioned whatever the spread.
     """
-    flat = told.reshape(-1, SIZE**2)
+    flat = informed.reshape(-1, SIZE**2)
     information = (flat.T @ flat).reshape((SIZE,) * 4).transpose(0, 2, 1, 3)
     information = information.reshape(SIZE**2, SIZE**2) + FILE_CARS * np.eye(SIZE**2)
     return np.asarray(np.linalg.inv(information / 2.0))

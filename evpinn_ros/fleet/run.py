@@ -37,7 +37,7 @@ def claimed(out: Path) -> Iterator[None]:
 
 
 def car_folder(out: Path, car: CarDrives) -> Path:
-    """Where the files of a car are."""
+    """Folder of a car's files."""
     return out / CARS / car.folder_name
 
 

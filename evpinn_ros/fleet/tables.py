@@ -17,7 +17,7 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.fleet.car import read_result
 from evpinn_ros.fleet.manifest import CarDrives
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, Told
+from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
 from evpinn_ros.fleet.row import NUMBERS, PARAMETER_NUMBERS, PARAMETER_STATES, impossible
 from evpinn_ros.fleet.run import car_folder
 from evpinn_ros.vehicle.files import Vehicle
@@ -54,8 +54,8 @@ POPULATION_COLUMNS = {
 
 
 @dataclass
-class Summary:
-    """What a person is told of a fleet.
+class FleetSummary:
+    """Summary of a fleet for a person.
 
     Attributes:
         populations: by vehicle model.
@@ -82,7 +82,7 @@ def require_parquet() -> None:
         raise InputError("results are Parquet: pip install 'evpinn_ros[fleet]'") from error
 
 
-def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> Summary:
+def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> FleetSummary:
     """Write the tables of drives, cars and populations from the cars' files.
 
     Args:
@@ -93,7 +93,7 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
     Raises:
         InputError: a table cannot be written.
     """
-    summary = Summary()
+    summary = FleetSummary()
     found: dict[str, list[Evidence]] = defaultdict(list)
     vehicles: dict[str, Vehicle] = {}
     with _table(out / DRIVES, DRIVE_COLUMNS) as drives, _table(out / CARS, CAR_COLUMNS) as cars:
@@ -123,22 +123,22 @@ def population_rows(key: str, population: Population) -> Iterator[dict[str, Any]
     """A row for each parameter and each combination that data determine."""
     covariance = population.covariance()
     for name, line in zip(PARAMETER_NAMES, covariance, strict=True):
-        yield _told_row(key, name, population.parameter(name)) | {"covariance": line.tolist()}
+        yield _value_row(key, name, population.parameter(name)) | {"covariance": line.tolist()}
     for name in COMBINATIONS:
-        yield _told_row(key, name, population.combination(name)) | {"covariance": None}
+        yield _value_row(key, name, population.combination(name)) | {"covariance": None}
 
 
-def _told_row(key: str, name: str, told: Told) -> dict[str, Any]:
+def _value_row(key: str, name: str, found: PopulationValue) -> dict[str, Any]:
     return {
         "vehicle": key,
         "name": name,
-        "value": told.mean if name == LINEAR else math.exp(told.mean),
-        "mean": told.mean,
-        "mean_std": told.mean_std,
-        "spread": told.spread,
-        "spread_std": told.spread_std,
-        "cars": told.cars,
-        "new_car_std": told.new_car_std,
+        "value": found.mean if name == LINEAR else math.exp(found.mean),
+        "mean": found.mean,
+        "mean_std": found.mean_std,
+        "spread": found.spread,
+        "spread_std": found.spread_std,
+        "cars": found.cars,
+        "new_car_std": found.new_car_std,
     }
 
 
@@ -163,7 +163,7 @@ def _car_row(
     }
 
 
-def _count(summary: Summary, car: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+def _count(summary: FleetSummary, car: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
     problems = [(row["path"], row["problem"]) for row in rows if row["problem"]]
     if car["problem"]:
         problems.append((f"car {car['car']}", car["problem"]))

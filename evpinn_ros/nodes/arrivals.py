@@ -1,4 +1,4 @@
-"""What the arrival of messages tells: which were lost, and whose stamps leap. Knows no ROS."""
+"""Faults of arriving messages: lost ones, and leaping stamps. Knows no ROS."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ LEAP = (
 )
 
 
-class Told(NamedTuple):
-    """What the number of a message tells.
+class NumberCheck(NamedTuple):
+    """Loss that the number of a message shows.
 
     Attributes:
         lost: messages of its publisher, right before it.
@@ -29,7 +29,7 @@ class Told(NamedTuple):
 
 
 class MessageNumbers:
-    """Messages lost, and publishers that speak by turns, told by the numbers of messages.
+    """Messages lost, and publishers that speak by turns, found by the numbers of messages.
 
     The middleware drops the oldest of a full queue without a word, but it numbers the messages of
     each publisher. Those of a topic fall back once when its publisher is started anew, and again
@@ -44,24 +44,24 @@ class MessageNumbers:
         self._newest: dict[Hashable, int] = {}
         self._fell: dict[Hashable, float] = {}
 
-    def push(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> Told:
+    def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> NumberCheck:
         """Take what rclpy tells of a message.
 
         Args:
             topic: of the message.
             info: of rclpy; where it tells no number nothing is known, and nothing excluded.
-            steady: s of a clock that never jumps.
+            steady: s of the monotonic clock.
         """
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         if not number:
-            return Told(0, by_turns=True)
+            return NumberCheck(0, by_turns=True)
         falls = number <= self._newest.get(topic, 0)
         fell_lately = steady - self._fell.get(topic, -math.inf) < LATELY
         self._newest[topic] = number
         if falls:
             self._fell[topic] = steady
         lost = self._lost(topic, bytes(gid["data"]) if gid else b"", number)
-        return Told(lost if gid or not fell_lately else 0, falls and fell_lately)
+        return NumberCheck(lost if gid or not fell_lately else 0, falls and fell_lately)
 
     def _lost(self, topic: Hashable, publisher: bytes, number: int) -> int:
         numbers = self._numbers.setdefault(topic, {})
@@ -73,19 +73,19 @@ class MessageNumbers:
 
 
 class StampWatch:
-    """Stamps of one stream held against the clocks of this computer."""
+    """Check of one stream's stamps against the clocks of this computer."""
 
     def __init__(self) -> None:
         """No stamp yet."""
         self._last: tuple[int, float] | None = None
 
-    def push(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
-        """What is wrong with a stamp, None when nothing is.
+    def check(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
+        """Fault of a stamp, None when there is none.
 
         Args:
             stamp_ns: of a message.
             now_ns: of the clock that stamps should be of, 0 while it is not known.
-            steady: s of a clock that never jumps.
+            steady: s of the monotonic clock.
         """
         last, self._last = self._last, (stamp_ns, steady)
         if now_ns and (stamp_ns - now_ns) / NANOSECONDS > FUTURE:

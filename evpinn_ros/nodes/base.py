@@ -1,7 +1,8 @@
-"""What every node here has: checked parameters, guarded callbacks, counters, diagnostics."""
+"""Base of every node here: checked parameters, guarded callbacks, counters, diagnostics."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -32,7 +33,7 @@ NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
-class GuardedNode(LifecycleNodeMixin, Node):
+class GuardedNode(ABC, LifecycleNodeMixin, Node):
     """A node whose callbacks never raise and which reports its health once a second.
 
     With the parameter `managed` it has the transitions of a lifecycle node; else none of that.
@@ -62,8 +63,8 @@ class GuardedNode(LifecycleNodeMixin, Node):
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
-        self._usual: set[str] = set()  # of them, those that nobody need be told of
-        self._lasting: dict[str, float] = {}  # of them, those told when they begin; newest, s
+        self._usual: set[str] = set()  # of them, those that need no attention
+        self._lasting: dict[str, float] = {}  # of them, those shown when they begin; newest, s
         self._faults: Counter[str] = Counter()
         self._newest_fault = "", -math.inf  # and when, s
         self._outlets: dict[Topic, Any] = {}
@@ -82,12 +83,12 @@ class GuardedNode(LifecycleNodeMixin, Node):
         self.every(REPORT_PERIOD, self.report)
         self.every(REPORT_PERIOD, self._log_changes)
 
+    @abstractmethod
     def statuses(self) -> Iterable[Status]:
         """The health of the node's parts, for `/diagnostics`."""
-        raise NotImplementedError
 
     def phases(self) -> Iterable[Status]:
-        """What is logged when it changes; nothing in it may count or grow old."""
+        """Text that is logged when it changes; nothing in it may count or grow old."""
         return ()
 
     def begun(self, text: str, known: Iterable[Status] = ()) -> None:
@@ -96,7 +97,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
         Raises:
             InputError: it was given a quality of service that none of its endpoints takes.
         """
-        factory.refuse_unheard_overrides(self)
+        factory.refuse_unknown_overrides(self)
         self._logged = {phase.name: phase.text for phase in known}
         self.get_logger().info(printable(text))
 
@@ -151,20 +152,20 @@ class GuardedNode(LifecycleNodeMixin, Node):
             self._outlets[topic] = factory.advertise(self, topic, partial(self._refused_by, topic))
 
     def advertises(self, topic: Topic) -> bool:
-        """Whether there is a publisher for a topic."""
+        """True if there is a publisher for a topic."""
         return topic in self._outlets
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe, with `raw` to bytes; what the callback raises is counted.
 
-        An input that is not raw is a stream of one publisher: a second one that speaks is told.
+        An input that is not raw is a stream of one publisher: a second one is reported.
         """
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             if not self.active:
                 return
             self.received[topic] += 1
-            lost, by_turns = self._numbers.push(topic, info, self.steady_s())
+            lost, by_turns = self._numbers.record(topic, info, self.steady_s())
             if lost:
                 self.bad[f"{topic.name}: lost"] += lost
             if by_turns:
@@ -202,7 +203,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
         return super().create_service(kind, name, safe, **options)
 
     def every(self, seconds: float, callback: Callable[[], object]) -> None:
-        """Call back by a clock that never jumps."""
+        """Call back by the monotonic clock."""
         safe = self.guarded(callback, getattr(callback, "__name__", "timer"))
         self.create_timer(seconds, safe, clock=self._steady)
 
@@ -223,8 +224,8 @@ class GuardedNode(LifecycleNodeMixin, Node):
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
         try:
-            told = (each for each in messages if self.active or each[0] is topics.DIAGNOSTICS)
-            ready = list(told)
+            passed = (each for each in messages if self.active or each[0] is topics.DIAGNOSTICS)
+            ready = list(passed)
         except ValueError:
             self.bad[NOT_FINITE] += 1
             return
@@ -236,7 +237,7 @@ class GuardedNode(LifecycleNodeMixin, Node):
                 self.published[beside] += 1
 
     def now_ns(self) -> int:
-        """The node's clock, for stamps of frames, /diagnostics and what is said of stamps."""
+        """The node's clock, for stamps of frames, /diagnostics and checks of stamps."""
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
@@ -244,30 +245,30 @@ class GuardedNode(LifecycleNodeMixin, Node):
         self._notices[kind] = text, self.steady_s()
 
     def steady_s(self) -> float:
-        """A clock that never jumps, s."""
+        """Monotonic clock, s."""
         return float(self._steady.now().nanoseconds) / NANOSECONDS
 
     def health(
         self,
         dropped: Mapping[str, int] | None = None,
-        told_elsewhere: Mapping[str, int] | None = None,
+        shown_elsewhere: Mapping[str, int] | None = None,
         usual: Collection[str] = (),
     ) -> Health:
-        """What went wrong so far.
+        """Faults so far.
 
         Args:
             dropped: messages that were not used, by reason.
-            told_elsewhere: likewise, where the status has them among its values already.
-            usual: reasons of which nobody need be told now; they are counted all the same.
+            shown_elsewhere: likewise, where the status has them among its values already.
+            usual: reasons that need no attention now; they are counted all the same.
         """
         bad = {**self.bad, **(dropped or {})}
-        lately = self._lately.push(self.steady_s(), {**bad, **(told_elsewhere or {})})
-        told = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
+        lately = self._lately.update(self.steady_s(), {**bad, **(shown_elsewhere or {})})
+        shown = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
         fault, at = self._newest_fault
         recent = fault if at > self.steady_s() - LATELY else None
-        return Health(bad, dict(self._faults), tuple(self._noticed(told)), recent)
+        return Health(bad, dict(self._faults), tuple(self._detections(shown)), recent)
 
-    def _noticed(self, lately: Mapping[str, int]) -> Iterator[str]:
+    def _detections(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
         yield from (text for text, at in self._notices.values() if at > since)
         for topic, policy in self._mismatched.items():
@@ -295,16 +296,16 @@ class GuardedNode(LifecycleNodeMixin, Node):
         """The stream that an input belongs to: odometry stands in for `vehicle/speed`.
 
         Raises:
-            BadMessage: it does not, for that is heard, and its steps and noise are others.
+            BadMessage: it does not, for that is received, and its steps and noise are others.
         """
         if topic is not topics.ODOMETRY:
             return topic
         if self.received[topics.SPEED]:
-            raise BadMessage("vehicle/speed is heard", usual=True)
+            raise BadMessage("vehicle/speed is received", usual=True)
         return topics.SPEED
 
     def _now_s(self) -> float:
-        """For ages, s: simulated time, which may pause; else a clock that nobody sets."""
+        """For ages, s: simulated time, which may pause; else the monotonic clock."""
         simulated = self.get_clock().ros_time_is_active
         return self.now_ns() / NANOSECONDS if simulated else self.steady_s()
 
@@ -366,9 +367,9 @@ class GuardedNode(LifecycleNodeMixin, Node):
         return safe
 
     def _tell_beginning(self, why: str) -> None:
-        heard, now = self._lasting.get(why, -math.inf), self.steady_s()
+        reported, now = self._lasting.get(why, -math.inf), self.steady_s()
         self._lasting[why] = now
-        if now - heard > LATELY:
+        if now - reported > LATELY:
             self.notice(why, f"not used from now on: {why}")
 
     def count_fault(self, text: str, detail: str = "") -> None:

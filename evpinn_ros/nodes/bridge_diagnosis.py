@@ -1,4 +1,4 @@
-"""How the CAN bridge is doing, decided without ROS."""
+"""Status of the CAN bridge, decided without ROS."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
             f"{name}.rate_hz": rounded(signal.rate),
             f"{name}.age_s": rounded(signal.age),
         }
-    if bridge.suspicion:
-        values["suspicion"] = bridge.suspicion
+    if bridge.fault:
+        values["suspicion"] = bridge.fault
     if bus.problem:
         values["bus.last_problem"] = bus.problem
     if bus.state in (BusState.LOST, BusState.OFF):
@@ -41,7 +41,7 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
 
 
 def poll_status(poll: PollStatus, experimental: bool) -> Status:
-    """Whether the car is asked, and why not."""
+    """Status of asking the car."""
     text = f"experimental profile: {poll.text}" if experimental else poll.text
     level = Level.OK if poll.ok and not experimental else Level.WARN
     return Status("polling", level, text, dict(poll.counters))
@@ -52,7 +52,7 @@ def log_status(text: str, problem: str | None, bridge: BridgeStatus, health: Hea
     values = {"frames": bridge.frames, **flat("dropped", bridge.dropped)}
     if problem is not None:
         verdict = Level.ERROR, problem
-    elif bridge.refusal or bridge.suspicion:
+    elif bridge.refusal or bridge.fault:
         verdict = _level(bridge), bridge.text
     else:
         verdict = Level.OK, text

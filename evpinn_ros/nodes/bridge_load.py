@@ -43,7 +43,7 @@ VEHICLE = "tesla_model_3_lr"
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What the bridge made of a full bus.
+    """Results of the bridge on a full bus.
 
     Attributes:
         seconds: of traffic.
@@ -110,7 +110,7 @@ class _Listener:
         self._node = rclpy.create_node("listener", namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._told: dict[str, str] = {}
+        self._values: dict[str, str] = {}
         self.battery: list[tuple[int, float]] = []
         self._listen(topics.BATTERY, self._take_battery)
         self._listen(topics.DIAGNOSTICS, self._take_diagnostics)
@@ -119,14 +119,14 @@ class _Listener:
 
     def await_bridge(self) -> None:
         """Wait until the bridge reads its bus and is known."""
-        self.spin_until(lambda: self._told.get("bus") in ("open", "silent"), START_TIMEOUT)
+        self.spin_until(lambda: self._values.get("bus") in ("open", "silent"), START_TIMEOUT)
         end = time.monotonic() + SETTLE
         while time.monotonic() < end:
             self.spin()
 
     def frames(self) -> int:
         """Frames of all ids that the bridge says it has read."""
-        return int(self._told.get("bus.frames", 0))
+        return int(self._values.get("bus.frames", 0))
 
     def spin(self) -> None:
         """Take what comes next."""
@@ -147,7 +147,7 @@ class _Listener:
     def _take_diagnostics(self, message: Any) -> None:
         for status in message.status:
             if "can_bridge: " in status.name:
-                self._told = {pair.key: pair.value for pair in status.values}
+                self._values = {pair.key: pair.value for pair in status.values}
 
 
 @contextmanager
@@ -166,10 +166,12 @@ def _bridge(port: int) -> Iterator[int]:
         yield process.pid
 
 
-def _latencies(sent_ns: list[int], heard: list[tuple[int, float]]) -> tuple[float, float, float]:
+def _latencies(
+    sent_ns: list[int], received: list[tuple[int, float]]
+) -> tuple[float, float, float]:
     """From sending to hearing, ms: p50, p99 and largest; the voltage tells which frame it was."""
     delays, number = [], 0
-    for arrived_ns, volts in heard:
+    for arrived_ns, volts in received:
         number = number_after(number, volts)
         delays.append((arrived_ns - sent_ns[number]) / NANOSECONDS * 1000)
     p50, p99, largest = np.quantile(delays, (0.5, 0.99, 1.0))

@@ -107,7 +107,7 @@ class CanBridgeNode(GuardedNode):
         return statuses
 
     def phases(self) -> list[Status]:
-        """What /diagnostics tell, but how every bus begins."""
+        """Messages of /diagnostics, but for how every bus begins."""
         return [each for each in self._statuses(WELL) if each.text not in BEGINNINGS]
 
     def close(self) -> None:
@@ -184,7 +184,7 @@ class CanBridgeNode(GuardedNode):
         if self._record is not None:
             self._record.append((self.now_ns(), frame))
         with self._lock:
-            readings = self._bridge.push(frame)
+            readings = self._bridge.decode(frame)
         for reading in readings:
             self.publish(_messages(reading))
 
@@ -207,5 +207,5 @@ def _messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop; gives the exit code."""
+    """Run the node until it is stopped; gives the exit code."""
     return run(CanBridgeNode, args=args)

@@ -1,4 +1,4 @@
-"""How a node is doing, as /diagnostics tells it, decided without ROS.
+"""Status of a node, as /diagnostics shows it, decided without ROS.
 
 Each node has a module beside this one with its pure function: state in, `Status` out.
 """
@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from evpinn_ros.nodes.messages import Level
 
-SILENT_AFTER = 3.0  # s without a message of the leading input
-LATELY = 10.0  # s for which something that happened is told
-FEW = 3  # messages lost lately that nobody need know of
+MISSING_AFTER = 3.0  # s without a message of the leading input
+LATELY = 10.0  # s for which something that happened is shown
+FEW = 3  # messages lost lately that are not worth a warning
 
 
 class Status(NamedTuple):
@@ -29,7 +29,7 @@ class Status(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What went wrong in a node.
+    """Faults of a node.
 
     Attributes:
         bad: messages not used, by reason.
@@ -54,8 +54,8 @@ class Lately:
         """Nothing counted yet."""
         self._looks: deque[tuple[float, Mapping[str, int]]] = deque([(-math.inf, {})])
 
-    def push(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
-        """What was added in the last `LATELY` seconds by `now`, s, of a clock that never jumps."""
+    def update(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
+        """Counts added in the last `LATELY` seconds by `now`, s, of a monotonic clock."""
         self._looks.append((now, dict(counts)))
         while self._looks[1][0] <= now - LATELY:
             self._looks.popleft()

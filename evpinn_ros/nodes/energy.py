@@ -28,7 +28,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
 )
 from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.forecaster import Answer, Forecaster
+from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer
 from evpinn_ros.nodes.messages import (
     BadMessage,
     Level,
@@ -49,7 +49,7 @@ from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import jump_rule
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
@@ -80,7 +80,7 @@ class EnergyNode(GuardedNode):
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
         self.forecaster = Forecaster(vehicle)
-        self._keeper = StateKeeper(state_path(self.values["energy_file"]), self.account)
+        self._state_file = StateFile(state_path(self.values["energy_file"]), self.account)
         self._load()
         self._guard = StampGuard(topics.POWER_SMOOTHED)
         self._reading_guard = StampGuard(topics.SPEED)
@@ -107,7 +107,7 @@ class EnergyNode(GuardedNode):
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
         self.on_clock_going_back(self._on_clock_going_back)
-        start = self._keeper.start or "counts from zero"
+        start = self._state_file.start or "counts from zero"
         self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
 
     def statuses(self) -> list[Status]:
@@ -117,7 +117,7 @@ class EnergyNode(GuardedNode):
         return [meter_status(report), charge_status(report), plan_status(report)]
 
     def phases(self) -> list[Status]:
-        """What is metered, and what forecasts rest on."""
+        """Metered input, and the basis of forecasts."""
         return energy_phases(self._report(WELL))
 
     def _report(self, health: Health) -> EnergyReport:
@@ -126,7 +126,7 @@ class EnergyNode(GuardedNode):
             account=self.account.summary(),
             reconciled=self.account.reconciled,
             learned_capacity=self.account.gauge.learned,
-            file_problem=self._keeper.problem,
+            file_problem=self._state_file.problem,
             health=health,
             power_age=self.age(topics.POWER_SMOOTHED),
             jumps=self._guard.jumps,
@@ -140,7 +140,7 @@ class EnergyNode(GuardedNode):
 
     def save(self) -> str | None:
         """Write what was counted, if there is a file for it; gives the reason when that fails."""
-        return self._keeper.save() if self.values["energy_file"] else None
+        return self._state_file.save() if self.values["energy_file"] else None
 
     def end(self) -> str | None:
         """Save."""
@@ -151,9 +151,9 @@ class EnergyNode(GuardedNode):
         return self.end()
 
     def _load(self) -> None:
-        self._keeper.load()
-        if self._keeper.problem is not None:
-            self.get_logger().warning(f"energy counts from zero: {self._keeper.problem}")
+        self._state_file.load()
+        if self._state_file.problem is not None:
+            self.get_logger().warning(f"energy counts from zero: {self._state_file.problem}")
 
     def _take_power(self, topic: Topic, message: Any) -> None:
         vector = read_named_vector(message)
@@ -166,17 +166,17 @@ class EnergyNode(GuardedNode):
             if isinstance(passed, Jump):
                 self._on_jump(passed)
             else:
-                self._push(*passed)
+                self._count(*passed)
 
-    def _push(
+    def _count(
         self, topic: Topic, stamp_ns: int, power: float, sigma: float, energy_sigma: float
     ) -> None:
         if topic is topics.POWER_MEASURED:
-            self.account.push_measured(stamp_ns, power, sigma)
+            self.account.add_measured(stamp_ns, power, sigma)
             return
-        if not self.account.push_predicted(stamp_ns, power, sigma, energy_sigma):
+        if not self.account.add_predicted(stamp_ns, power, sigma, energy_sigma):
             return
-        self.forecaster.hear_sigma(sigma)
+        self.forecaster.set_sigma(sigma)
         self.publish(energy_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
@@ -193,7 +193,7 @@ class EnergyNode(GuardedNode):
         if policy == JumpPolicy.RESET.value:
             self.account.begin_next_trip()
         else:
-            self.account.begin_next_stretch()
+            self.account.begin_after_jump()
 
     def _on_identifiable(self, message: Any) -> None:
         vector = read_named_vector(message)
@@ -204,7 +204,7 @@ class EnergyNode(GuardedNode):
             for numbers in (vector.values, vector.sigmas)
         )
         try:
-            self.forecaster.hear_identifiable(values, sigmas)
+            self.forecaster.set_identifiable(values, sigmas)
         except ValueError as error:
             raise BadMessage(str(error)) from error
 
@@ -221,19 +221,19 @@ class EnergyNode(GuardedNode):
             if isinstance(passed, Jump):
                 self.account.begin_readings_anew()
             elif isinstance(passed, SpeedReading):
-                self.account.push_speed(passed.stamp_ns, passed.speed)
+                self.account.add_speed(passed.stamp_ns, passed.speed)
             else:
-                self.account.push_battery(passed)
+                self.account.add_battery(passed)
 
     def _on_model(self, message: Any) -> None:
-        self.forecaster.hear_model(read_model(message, self._vehicle.key))
+        self.forecaster.set_model(read_model(message, self._vehicle.key))
 
     def _on_air(self, topic: Topic, message: Any) -> None:
         reading: Any = to_reading(topic.type_name, message)
         reason = why_impossible(reading)
         if reason is not None:
             raise BadMessage(reason)
-        self.forecaster.hear_air(reading, self.now_ns())
+        self.forecaster.set_air(reading, self.now_ns())
 
     def _path(self, data: bytes) -> Plan:
         own = self._vehicle.nominal_speed
@@ -287,7 +287,7 @@ class EnergyNode(GuardedNode):
             yield topics.FORECAST_BATTERY, battery
         yield self._plan_status(header, answered_status(answer))
 
-    def _answer(self, plan: Plan, asked: Question) -> Answer:
+    def _answer(self, plan: Plan, asked: Question) -> PlanAnswer:
         charge, capacity = self.account.charge(), self.account.gauge.capacity
         known = self.account.battery
         return self.forecaster.answer(plan, charge, capacity, self.now_ns(), known, asked)
@@ -300,10 +300,10 @@ class EnergyNode(GuardedNode):
         return self.done(response, "energy counts from zero; the lifetime's goes on")
 
     def _on_save(self, _: Any, response: Any) -> Any:
-        reason = self._keeper.save()
+        reason = self._state_file.save()
         return self.done(response, f"written to {self.values['energy_file']}", reason)
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop; gives the exit code."""
+    """Run the node until it is stopped; gives the exit code."""
     return run(EnergyNode, args=args)

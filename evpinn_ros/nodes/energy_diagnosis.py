@@ -1,4 +1,4 @@
-"""How the energy node is doing, decided without ROS."""
+"""Status of the energy node, decided without ROS."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
-from evpinn_ros.nodes.diagnosis import SILENT_AFTER, Health, Status, rounded, with_health
-from evpinn_ros.nodes.forecaster import Air, Answer, Basis
+from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, rounded, with_health
+from evpinn_ros.nodes.forecaster import Air, Basis, PlanAnswer
 from evpinn_ros.nodes.messages import Level
 
 ANSWERED = "answered"
@@ -20,12 +20,12 @@ JOULES_PER_WH = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class EnergyReport:
-    """All that the diagnosis of the energy node rests on.
+    """Basis of the energy node's diagnosis.
 
     Attributes:
-        state: of the meter, corrected where a silence was reconciled.
+        state: of the meter, corrected where a dropout was reconciled.
         account: totals, consumption, state of charge, range.
-        reconciled: the last silence of the battery that ended, None before.
+        reconciled: the last battery dropout that ended, None before.
         learned_capacity: how many changes of the state of charge the capacity rests on.
         file_problem: why the energy file was not used or not written, None if all is well.
         health: of the node.
@@ -70,7 +70,7 @@ def meter_status(report: EnergyReport) -> Status:
         "dropped": state.dropped,
         "power_age_s": rounded(report.power_age),
         "time_jumps": report.jumps,
-        **_silence_values(report.reconciled),
+        **_dropout_values(report.reconciled),
     }
     if report.file_problem is not None:
         values["energy_file"] = report.file_problem
@@ -81,7 +81,7 @@ def meter_status(report: EnergyReport) -> Status:
 
 
 def energy_phases(report: EnergyReport) -> list[Status]:
-    """What is logged when it changes: nothing in it counts."""
+    """Text that is logged when it changes: nothing in it counts."""
     basis = f"forecasts rest on the {report.basis.value}"
     return [Status("meter", *_meter_verdict(report), {}), Status("plan", Level.OK, basis, {})]
 
@@ -89,28 +89,28 @@ def energy_phases(report: EnergyReport) -> list[Status]:
 def _meter_verdict(report: EnergyReport) -> tuple[Level, str]:
     if math.isnan(report.power_age):
         return Level.WARN, "waiting for power/smoothed"
-    if report.power_age > SILENT_AFTER:
+    if report.power_age > MISSING_AFTER:
         return Level.WARN, NO_POWER
     if not report.state.measuring:
         return Level.WARN, "predicting: no power/measured"
     if report.file_problem is not None:
         return Level.WARN, report.file_problem
     if report.reconciled is not None and report.reconciled.verdict is Verdict.CONTRADICTED:
-        return Level.WARN, f"the last silence: {Verdict.CONTRADICTED.value}"
+        return Level.WARN, f"the last dropout: {Verdict.CONTRADICTED.value}"
     return Level.OK, "measuring"
 
 
-def _silence_values(reconciled: Reconciled | None) -> dict[str, object]:
-    """The last silence of the battery: what was predicted, what is known, what became of it."""
+def _dropout_values(reconciled: Reconciled | None) -> dict[str, object]:
+    """The last battery dropout: what was predicted, what is known, what became of it."""
     if reconciled is None:
         return {}
-    silence = reconciled.silence
+    dropout = reconciled.dropout
     return {
         "silence": reconciled.verdict.value,
-        "silence_s": rounded(silence.duration),
-        "silence_unknown_s": rounded(silence.unknown_s),
-        "silence_predicted_wh": _wh(silence.bridge.energy),
-        "silence_predicted_sigma_wh": _wh(silence.sigma),
+        "silence_s": rounded(dropout.duration),
+        "silence_unknown_s": rounded(dropout.unknown_s),
+        "silence_predicted_wh": _wh(dropout.bridge.energy),
+        "silence_predicted_sigma_wh": _wh(dropout.sigma),
         "silence_by_charge_wh": _wh(reconciled.by_charge.value),
         "silence_by_charge_sigma_wh": _wh(reconciled.by_charge.sigma),
         "silence_correction_wh": _wh(reconciled.correction),
@@ -118,7 +118,7 @@ def _silence_values(reconciled: Reconciled | None) -> dict[str, object]:
 
 
 def charge_status(report: EnergyReport) -> Status:
-    """What is known of the battery's charge, and how far it goes."""
+    """State of the battery's charge, and the distance it suffices for."""
     account = report.account
     values = {
         "state_of_charge": rounded(account.charge.value),
@@ -137,9 +137,9 @@ def charge_status(report: EnergyReport) -> Status:
     if not account.charge.known:
         return Status("charge", Level.OK, "the state of charge is unknown", values)
     if account.projected:
-        text = "state of charge projected by the energy taken: none was heard for a minute"
+        text = "state of charge projected by the energy taken: none came for a minute"
         return Status("charge", Level.OK, text, values)
-    return Status("charge", Level.OK, "state of charge heard", values)
+    return Status("charge", Level.OK, "state of charge received", values)
 
 
 def _wh(joules: float) -> object:
@@ -147,7 +147,7 @@ def _wh(joules: float) -> object:
 
 
 def plan_status(report: EnergyReport) -> Status:
-    """How plans are answered."""
+    """Status of answering plans."""
     values = {
         "answered": report.answered,
         "refused": report.refused,
@@ -164,7 +164,7 @@ def plan_status(report: EnergyReport) -> Status:
     return Status("plan", Level.OK, "ready", values)
 
 
-def answered_status(answer: Answer) -> Status:
+def answered_status(answer: PlanAnswer) -> Status:
     """The status of a plan that is answered: its energy, and how it compares with others, J."""
     forecast = answer.forecast
     values: dict[str, object] = {
@@ -181,6 +181,6 @@ def answered_status(answer: Answer) -> Status:
 
 
 def _air_values(air: Air) -> dict[str, object]:
-    """What forecasts take from the air outside; what is not told is that of the vehicle file."""
+    """Air outside as forecasts take it; unknown values are those of the vehicle file."""
     named = zip(("air_celsius", "air_pascal", "head_wind_mps"), air, strict=True)
     return {name: "unknown" if value is None else rounded(value) for name, value in named}

@@ -1,4 +1,4 @@
-"""What the estimator and the energy meter say, as ROS 2 messages, for nodes and bags alike."""
+"""Outputs of the estimator and the energy meter as ROS 2 messages, for nodes and bags alike."""
 
 from __future__ import annotations
 

@@ -26,9 +26,9 @@ from evpinn_ros.nodes.parameter_table import roll_pitch_yaw
 from evpinn_ros.nodes.reading_messages import grade_reading, rotation, to_reading
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.settings import estimator_settings, jump_rule
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateKeeper, state_path
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
 from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.vehicle.files import load_vehicle
@@ -60,7 +60,7 @@ class EstimatorNode(GuardedNode):
         """
         super().__init__("estimator", **kwargs)
         # One thread for arithmetic: other programs need the cores, and sums keep their order.
-        one_thread()
+        limit_blas_threads()
         self._vehicle = load_vehicle(self.values["vehicle"])
         self._worker = ThreadWorker(time.perf_counter, wait=self.values["wait_for_update"])
         self.estimator = OnlineEstimator(
@@ -70,7 +70,7 @@ class EstimatorNode(GuardedNode):
         self._mounting = None if mounting is None else rotation(*mounting)
         self._guard = StampGuard(topics.SPEED)
         self._stamps = StampWatch()
-        self._keeper = StateKeeper(state_path(self.values["state_file"]), self.estimator)
+        self._state_file = StateFile(state_path(self.values["state_file"]), self.estimator)
         self._load()
         self.advertise(*PUBLISHES)
         for topic in LISTENS_TO:
@@ -82,7 +82,7 @@ class EstimatorNode(GuardedNode):
         self.every(MODEL_PERIOD, self.publish_model)
         self.publish_model()
         self.on_clock_going_back(self._guard.clock_went_back)
-        start = self._keeper.start or "begins with the vehicle file"
+        start = self._state_file.start or "begins with the vehicle file"
         mode = self.values["mode"]
         self.begun(
             f"{self._vehicle.key} ({mode}) {start}; waiting for vehicle/speed", self.phases()
@@ -95,7 +95,7 @@ class EstimatorNode(GuardedNode):
         return [estimator_status(self._report(health))]
 
     def phases(self) -> list[Status]:
-        """What it does, what is valid, changes of payload."""
+        """Activity, validity, and changes of payload."""
         return estimator_phases(self._report(WELL))
 
     def _report(self, health: Health) -> EstimatorReport:
@@ -104,12 +104,12 @@ class EstimatorNode(GuardedNode):
             health=health,
             speed_age=self.age(topics.SPEED, topics.ODOMETRY),
             jumps=self._guard.jumps,
-            state_problem=self._keeper.problem,
+            state_problem=self._state_file.problem,
         )
 
     def save(self) -> str | None:
         """Write what was learned, if there is a file for it; gives the reason when that fails."""
-        return self._keeper.save() if self.values["state_file"] else None
+        return self._state_file.save() if self.values["state_file"] else None
 
     def publish_model(self) -> None:
         """Tell what forecasts need of the car; latched, so a late listener has it at once."""
@@ -128,9 +128,11 @@ class EstimatorNode(GuardedNode):
         return problem
 
     def _load(self) -> None:
-        self._keeper.load()
-        if self._keeper.problem is not None:
-            self.get_logger().warning(f"starting from the vehicle file: {self._keeper.problem}")
+        self._state_file.load()
+        if self._state_file.problem is not None:
+            self.get_logger().warning(
+                f"starting from the vehicle file: {self._state_file.problem}"
+            )
 
     def _take(self, topic: Topic, message: Any) -> None:
         if topic is topics.IMU:
@@ -139,7 +141,7 @@ class EstimatorNode(GuardedNode):
             reading = to_reading(topic.type_name, message)
         topic = self.stream(topic)
         if topic is topics.SPEED:
-            wrong = self._stamps.push(reading.stamp_ns, self.now_ns(), self.steady_s())
+            wrong = self._stamps.check(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
                 self.notice("stamps", f"{topic.name}: {wrong}")
         rule = jump_rule(self.values)
@@ -147,9 +149,9 @@ class EstimatorNode(GuardedNode):
             if isinstance(item, Jump):
                 self._on_jump(item)
             else:
-                self._push(item)
+                self._learn(item)
 
-    def _push(self, reading: Reading) -> None:
+    def _learn(self, reading: Reading) -> None:
         for output in self.estimator.push(reading):
             self.publish(output_messages(new_message, output))
 
@@ -158,17 +160,17 @@ class EstimatorNode(GuardedNode):
         self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
         self.notice("jump", text)
         if policy == JumpPolicy.RESET.value:
-            self._keeper.start_over()
+            self._state_file.start_over()
         else:
             self.estimator.handle_time_jump()
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        self._keeper.forget()
+        self._state_file.forget()
         self.publish_model()
         return self.done(response, f"started again from the vehicle file {self._vehicle.key}")
 
     def _on_save(self, _: Any, response: Any) -> Any:
-        reason = self._keeper.save()
+        reason = self._state_file.save()
         return self.done(response, f"written to {self.values['state_file']}", reason)
 
     def _on_enable(self, request: Any, response: Any) -> Any:
@@ -177,7 +179,7 @@ class EstimatorNode(GuardedNode):
 
 
 def _usual(status: EstimatorStatus) -> tuple[str, ...]:
-    """Why readings are dropped that nobody need be told of.
+    """Reasons for dropping readings that are usual and no fault.
 
     A battery may tell its state of charge alone, as long as others tell power.
     """
@@ -185,5 +187,5 @@ def _usual(status: EstimatorStatus) -> tuple[str, ...]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop; gives the exit code."""
+    """Run the node until it is stopped; gives the exit code."""
     return run(EstimatorNode, args=args)

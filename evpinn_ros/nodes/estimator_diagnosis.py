@@ -1,4 +1,4 @@
-"""How the estimator is doing, decided without ROS."""
+"""Status of the estimator, decided without ROS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.nodes.diagnosis import (
-    SILENT_AFTER,
+    MISSING_AFTER,
     Health,
     Status,
     flat,
@@ -27,14 +27,14 @@ NO_SPEED, LEARNING = "no vehicle/speed", "learning"
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
 STUCK = {
     SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
-    BATTERY_STUCK: "battery/state is stuck at one value: it is not believed, nothing is learned",
+    BATTERY_STUCK: "battery/state is stuck at one value: it is not used, nothing is learned",
 }
-RECENT = 60  # updates whose median duration is told
+RECENT = 60  # updates whose median duration is shown
 
 
 @dataclass(frozen=True, slots=True)
 class EstimatorReport:
-    """All that the diagnosis of the estimator rests on.
+    """Basis of the estimator's diagnosis.
 
     Attributes:
         status: of the core.
@@ -70,26 +70,26 @@ def estimator_status(report: EstimatorReport) -> Status:
         **flat("state", {name: state.value for name, state in status.states.items()}),
         **flat("seen", status.seen),
         **flat("in_90_band", bands),
-        **_noticed(status.report),
+        **_detections(status.report),
     }
     level, text = _estimator_verdict(report)
     if text == NO_SPEED:
         text += f" for {report.speed_age:.0f} s"
     elif text == LEARNING:
-        text += f": {status.accepted} of {status.updates} updates adopted"
+        text += f": {status.accepted} of {status.updates} updates accepted"
     return with_health(Status("estimate", level, text, values), report.health)
 
 
 def estimator_phases(report: EstimatorReport) -> list[Status]:
-    """What is logged when it changes: nothing in it counts."""
-    states, noticed = report.status.states, report.status.report
+    """Text that is logged when it changes: nothing in it counts."""
+    states, learner = report.status.states, report.status.report
     valid = [name for name, state in states.items() if state is State.VALID]
     phases = [Status("estimate", *_estimator_verdict(report), {})]
     phases.append(Status("valid", Level.OK, f"valid: {', '.join(valid) or 'nothing yet'}", {}))
-    if noticed.payload_change is not None:
-        change, taken_back = noticed.payload_change, noticed.payload_changes_withdrawn
+    if learner.payload_change is not None:
+        change, taken_back = learner.payload_change, learner.payload_changes_withdrawn
         text = f"payload change of {change.delta_mass:+.0f} +- {change.std:.0f} kg"
-        text += f"; {taken_back} of {noticed.payload_changes} withdrawn" if taken_back else ""
+        text += f"; {taken_back} of {learner.payload_changes} withdrawn" if taken_back else ""
         phases.append(Status("payload", Level.OK, text, {}))
     return phases
 
@@ -98,7 +98,7 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
     status = report.status
     if status.activity is Activity.WAITING:
         return Level.WARN, "waiting for vehicle/speed"
-    if report.speed_age > SILENT_AFTER:
+    if report.speed_age > MISSING_AFTER:
         return Level.WARN, NO_SPEED
     if report.state_problem is not None:
         return Level.WARN, report.state_problem
@@ -117,8 +117,8 @@ def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
     return Level.OK, LEARNING
 
 
-def _noticed(report: LearnerReport) -> dict[str, object]:
-    """What was noticed of the car and its signals."""
+def _detections(report: LearnerReport) -> dict[str, object]:
+    """Detections of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
         "payload_changes": report.payload_changes,

@@ -1,4 +1,4 @@
-"""What rclpy needs to speak of a `Topic`: message classes, quality of service, endpoints."""
+"""Parts of rclpy for a `Topic`: message classes, quality of service, endpoints."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def subscribe(
     )
 
 
-def refuse_unheard_overrides(node: Node) -> None:
+def refuse_unknown_overrides(node: Node) -> None:
     """Raise InputError where an override is of an endpoint of the node, but of no known policy.
 
     rclpy would ignore it. Overrides of topics that the node does not have are another node's.
@@ -97,8 +97,8 @@ def refuse_unheard_overrides(node: Node) -> None:
     for name in sorted(given):
         endpoint, _, policy = name.rpartition(".")
         if node.has_parameter(f"{endpoint}.depth") and not node.has_parameter(name):
-            heard = ", ".join(kind.name.lower() for kind in OVERRIDABLE)
-            raise InputError(f"{name}: '{policy}' cannot be overridden; known are {heard}")
+            known = ", ".join(kind.name.lower() for kind in OVERRIDABLE)
+            raise InputError(f"{name}: '{policy}' cannot be overridden; known are {known}")
 
 
 def _tell_policy(tell: Callable[[str], None] | None) -> Callable[[Any], None] | None:

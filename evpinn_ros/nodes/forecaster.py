@@ -38,7 +38,7 @@ from evpinn_ros.vehicle.linear_power import LinearPower
 
 MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
 RESIDUAL_MEMORY = 300.0  # samples of power/smoothed over which that is averaged
-STALE_AFTER = {  # s since it was heard, then it counts as unknown
+STALE_AFTER = {  # s since it was received, then it counts as unknown
     TemperatureReading: 1800.0,
     PressureReading: 1800.0,
     WindReading: WIND_STALE_AFTER,
@@ -62,7 +62,7 @@ class Air(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class PlanAnswer:
     """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
 
     `differences` is what it takes more than each plan asked together with it, by name, J.
@@ -75,7 +75,7 @@ class Answer:
 
 
 class Basis(str, Enum):
-    """What forecasts rest on, and where it was heard; each is better than those before."""
+    """Basis of forecasts, and its topic; each is better than those before."""
 
     VEHICLE_FILE = "vehicle file"
     COMBINATIONS = "estimate/identifiable"
@@ -95,21 +95,21 @@ class Forecaster:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was heard."""
+        """Forget all that was received."""
         self.basis = Basis.VEHICLE_FILE
         self._combined, self._sigmas = prior_identifiable(self._vehicle)
         self._model: PowerModel | None = None
         self._residual_variance = FIRST_RESIDUAL**2
-        self._heard: dict[type, tuple[object, int]] = {}
+        self._readings: dict[type, tuple[object, int]] = {}
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
 
-    def hear_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
+    def set_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
         """Take an estimate of the car and its 1-sigma.
 
         Raises:
-            ValueError: there is no such car; what was heard before stays.
+            ValueError: there is no such car; what was received before stays.
         """
         if not car_is_possible(combined_model(combined, sigmas, self._vehicle, 0.0).linear):
             raise ValueError("out_of_range")
@@ -117,23 +117,23 @@ class Forecaster:
         if self._model is None:
             self.basis = Basis.COMBINATIONS
 
-    def hear_model(self, model: LinearPower) -> None:
+    def set_model(self, model: LinearPower) -> None:
         """Take all that is known of the car's power."""
         self._model, self.basis = PowerModel(model), Basis.MODEL
 
-    def hear_air(
+    def set_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
     ) -> None:
-        """Take what is told of the air, heard now."""
-        self._heard[type(reading)] = reading, now_ns
+        """Take a reading of the air, received now."""
+        self._readings[type(reading)] = reading, now_ns
 
-    def hear_sigma(self, sigma: float) -> None:
+    def set_sigma(self, sigma: float) -> None:
         """Take the 1-sigma of one prediction of power, W; its mean square is what plans get."""
         if math.isfinite(sigma):
             self._residual_variance += (sigma**2 - self._residual_variance) / RESIDUAL_MEMORY
 
     def air(self, now_ns: int) -> Air:
-        """What is known of the air now; a clock that went back makes nothing younger."""
+        """Air at this moment; a clock that went back makes nothing younger."""
         temperature = self._fresh(TemperatureReading, now_ns)
         pressure = self._fresh(PressureReading, now_ns)
         wind = self._fresh(WindReading, now_ns)
@@ -151,14 +151,14 @@ class Forecaster:
         now_ns: int,
         battery: BatteryModel,
         asked: Question = UNNAMED,
-    ) -> Answer:
+    ) -> PlanAnswer:
         """The energy a plan takes, and what it leaves in the battery.
 
         Args:
             plan: one trip.
             charge: state of charge now, 0..1.
             capacity: energy of the full battery, J.
-            now_ns: by the clock of `hear_air`.
+            now_ns: by the clock of `set_air`.
             battery: tells its end better than capacity once enough is known of it.
             asked: what the plan is called, and with which others.
 
@@ -174,7 +174,7 @@ class Forecaster:
         end = battery.after(result, charge)
         if end is None:
             end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
-        return Answer(result, *end, differences)
+        return PlanAnswer(result, *end, differences)
 
     def _compare(
         self,
@@ -184,7 +184,7 @@ class Forecaster:
         model: PowerModel,
         air: tuple[float, float],
     ) -> dict[str, Uncertain]:
-        """What a plan takes more than those asked together with it, by their names, J."""
+        """Energy of a plan beyond those asked together with it, by their names, J."""
         if asked.together is None or asked.together != self._together:
             self._together, self._others = asked.together, {}
         basis = self._model, self._combined, self._sigmas, air
@@ -204,8 +204,8 @@ class Forecaster:
 
     def _fresh(self, kind: type[AirReading], now_ns: int) -> AirReading | None:
         """The newest reading of a kind, while it is no older than such may be."""
-        reading, heard_ns = self._heard.get(kind, (None, 0))
-        fresh = abs(now_ns - heard_ns) <= STALE_AFTER[kind] * NANOSECONDS
+        reading, received_ns = self._readings.get(kind, (None, 0))
+        fresh = abs(now_ns - received_ns) <= STALE_AFTER[kind] * NANOSECONDS
         return reading if isinstance(reading, kind) and fresh else None
 
     def _simple(self) -> PowerModel:

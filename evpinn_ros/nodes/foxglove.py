@@ -43,7 +43,7 @@ class FoxgloveNode(GuardedNode):
             self.listen(topic, partial(self._send, topic), raw=True)
 
     def statuses(self) -> list[Status]:
-        """Where it serves, and how much."""
+        """Addresses served, and their load."""
         values = {"messages": self._count, "watched": self._server.watched}
         return [with_health(Status("server", self._level, self._text, values), self.health())]
 

@@ -1,4 +1,4 @@
-"""What the launch files share: their arguments, nodes under the namespace, the recorder.
+"""Shared parts of the launch files: their arguments, nodes under the namespace, the recorder.
 
 For launch files alone, since `launch` comes with a ROS 2 installation and not from PyPI. A wrong
 argument ends the launch with its reason before anything starts.
@@ -90,7 +90,7 @@ class Given:
         return self.values[name]
 
     def is_true(self, name: str) -> bool:
-        """Whether one that is `true` or `false` is true."""
+        """True if one that is `true` or `false` is true."""
         return self.values[name] == "true"
 
     def number(self, name: str) -> float:

@@ -1,4 +1,4 @@
-"""The live view of a running system: hears our topics, and shows them ten times a second."""
+"""Live view of a running system: takes our topics, and shows them ten times a second."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ Show = Callable[[LiveState, float], None]
 
 
 class LiveListener(Node):
-    """Hears what the view shows and says nothing itself.
+    """Receives what the view shows and sends nothing itself.
 
     Attributes:
-        state: what was heard.
+        state: received messages.
     """
 
     def __init__(self, namespace: str) -> None:
@@ -53,7 +53,7 @@ class LiveListener(Node):
         )
         self.state = LiveState(self.get_namespace())
         profile = qos_profile(Qos(reliable=False, transient_local=False, depth=SUBSCRIBER_DEPTH))
-        self._heard = {
+        self._inputs = {
             topic: self.create_subscription(
                 message_class(topic.type_name), topic.name, self._never_called, profile
             )
@@ -66,7 +66,7 @@ class LiveListener(Node):
         Without an executor: that gives one message of a topic for each time it wakes up, and
         waking up costs more than reading ten.
         """
-        for topic, subscription in self._heard.items():
+        for topic, subscription in self._inputs.items():
             for _ in range(SUBSCRIBER_DEPTH):
                 with subscription.handle:
                     taken = subscription.handle.take_message(subscription.msg_type, False)
@@ -125,14 +125,14 @@ def _picture(live: Live, state: LiveState, now: float) -> None:
 
 def _plain(out: TextIO) -> Show:
     """Prints a line a second, and problems when they change."""
-    told: list[str] = []
+    shown: list[str] = []
 
     def show(state: LiveState, now: float) -> None:
         found = problem_lines(state, now)
         for line in found:
-            if line not in told:
+            if line not in shown:
                 print(printable(line), file=out)
-        told[:] = found
+        shown[:] = found
         print(printable(plain_line(state, now)), file=out, flush=True)
 
     return show
@@ -165,12 +165,12 @@ def live_view(namespace: str = NAMESPACE) -> Iterator[None]:
     view = multiprocessing.get_context("spawn").Process(
         target=watch, args=(namespace,), daemon=True
     )
-    # Ctrl-C reaches the view too. While it imports it shall not hear it, which it inherits.
-    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Ctrl-C reaches the view too. While it imports it shall not receive it, which it inherits.
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         view.start()
     finally:
-        signal.signal(signal.SIGINT, heard)
+        signal.signal(signal.SIGINT, handler)
     terminal = os.dup(2)
     with tempfile.TemporaryFile() as kept:
         os.dup2(kept.fileno(), 2)

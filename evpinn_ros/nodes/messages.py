@@ -45,7 +45,7 @@ class BadMessage(ValueError):  # noqa: N818  (it is the message that is bad)
     Attributes:
         reason: a short snake_case key for counters.
         usual: it says that there is no value now, with nothing wrong, as GNSS does in a garage.
-        lasting: so is every message of this source: told when it begins, afterwards counted.
+        lasting: so is every message of this source: reported when it begins, later counted.
     """
 
     def __init__(self, reason: str, *, usual: bool = False, lasting: bool = False) -> None:

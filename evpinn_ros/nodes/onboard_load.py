@@ -1,4 +1,4 @@
-"""What all three nodes in one process take of a vehicle computer: memory and processor."""
+"""Load of all three nodes in one process on a vehicle computer: memory and processor."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class Parameter:
     verify: Callable[[str], object] | None = None
 
     def problem(self, value: object) -> str | None:
-        """Why a value is refused, None when it is not."""
+        """Reason why a value is refused, None when it is not."""
         if type(value) is not type(self.default):
             return f"{self.name} = {value} must be {TYPE_NAMES[type(self.default)]}"
         if isinstance(value, (int, float)) and not self.lower <= value <= self.upper:
@@ -102,7 +102,7 @@ MANAGED = Parameter(
     "managed",
     False,
     "A managed node, which waits to be configured and activated: `ros2 lifecycle set ...`. Until "
-    "it is active it hears and tells nothing but /diagnostics.",
+    "it is active it receives and sends nothing but /diagnostics.",
 )
 
 ESTIMATOR = (
@@ -145,7 +145,7 @@ ESTIMATOR = (
     Parameter(
         "max_gap",
         2.5,
-        "Silence of speed or battery across which nothing is joined.",
+        "Dropout of speed or battery across which nothing is joined.",
         "s",
         0.1,
         60.0,

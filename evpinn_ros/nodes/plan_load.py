@@ -1,6 +1,6 @@
-"""How soon the node `energy` answers a plan: its executable and a planner, a process each.
+"""Delay of the node `energy` in answering a plan: its executable and a planner, a process each.
 
-The planner publishes and hears bytes, for what it does with a message is no part of the answer.
+The planner publishes and receives bytes, for what it does with a message is no part of the answer.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PAUSE = 0.02  # s between plans
 
 
 class RoundLoad(NamedTuple):
-    """How soon plans asked together are all answered with their differences, and a refusal, ms."""
+    """Delay until plans asked together are all answered with differences, and a refusal, ms."""
 
     rounds: int
     plans: int
@@ -50,7 +50,7 @@ class RoundLoad(NamedTuple):
 
 
 class PlanLoad(NamedTuple):
-    """How many plans of how many points were answered, and after how many ms.
+    """Count and size of plans that were answered, and their delays in ms.
 
     Attributes:
         node_ms: of the processor that the node took for one, whatever else the machine did.
@@ -153,7 +153,7 @@ def speed_profile(number: int, points: int) -> Any:
 
 
 class _Planner:
-    """The far end: publishes plans, hears answers."""
+    """The far end: publishes plans, receives answers."""
 
     def __init__(self) -> None:
         self._node = rclpy.create_node("planner", namespace=NAMESPACE)
@@ -163,8 +163,8 @@ class _Planner:
         self._model = factory.advertise(self._node, topics.MODEL)
         factory.subscribe(self._node, topics.FORECAST, self._take, raw=True)
         factory.subscribe(self._node, topics.FORECAST_STATUS, self._take_status)
-        self._heard: str | None = None
-        self._statuses: dict[str, int] = {}  # differences told, by frame
+        self._answered: str | None = None
+        self._statuses: dict[str, int] = {}  # differences answered, by frame
 
     def await_node(self) -> None:
         """Wait until the node listens, and give it a model."""
@@ -175,15 +175,15 @@ class _Planner:
         self._spin_until(lambda: time.monotonic() > end, START_TIMEOUT)
 
     def ask(self, plan: Any) -> float:
-        """Publish a plan; gives the seconds until its answer was heard."""
+        """Publish a plan; gives the seconds until its answer was received."""
         wanted, data = plan.header.frame_id, bytes(serialize_message(plan))
         begin = time.perf_counter()
         self._plans.publish(data)
-        self._spin_until(lambda: self._heard == wanted, ANSWER_TIMEOUT)
+        self._spin_until(lambda: self._answered == wanted, ANSWER_TIMEOUT)
         return time.perf_counter() - begin
 
     def ask_together(self, plans: Sequence[Any]) -> float:
-        """Publish plans; gives the seconds until the status of the last was heard."""
+        """Publish plans; gives the seconds until the status of the last was received."""
         frames = [plan.header.frame_id for plan in plans]
         data = [bytes(serialize_message(plan)) for plan in plans]
         self._statuses.clear()
@@ -198,15 +198,15 @@ class _Planner:
         return seconds
 
     def _take_status(self, message: Any) -> None:
-        told = [p.key for p in message.status[0].values if p.key.startswith("difference/")]
-        self._statuses[message.header.frame_id] = len(told)
+        differences = [p.key for p in message.status[0].values if p.key.startswith("difference/")]
+        self._statuses[message.header.frame_id] = len(differences)
 
     def _take(self, data: bytes) -> None:
-        self._heard = request_header(new_message, data).frame_id
+        self._answered = request_header(new_message, data).frame_id
 
     def _spin_until(self, condition: Callable[[], bool], seconds: float) -> None:
         end = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > end:
-                raise InputError(f"the node 'energy' said nothing for {seconds:g} s")
+                raise InputError(f"the node 'energy' sent nothing for {seconds:g} s")
             self._executor.spin_once(timeout_sec=0.05)

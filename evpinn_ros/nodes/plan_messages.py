@@ -92,7 +92,7 @@ def request_header(new: NewMessage, data: bytes) -> Any:
 
 
 def question(header: Any) -> Question:
-    """What a plan is called: plans of one stamp and `asker/...` as frame are asked together."""
+    """Question of a plan: plans of one stamp and `asker/...` as frame are asked together."""
     asker, slash, _ = header.frame_id.rpartition("/")
     together = (header.stamp.sec, header.stamp.nanosec, asker) if slash else None
     return Question(header.frame_id, together)

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
-from evpinn_ros.nodes.forecaster import Answer
+from evpinn_ros.nodes.forecaster import PlanAnswer
 
 MOST_PLANS = 100
 
 
-def answer_plans(request: Any, response: Any, answer: Callable[[Plan, Question], Answer]) -> Any:
+def answer_plans(
+    request: Any, response: Any, answer: Callable[[Plan, Question], PlanAnswer]
+) -> Any:
     """Fill the response; a plan that cannot be driven has its reason there, and NaN elsewhere.
 
     Args:
@@ -24,7 +26,7 @@ def answer_plans(request: Any, response: Any, answer: Callable[[Plan, Question],
     """
     count, together = len(request.plans), object()
     more, sigmas = np.full((2, count, count), math.nan)
-    found: list[Answer | None] = []
+    found: list[PlanAnswer | None] = []
     for index, asked in enumerate(request.plans):
         try:
             if index >= MOST_PLANS:
@@ -50,7 +52,7 @@ def answer_plans(request: Any, response: Any, answer: Callable[[Plan, Question],
     return response
 
 
-def _or_nan(answer: Answer | None, read: Callable[[Answer], float]) -> float:
+def _or_nan(answer: PlanAnswer | None, read: Callable[[PlanAnswer], float]) -> float:
     return math.nan if answer is None else float(read(answer))
 
 

@@ -23,7 +23,7 @@ from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.signals.readings import NANOSECONDS
 
 START_TIMEOUT = 60.0  # s for the nodes to come up on a busy machine
-SILENCE_TIMEOUT = 15.0  # s without any prediction: something has died
+OUTPUT_TIMEOUT = 15.0  # s without any prediction: something has died
 STOP_TIMEOUT = 10.0  # s for a node to save and end
 SPIN = 0.2  # s
 FIRST_DOMAIN, DOMAINS = 82, 20  # all below 102, which any platform allows; tests have those below
@@ -93,7 +93,7 @@ class _Watch:
             if self._newest_ns != seen:
                 seen, since = self._newest_ns, time.monotonic()
             waited = time.monotonic() - since
-            if bridge.poll() is not None or waited > (SILENCE_TIMEOUT if seen else START_TIMEOUT):
+            if bridge.poll() is not None or waited > (OUTPUT_TIMEOUT if seen else START_TIMEOUT):
                 raise InputError("the nodes fell silent before the end of the drive")
         _spin_for(executor, 1.0)
 

@@ -61,7 +61,7 @@ class RecorderNode(GuardedNode):
         self.every(FLUSH_PERIOD, self._flush)
 
     def statuses(self) -> list[Status]:
-        """How much is in the bag."""
+        """Size of the bag."""
         folder = str(self._writer.folder)
         return [recorder_status(folder, self._counts, self._problem, self.health())]
 

@@ -1,4 +1,4 @@
-"""Runs nodes in one thread until they are told to stop, and ends them in good order."""
+"""Runs nodes in one thread until they are stopped, and ends them in good order."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _end(nodes: Sequence[GuardedNode]) -> list[str]:
     Returns:
         What the nodes could not keep.
     """
-    # Who listens hears the others' last words; who is destroyed tells the others that it is gone.
+    # A listener receives the others' last messages; a destroyed node announces that it is gone.
     tell("STOPPING=1")
     steps: list[Callable[[], object]] = [node.close for node in reversed(nodes)]
     steps += [node.destroy_node for node in nodes]

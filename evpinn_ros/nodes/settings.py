@@ -30,5 +30,5 @@ def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
 
 
 def jump_rule(values: Mapping[str, Any]) -> JumpRule:
-    """What to do when time jumps, from all parameters of a node."""
+    """Rule for jumps of time, from all parameters of a node."""
     return JumpRule(JumpPolicy(values["time_jump_policy"]), values["time_jump_threshold"])

@@ -27,7 +27,7 @@ class Stateful(Protocol):
         """Forget all that was learned."""
 
 
-class StateKeeper:
+class StateFile:
     """The state file of one node.
 
     Attributes:
@@ -52,7 +52,7 @@ class StateKeeper:
 
     @property
     def start(self) -> str | None:
-        """What the owner goes on from; None where nothing was restored."""
+        """State that the owner goes on from; None where nothing was restored."""
         return None if self._loaded is None else f"continues from {self._path}"
 
     def start_over(self) -> None:
@@ -105,7 +105,7 @@ def state_path(text: str) -> Path | None:
     """The path that a parameter gives, None where it is empty.
 
     Raises:
-        InputError: it begins with `~`, and nobody has such a home.
+        InputError: it begins with `~`, and no user has such a home.
     """
     try:
         return Path(text).expanduser() if text else None
@@ -114,6 +114,6 @@ def state_path(text: str) -> Path | None:
 
 
 def _aside(path: Path) -> list[Path]:
-    """Where refused files are kept, the newest first."""
+    """Places of refused files, the newest first."""
     first = path.with_name(path.name + ".refused")
     return [first, *(first.with_name(f"{first.name}.{n}") for n in range(2, REFUSED_KEPT + 1))]

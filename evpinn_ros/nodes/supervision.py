@@ -1,4 +1,4 @@
-"""What systemd is told of a process: that it is up, that it still works, that it ends.
+"""Messages to systemd about a process: that it is up, that it still works, that it ends.
 
 The protocol is that of sd_notify(3): datagrams to the socket in NOTIFY_SOCKET. Without one, as
 outside a unit of `Type=notify`, nothing is sent.

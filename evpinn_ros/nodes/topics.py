@@ -78,7 +78,7 @@ class Topic:
         return self.name if self.name.startswith("/") else f"{namespace.rstrip('/')}/{self.name}"
 
     def matches(self, full_name: str) -> bool:
-        """Whether a full name is this topic, under any namespace."""
+        """True if a full name is this topic, under any namespace."""
         return full_name == self.name or full_name.endswith(f"/{self.name.lstrip('/')}")
 
 
@@ -95,7 +95,7 @@ ODOMETRY = Topic(
     ODOMETRY_TYPE,
     "the car",
     False,
-    "optional: `twist.twist.linear.x` as speed, until `vehicle/speed` is heard",
+    "optional: `twist.twist.linear.x` as speed, until `vehicle/speed` is received",
     "m/s",
 )
 BATTERY = Topic(
@@ -329,7 +329,7 @@ FORECAST_BATTERY = Topic(
     "energy",
     False,
     "the battery at the end of the plan; not published while the state of charge is unknown. "
-    "Its voltage is NaN until a minute of voltage, current and state of charge was heard",
+    "Its voltage is NaN until a minute of voltage, current and state of charge was received",
     "1",
 )
 DIAGNOSTICS = Topic(

@@ -120,7 +120,7 @@ def definition(layout: Layout) -> str:
 
 
 def is_installed() -> bool:
-    """Whether `evpinn_msgs` is there, and not merely its source in the folder of a checkout."""
+    """True if `evpinn_msgs` is there, and not merely its source in the folder of a checkout."""
     found = find_spec(PACKAGE)
     return found is not None and found.origin is not None
 

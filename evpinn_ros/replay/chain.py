@@ -60,7 +60,7 @@ class Chain:
         """Readings of this drive that did not pass the guard of time, by reason."""
         return self._guard.dropped + Counter(stamp_leaps=self._guard.held)
 
-    def push(self, reading: Reading) -> Iterator[ChainOutput]:
+    def add_reading(self, reading: Reading) -> Iterator[ChainOutput]:
         """Take one reading; give all that the estimator and then the account say of it."""
         for item in self.follow(reading):
             yield from self.take(item)
@@ -70,20 +70,20 @@ class Chain:
         return self._guard.follow(reading, self._rule)
 
     def take(self, reading: Reading | Jump) -> Iterator[ChainOutput]:
-        """Take a reading that may be believed, or a jump of time."""
+        """Take a reading that may be used, or a jump of time."""
         if isinstance(reading, Jump):
             self._jump()
             return
         if isinstance(reading, SpeedReading):
-            self.account.push_speed(reading.stamp_ns, reading.speed)
+            self.account.add_speed(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
-            self.account.push_battery(reading)
+            self.account.add_battery(reading)
         for output in self.estimator.push(reading):
             yield output
             if not isinstance(output, PowerEstimate):
                 continue
             if output.kind is PowerKind.SMOOTHED:
-                self.account.push_predicted(
+                self.account.add_predicted(
                     output.stamp_ns, output.power, output.sigma, output.energy_sigma
                 )
                 yield self.account.state
@@ -91,12 +91,12 @@ class Chain:
                 if summary is not None:
                     yield summary
             elif output.kind is PowerKind.MEASURED:
-                self.account.push_measured(output.stamp_ns, output.power, output.sigma)
+                self.account.add_measured(output.stamp_ns, output.power, output.sigma)
 
     def _jump(self) -> None:
         if self._rule.policy is not JumpPolicy.RESET:
             self.estimator.handle_time_jump()
-            self.account.begin_next_stretch()
+            self.account.begin_after_jump()
             return
         self.estimator.reset()
         if self._start is not None:
@@ -108,5 +108,5 @@ class Chain:
         self.estimator.begin_next_drive()
         self.estimator.clear_counters()
         self._guard, self._start = StampGuard(SpeedReading), self.estimator.export()
-        self.account.begin_next_stretch()
+        self.account.begin_after_jump()
         self.account.reset_trip()

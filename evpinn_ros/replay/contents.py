@@ -1,4 +1,4 @@
-"""What a recording holds: `evpinn info`."""
+"""Contents of a recording: `evpinn info`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.sources import Source, is_drive_table, open_source
-from evpinn_ros.replay.usable import Flow, Usable, usable
+from evpinn_ros.replay.usable import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 
-BITRATE = 500_000  # bit/s; the load of the bus is not told here
+BITRATE = 500_000  # bit/s; the load of the bus is not known here
 INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
 GENERIC = "generic"
 
@@ -34,12 +34,12 @@ class TopicContents:
 
     name: str
     type_name: str
-    flow: Flow
+    flow: ReadingFlow
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a recording holds.
+    """Contents of a recording.
 
     Attributes:
         path: of it.
@@ -67,7 +67,7 @@ class Contents:
     frames: int = 0
     profile: str | None = None
     vehicles: tuple[str, ...] = ()
-    drive: Usable | None = None
+    drive: DataCoverage | None = None
     dropped: Counter[str] | None = None
     notes: tuple[str, ...] = ()
 
@@ -89,8 +89,8 @@ def contents(
 
     Args:
         path: of it.
-        columns: of a table that are told, see `evpinn_ros.drives.column.columns_by_name`.
-        progress: is told the seconds of the drive done.
+        columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
+        progress: takes the seconds of the drive done.
 
     Raises:
         InputError: it is none of these, or nothing can be read.
@@ -110,7 +110,7 @@ def contents(
 
 def _topics(path: Path) -> tuple[TopicContents, ...]:
     with BagReader(path) as reader:
-        flows = {name: Flow() for name in reader.topics}
+        flows = {name: ReadingFlow() for name in reader.topics}
         for name, log_time_ns in reader.log_times():
             flows[name].add(log_time_ns)
         return tuple(
@@ -123,7 +123,7 @@ def _with_frames(found: Contents, log: CanLog, progress: Progress | None) -> Con
     """Add the profile that fits, and what the drive is by it."""
     inspection = Inspection(bundled_profiles(), BITRATE)
     for frame in islice(log.frames(), INSPECTED):
-        inspection.push(frame)
+        inspection.add_frame(frame)
     report = inspection.report()
     profile = report.best.fit.profile if report.best is not None else None
     names = tuple(car.key for car in _vehicles() if profile and car.can_profile == profile)
@@ -140,7 +140,7 @@ def _with_drive(
     own = None if found.kind == "bag" and _has_readings(found.path) else profile
     try:
         source = open_source(found.path, load_vehicle(GENERIC), own, columns=columns)
-        drive = usable(reported(source.readings(), progress))
+        drive = data_coverage(reported(source.readings(), progress))
     except InputError as error:
         if found.kind != "bag":
             raise
@@ -155,7 +155,7 @@ def _with_drive(
 
 
 def _of_table(source: Source) -> dict[str, Any]:
-    """What is known of a table beside its readings."""
+    """Facts of a table beside its readings."""
     if not isinstance(source, DriveSource):
         return {}
     drive = source.drive
@@ -168,7 +168,7 @@ def _of_table(source: Source) -> dict[str, Any]:
 
 
 def _has_readings(path: Path) -> bool:
-    """Whether a bag has topics of ours, which are believed before its frames are."""
+    """True if a bag has topics of ours, which are preferred to its frames."""
     try:
         open_source(path, load_vehicle(GENERIC))
     except InputError:

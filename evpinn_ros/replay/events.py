@@ -1,4 +1,4 @@
-"""What happened on a drive that a person should know when reading its curves."""
+"""Events of a drive that a person should know when reading its curves."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN
-from evpinn_ros.replay.history import Drive, Noticed
+from evpinn_ros.replay.history import Detection, Drive
 from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.suspicion import CURRENT_SIGN
 from evpinn_ros.signals.time_jump import DEFAULT_RULE
 
 CLOCK_STEP = DEFAULT_RULE.threshold
-SUSPICIONS = {
+FAULT_TEXTS = {
     CURRENT_SIGN: "Accelerating charges the battery: is the sign of current wrong?",
     GRADE_SIGN: "Climbing gives power back: is the sign of grade or pitch wrong?",
 }
 
 
 class EventKind(str, Enum):
-    """What kind of event."""
+    """Kind of an event."""
 
     PAYLOAD = "payload"
-    SUSPICION = "suspicion"
-    SPEED_SILENT = "speed silent"
-    BATTERY_SILENT = "battery silent"
+    SIGNAL_FAULT = "signal fault"
+    SPEED_DROPOUT = "speed dropout"
+    BATTERY_DROPOUT = "battery dropout"
     RESET = "time reset"
     WITHHELD = "battery withheld"
 
@@ -43,7 +43,7 @@ class Event(NamedTuple):
 
 def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event]:
     """The events of a drive in order; the battery withheld from a time on, s, is one."""
-    found = [*_gaps(drive), *_resets(drive), *_payloads(drive), *_suspicions(drive.noticed)]
+    found = [*_gaps(drive), *_resets(drive), *_payloads(drive), *_signal_faults(drive.detections)]
     if withheld_from is not None and withheld_from < drive.duration:
         text = "From here on the battery was hidden from the estimator."
         found.append(Event(withheld_from, EventKind.WITHHELD, text))
@@ -51,10 +51,10 @@ def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event
 
 
 def _gaps(drive: Drive) -> Iterator[Event]:
-    """Silences inside of the drive and at its ends."""
+    """Dropouts inside of the drive and at its ends."""
     for kind, rows, lost in (
-        (EventKind.SPEED_SILENT, drive.speed, "nothing was predicted or learned across it"),
-        (EventKind.BATTERY_SILENT, drive.measured, "power went on from speed alone"),
+        (EventKind.SPEED_DROPOUT, drive.speed, "nothing was predicted or learned across it"),
+        (EventKind.BATTERY_DROPOUT, drive.measured, "power went on from speed alone"),
     ):
         times = np.concatenate(([0.0], np.sort(rows[:, 0]), [drive.duration]))
         for index in np.flatnonzero(np.diff(times) > MAX_MEASURED_STEP):
@@ -72,32 +72,32 @@ def _resets(drive: Drive) -> Iterator[Event]:
 
 
 def _payloads(drive: Drive) -> Iterator[Event]:
-    """Each change of payload as it was told last, and those that were withdrawn."""
+    """Each change of payload as it was reported last, and those that were withdrawn."""
     last: dict[int, Event] = {}
-    for before, now in zip(drive.noticed, drive.noticed[1:], strict=False):
+    for before, now in zip(drive.detections, drive.detections[1:], strict=False):
         report, change = now.report, now.report.payload_change
         if report.payload_changes_withdrawn > before.report.payload_changes_withdrawn:
-            text = "The change of payload told before was withdrawn: later data took it back."
+            text = "The change of payload reported before was withdrawn: later data took it back."
             yield Event(now.time, EventKind.PAYLOAD, text)
         elif change is not None and change != before.report.payload_change:
             stop = (change.stamp_ns - drive.start_ns) / NANOSECONDS
             text = (
                 f"{change.delta_mass:+.0f} ± {change.std:.0f} kg at this stop; "
-                f"told {max(now.time - stop, 0.0):.0f} s later."
+                f"reported {max(now.time - stop, 0.0):.0f} s later."
             )
-            told = last.get(report.payload_changes)
-            if told is not None:
-                text = text.partition(";")[0] + ";" + told.text.partition(";")[2]
+            found = last.get(report.payload_changes)
+            if found is not None:
+                text = text.partition(";")[0] + ";" + found.text.partition(";")[2]
             last[report.payload_changes] = Event(stop, EventKind.PAYLOAD, text)
     yield from last.values()
 
 
-def _suspicions(noticed: tuple[Noticed, ...]) -> Iterator[Event]:
+def _signal_faults(detections: tuple[Detection, ...]) -> Iterator[Event]:
     before: str | None = None
-    for time, report in noticed:
+    for time, report in detections:
         if report.suspicion != before:
             text = "The signals agree again."
             if report.suspicion is not None:
-                text = SUSPICIONS.get(report.suspicion, report.suspicion)
-            yield Event(time, EventKind.SUSPICION, text)
+                text = FAULT_TEXTS.get(report.suspicion, report.suspicion)
+            yield Event(time, EventKind.SIGNAL_FAULT, text)
         before = report.suspicion

@@ -20,7 +20,7 @@ ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a 
 SHORTEST = 30.0  # s of a part of a drive that is worth a forecast
 
 
-class Foretold(NamedTuple):
+class ForecastOutcome(NamedTuple):
     """A part of a drive: energy measured, and as it was forecast at its begin, J."""
 
     span: Span
@@ -30,29 +30,31 @@ class Foretold(NamedTuple):
 
     @property
     def covered(self) -> bool:
-        """Whether the 90 % band of the forecast holds what was measured."""
+        """True if the 90 % band of the forecast holds what was measured."""
         return abs(self.forecast - self.measured) <= GAUSSIAN_QUANTILE * self.sigma
 
 
-def foretold_parts(drive: Drive, air_density: float) -> list[Foretold]:
+def forecast_outcomes(drive: Drive, air_density: float) -> list[ForecastOutcome]:
     """The drive from model to model, each part forecast by the model of its begin."""
     ends = [*(known.time for known in drive.models), drive.duration][1:]
     found = (
-        foretold(drive, known, end, air_density)
+        forecast_outcome(drive, known, end, air_density)
         for known, end in zip(drive.models, ends, strict=False)
     )
     return [one for one in found if one is not None]
 
 
-def foretold(drive: Drive, known: KnownModel, end: float, air_density: float) -> Foretold | None:
+def forecast_outcome(
+    drive: Drive, known: KnownModel, end: float, air_density: float
+) -> ForecastOutcome | None:
     """The drive up to `end`, s, as a plan that was driven to the letter.
 
     None where it cannot be compared: it is short, or speed or battery has a gap in it.
     """
     span = Span(known.time, end)
     speed = _inside(drive.speed, span)
-    heard = _inside(drive.measured, span)
-    if end - known.time < SHORTEST or not (_whole(speed, span) and _whole(heard, span)):
+    battery = _inside(drive.measured, span)
+    if end - known.time < SHORTEST or not (_whole(speed, span) and _whole(battery, span)):
         return None
     try:
         plan = drive_plan(speed, _inside(drive.altitude, span))
@@ -61,7 +63,7 @@ def foretold(drive: Drive, known: KnownModel, end: float, air_density: float) ->
     driven = Span(float(speed[0, 0]), float(speed[0, 0] + plan.time[-1]))
     result = forecast_plan(plan, PowerModel(known.model), air_density)
     measured = measured_energy(drive, [driven])
-    return Foretold(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
+    return ForecastOutcome(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
 
 
 def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
@@ -96,6 +98,6 @@ def _inside(rows: np.ndarray, span: Span) -> np.ndarray:
 
 
 def _whole(rows: np.ndarray, span: Span) -> bool:
-    """Whether a series has no gap anywhere in the span."""
+    """True if a series has no gap anywhere in the span."""
     times = np.concatenate(([span.begin], rows[:, 0], [span.end]))
     return len(rows) > 1 and bool(np.diff(times).max() <= MAX_MEASURED_STEP)

@@ -1,4 +1,4 @@
-"""What a replay leaves behind: time series to score and to draw."""
+"""Record of a replay: time series to score and to draw."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ class PowerSeries(NamedTuple):
     lag: np.ndarray
 
 
-class Noticed(NamedTuple):
-    """What the learner noticed, from this time on, s since the first reading."""
+class Detection(NamedTuple):
+    """Detections of the learner from this time on, s since the first reading."""
 
     time: float
     report: LearnerReport
 
 
 class KnownModel(NamedTuple):
-    """What was known of the car at this time, s since the first reading."""
+    """Model of the car at this time, s since the first reading."""
 
     time: float
     model: LinearPower
@@ -79,7 +79,7 @@ class Drive:
     Attributes:
         duration: s.
         speed: time and m/s, shape (n, 2).
-        measured: time and W, all that the battery said, withheld or not, shape (n, 2).
+        measured: time and W, every sample of the battery, withheld or not, shape (n, 2).
         smoothed: predictions of `power/smoothed`.
         newest: predictions of `power/predicted`.
         energy: time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4);
@@ -89,7 +89,7 @@ class Drive:
         start_ns: stamp of the first reading.
         altitude: time and m, shape (n, 2).
         combinations: for each identifiable combination time, value, 1-sigma, shape (n, 3).
-        noticed: what the learner noticed, whenever that changed.
+        detections: those of the learner, whenever they changed.
         models: the car as known at the start and about every `MODEL_STEP`; empty without replay.
         jumps: time, and s by which it went back there, shape (n, 2).
     """
@@ -105,7 +105,7 @@ class Drive:
     start_ns: int = 0
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
-    noticed: tuple[Noticed, ...] = ()
+    detections: tuple[Detection, ...] = ()
     models: tuple[KnownModel, ...] = ()
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
@@ -122,7 +122,7 @@ class History:
         self._voltage, self._current = Columns(2), Columns(2)
         self._altitude = Columns(2)
         self._combinations = {name: Columns(3) for name in IDENTIFIABLE_NAMES}
-        self._noticed: list[Noticed] = []
+        self._detections: list[Detection] = []
         self._models: list[KnownModel] = []
         self._power = {PowerKind.SMOOTHED: Columns(4), PowerKind.PREDICTED: Columns(4)}
         self._parameters = {name: Columns(4) for name in PARAMETER_NAMES}
@@ -142,7 +142,7 @@ class History:
         self._jumped = jump
 
     def add_reading(self, reading: Reading) -> None:
-        """Take a reading as the car told it."""
+        """Take a reading as the car sent it."""
         if self._start_ns is None:
             self._start_ns = self._last_ns = reading.stamp_ns
         if self._jumped is not None:
@@ -162,7 +162,7 @@ class History:
             self._altitude.add(time, reading.altitude)
 
     def add_output(self, output: ChainOutput) -> None:
-        """Take what the chain said of the last reading."""
+        """Take the outputs of the chain for the last reading."""
         if isinstance(output, AccountSummary):
             return
         time = self.seconds(output.stamp_ns)
@@ -185,14 +185,14 @@ class History:
                 )
                 rows.add(time, value, std)
 
-    def add_noticed(self, report: LearnerReport) -> None:
+    def add_detections(self, report: LearnerReport) -> None:
         """Take what the learner says of the car by now, if it says something new."""
-        if not self._noticed or self._noticed[-1].report[:4] != report[:4]:
-            self._noticed.append(Noticed(self._now, report))
+        if not self._detections or self._detections[-1].report[:4] != report[:4]:
+            self._detections.append(Detection(self._now, report))
 
     @property
     def wants_model(self) -> bool:
-        """Whether `MODEL_STEP` has passed since the last model."""
+        """True if `MODEL_STEP` has passed since the last model."""
         return not self._models or self._now - self._models[-1].time >= MODEL_STEP
 
     def add_model(self, model: LinearPower | None) -> None:
@@ -226,7 +226,7 @@ class History:
             start_ns=self._start_ns or 0,
             altitude=self._altitude.values(),
             combinations={name: rows.values() for name, rows in self._combinations.items()},
-            noticed=tuple(self._noticed),
+            detections=tuple(self._detections),
             models=tuple(self._models),
             jumps=self._jumps.values(),
         )

@@ -45,8 +45,8 @@ _ENERGY = (
 _PARAMETER = (
     ("value", "", "live value at the end: 1, 1, kg, 1, 1, W"),
     ("std", "", "its 1-sigma"),
-    ("prior_share", "", "how much of it is belief: 0 all data, 1 all prior"),
-    ("lower", "", "bound from the combinations and eta, mu <= 1; before they are told, its limit"),
+    ("prior_share", "", "share of the prior in it: 0 all data, 1 all prior"),
+    ("lower", "", "bound from the combinations and eta, mu <= 1; while unknown, its limit"),
     ("upper", "", "likewise"),
     ("state", "", "`unestimated`, `estimating`, `valid`, `stale` or `invalid`"),
 )

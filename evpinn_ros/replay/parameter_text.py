@@ -1,4 +1,4 @@
-"""How parameters read: decimals, units and a word for each. Light, for the live view loads it."""
+"""Text of parameters: decimals, units and a word for each. Light, for the live view loads it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where recorded drives lie: bags, CAN logs and tables below a folder."""
+"""Search for recorded drives: bags, CAN logs and tables below a folder."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def recordings(path: Path) -> Iterator[Path]:
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Whether a folder is one bag, as rosbag2 writes it; a killed recorder left no metadata.
+    """True if a folder is one bag, as rosbag2 writes it; a killed recorder left no metadata.
 
     Other folders with bag files hold as many bags.
 

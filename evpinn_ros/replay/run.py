@@ -38,7 +38,7 @@ Progress = Callable[[float], None]  # takes s of the drive done
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """How a drive is replayed.
+    """Options of a replay.
 
     Attributes:
         withhold_battery_after: s since the start, None to withhold nothing.
@@ -83,7 +83,8 @@ def replay(
         InputError: the source holds no speed at all, or too few to predict from.
     """
     history = History()
-    history.add_noticed(chain.estimator.noticed())  # what earlier drives left is no event of this
+    # What earlier drives left is no event of this one.
+    history.add_detections(chain.estimator.noticed())
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
     whole = takewhile(lambda _: not stopped(), source.readings())
@@ -119,7 +120,7 @@ def replay(
 
 
 def _too_seldom(drive: Drive) -> str:
-    """How far apart the speeds are of a drive from which nothing could be predicted."""
+    """Text on how far apart the speeds are of a drive from which nothing could be predicted."""
     steps = np.diff(drive.speed[:, 0])
     if not steps.size:
         return "there is one speed"
@@ -148,7 +149,7 @@ def span(readings: Iterator[Reading], start: float, duration: float | None) -> I
 def _outputs(
     reading: Reading | Jump, history: History, chain: Chain, options: ReplayOptions
 ) -> list[ChainOutput]:
-    """What the chain says of a reading, unless it is withheld from it; nothing of a jump."""
+    """Outputs of the chain for a reading, unless it is withheld from it; nothing of a jump."""
     if isinstance(reading, Jump):
         return list(chain.take(reading))
     after = options.withhold_battery_after
@@ -161,7 +162,7 @@ def _outputs(
     for output in outputs:
         history.add_output(output)
         if isinstance(output, ParameterSet):
-            history.add_noticed(chain.estimator.noticed())
+            history.add_detections(chain.estimator.noticed())
     return outputs
 
 
@@ -191,7 +192,7 @@ def _paced(
 def _record(
     writer: BagWriter, reading: Reading, outputs: list[ChainOutput], log_time_ns: int
 ) -> Iterator[str]:
-    """Write a reading and what was said of it; gives a reason for each that no message holds."""
+    """Write a reading and its outputs; gives a reason for each that no message holds."""
     try:
         messages = list(reading_messages(reading))
     except ValueError:
@@ -209,12 +210,12 @@ def _record(
 
 
 def has_battery(drive: Drive) -> bool:
-    """Whether the battery said anything in a drive."""
+    """True if a drive has any battery reading."""
     return len(drive.measured) > 0
 
 
 def output_folders(out: Path | None, paths: Sequence[Path]) -> list[Path | None]:
-    """Where each drive's bag goes: `out` itself for one, a folder in it for each of several."""
+    """Folder of each drive's bag: `out` itself for one, a folder in it for each of several."""
     if out is None:
         return [None] * len(paths)
     if len(paths) == 1:

@@ -1,6 +1,6 @@
-"""Scores of a replayed drive: the `--metrics` of design.md, section 2.3.
+"""Scores of a replayed drive: the values of `--metrics`.
 
-Every score is predict-then-update: no prediction knew the sample it is held against. The nulls
+Every score is predict-then-update: no prediction knew the sample that scores it. The baselines
 beside them say what a score is worth: holding the last value, and, for what a random split of one
 drive proves, interpolation in time.
 """
@@ -23,8 +23,8 @@ GAP_STEPS = 6.0  # nor, of slow readings, between those this many usual steps ap
 # before (in logarithms) to half way to the next.
 BATTERY_AGES = (0.1, 1.0, 10.0, 60.0, 600.0)
 WINDOW, WINDOW_STEP = 300.0, 10.0  # s, of the worst stretch of energy
-NULL_HOLD_OUT = 0.2  # share held out in the random split
-NULL_SEED = 0
+BASELINE_HOLD_OUT = 0.2  # share held out in the random split
+BASELINE_SEED = 0
 FLOOR_BINS = 50  # of speed, each with at least ten predictions
 
 
@@ -35,7 +35,7 @@ class Span(NamedTuple):
     end: float
 
     def holds(self, time: np.ndarray) -> np.ndarray:
-        """Which times lie in it."""
+        """Mask of the times that lie in it."""
         return (time > self.begin) & (time <= self.end)
 
 
@@ -60,7 +60,7 @@ def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, floa
 
 
 def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
-    """Which predictions count: in the span, and measured at their moment; shape (n,)."""
+    """Mask of scored predictions: in the span, and measured at their moment; shape (n,)."""
     _, known = measured_at(drive, series.time)
     chosen: np.ndarray = known & span.holds(series.time)
     return chosen
@@ -73,11 +73,11 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
     if inside.sum() < 2:
         return dict.fromkeys(keys)
     rows = drive.energy[inside]
-    told = _stretches(rows[:, 0])
-    heard = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
-    common = _common(told, heard) or told
+    known = _stretches(rows[:, 0])
+    measured_spans = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
+    common = _common(known, measured_spans) or known
     predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:3])
-    measured = measured_energy(drive, common) if _common(told, heard) else None
+    measured = measured_energy(drive, common) if _common(known, measured_spans) else None
     score: dict[str, float | None] = dict.fromkeys(keys)
     score.update(measured_j=measured, predicted_j=predicted, rknn_j=rknn)
     if measured:
@@ -111,7 +111,7 @@ def worst_window(drive: Drive) -> float | None:
     return worst
 
 
-def null_scores(drive: Drive, span: Span) -> dict[str, float | None]:
+def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
     """RMSE, W, of predictions that know nothing of cars.
 
     `last_value`: the battery reading before, one reading ahead. `interpolation`: between
@@ -120,7 +120,7 @@ def null_scores(drive: Drive, span: Span) -> dict[str, float | None]:
     rows = drive.measured[span.holds(drive.measured[:, 0])]
     if len(rows) < 10:
         return {"last_value": None, "interpolation": None}
-    held_out = np.random.default_rng(NULL_SEED).random(len(rows)) < NULL_HOLD_OUT
+    held_out = np.random.default_rng(BASELINE_SEED).random(len(rows)) < BASELINE_HOLD_OUT
     held_out[[0, -1]] = False
     guess = np.interp(rows[held_out, 0], rows[~held_out, 0], rows[~held_out, 1])
     return {
@@ -276,13 +276,13 @@ def _stretches(time: np.ndarray) -> list[Span]:
 
 
 def _common(some: list[Span], others: list[Span]) -> list[Span]:
-    """Where both have something to say."""
+    """Parts in which both are known."""
     both = [Span(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
     return [span for span in both if span.end > span.begin]
 
 
 def _increase(time: np.ndarray, total: np.ndarray, stretches: list[Span]) -> float:
-    """How much a running total grew over stretches of time."""
+    """Growth of a running total over spans of time."""
     return float(sum(np.diff(np.interp(span, time, total))[0] for span in stretches))
 
 

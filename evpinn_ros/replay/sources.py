@@ -1,4 +1,4 @@
-"""What can be replayed: bags, CAN logs and tables of drives, each as one stream of readings."""
+"""Sources of a replay: bags, CAN logs and tables of drives, each as one stream of readings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Source(Protocol):
 
     @property
     def problem(self) -> str | None:
-        """What could not be read, in one line; None while all is well, final when exhausted."""
+        """Unreadable part, in one line; None while all is well, final when exhausted."""
 
     def readings(self) -> Iterator[Reading]:
         """The readings in recorded order."""
@@ -59,7 +59,7 @@ class BagSource:
 
     @property
     def problem(self) -> str | None:
-        """What the bag has lost."""
+        """Losses of the bag, in one line."""
         return self._reader.problem
 
     def readings(self) -> Iterator[Reading]:
@@ -80,7 +80,7 @@ class CanLogSource:
 
     @property
     def problem(self) -> str | None:
-        """Where the log breaks off, or from where on it contradicts the profile."""
+        """Break of the log, or the point from where on it contradicts the profile."""
         if self._bridge.refusal:
             return f"{self.path}: {self._bridge.refusal}; --trust-profile overrules this"
         return self._log.problem
@@ -94,7 +94,7 @@ class CanLogSource:
         newest = 0
         for frame in self._log.frames():
             newest = max(newest, frame.stamp_ns)
-            for reading in self._bridge.push(frame):
+            for reading in self._bridge.decode(frame):
                 self._decoded += 1
                 yield reading
             if self._bridge.refusal:
@@ -124,7 +124,7 @@ def open_source(
         vehicle: whose drive it is.
         can_profile: of a CAN log, the vehicle's when None.
         trust_profile: read a CAN log also where it contradicts the profile.
-        columns: of a CSV file that are told, see `evpinn_ros.drives.column.columns_by_name`.
+        columns: of a CSV file that are given, see `evpinn_ros.drives.column.columns_by_name`.
 
     Raises:
         InputError: no such file, no kind known, or a CAN log without a profile.
@@ -143,7 +143,7 @@ def open_source(
 def _open_bag(
     path: Path, vehicle: Vehicle, can_profile: str | None, trust_profile: bool
 ) -> Source:
-    """What was recorded of our topics; raw frames when asked by a profile, or if all there is."""
+    """Recorded topics of ours; raw frames when asked by a profile, or if all there is."""
     if can_profile is None or not holds_frames(path):
         try:
             return BagSource(path)
@@ -168,7 +168,7 @@ def _bridge(
 
 
 def is_drive_table(path: Path) -> bool:
-    """Whether a path is that of a table which is not python-can's log of a bus.
+    """True if a path is that of a table which is not python-can's log of a bus.
 
     Raises:
         InputError: it cannot be read.

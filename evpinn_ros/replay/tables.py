@@ -7,7 +7,7 @@ from typing import Any
 
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import MEANINGS, number
-from evpinn_ros.replay.scoring import Span, null_scores
+from evpinn_ros.replay.scoring import Span, baseline_scores
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
 
 SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")
@@ -35,7 +35,7 @@ def parameter_rows(found: Mapping[str, Any], truth: Parameters | None) -> list[t
 
 
 def score_rows(drive: Drive, found: Mapping[str, Any], warm_up: float) -> list[tuple[str, ...]]:
-    """Scores of power under `SCORE_COLUMNS`, with the nulls that say what they are worth."""
+    """Scores of power under `SCORE_COLUMNS`, with the baselines that say what they are worth."""
     lag = found["power"]["lag_s"]
     title = "power/smoothed" if lag is None else f"power/smoothed ({lag:.1f} s later)"
     rows = [
@@ -50,9 +50,11 @@ def score_rows(drive: Drive, found: Mapping[str, Any], warm_up: float) -> list[t
     if found["power"].get("floor_w") is not None:
         floor = watts(found["power"]["floor_w"])
         rows.append(("floor: best function of speed, in hindsight", floor, "", "", ""))
-    nulls = null_scores(drive, Span(warm_up, drive.duration))
-    rows.append(("null: last value held", watts(nulls["last_value"]), "", "", ""))
-    rows.append(("null: random split, interpolated", watts(nulls["interpolation"]), "", "", ""))
+    baselines = baseline_scores(drive, Span(warm_up, drive.duration))
+    rows.append(("baseline: last value held", watts(baselines["last_value"]), "", "", ""))
+    rows.append(
+        ("baseline: random split, interpolated", watts(baselines["interpolation"]), "", "", "")
+    )
     return rows
 
 

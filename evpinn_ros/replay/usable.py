@@ -1,4 +1,4 @@
-"""Which part of a recorded drive the estimator can use: speed and battery together, moving."""
+"""Data coverage of a recorded drive: speed and battery together, moving."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Span: TypeAlias = tuple[int, int]  # first and last stamp, ns
 
 
 @dataclass(slots=True)
-class Flow:
+class ReadingFlow:
     """Stamps of one kind, as they come.
 
     Attributes:
@@ -56,7 +56,7 @@ class Flow:
 
     @property
     def gaps(self) -> int:
-        """How many are longer than the estimator bridges."""
+        """Count of those that are longer than the estimator bridges."""
         return sum(self._parts(each) for each in self._breaks)
 
     def add(self, stamp_ns: int) -> None:
@@ -88,8 +88,8 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True)
-class Usable:
-    """What a drive offers the estimator.
+class DataCoverage:
+    """Data of a drive that the estimator can use.
 
     Attributes:
         flows: readings by kind, as `speed`.
@@ -100,7 +100,7 @@ class Usable:
         charge: state of charge at the first and at the last, 0..1; NaN where unknown.
     """
 
-    flows: dict[str, Flow]
+    flows: dict[str, ReadingFlow]
     spans: tuple[Span, ...]
     moving: float
     distance: float
@@ -132,16 +132,16 @@ class Usable:
         return f"{self.seconds:.0f} s can be used, {self.moving:.0f} s of them moving"
 
 
-def usable(readings: Iterable[Reading]) -> Usable:
+def data_coverage(readings: Iterable[Reading]) -> DataCoverage:
     """Look through the readings of a drive, in one pass; each signal has stamps of its own."""
-    flows: dict[str, Flow] = {}
-    moving = Flow()
+    flows: dict[str, ReadingFlow] = {}
+    moving = ReadingFlow()
     distance, voltages, volts = 0.0, 0, 0.0
     charge = (math.nan, math.nan)
     before: SpeedReading | None = None
     for reading in readings:
         for kind in _kinds(reading):
-            flows.setdefault(kind, Flow()).add(reading.stamp_ns)
+            flows.setdefault(kind, ReadingFlow()).add(reading.stamp_ns)
         if isinstance(reading, BatteryReading):
             if math.isfinite(reading.voltage):
                 voltages, volts = voltages + 1, volts + reading.voltage
@@ -156,13 +156,13 @@ def usable(readings: Iterable[Reading]) -> Usable:
             if abs(reading.speed) > MOVING:
                 moving.add(reading.stamp_ns)
             before = reading
-    empty = Flow()
+    empty = ReadingFlow()
     speed, voltage, current = (
         flows.get(kind, empty).all_runs() for kind in ("speed", "voltage", "current")
     )
     both = _common(speed, _common(voltage, current))
     spans = tuple(span for span in both if _seconds([span]) >= SHORTEST)
-    return Usable(
+    return DataCoverage(
         flows=flows,
         spans=spans,
         moving=_seconds(_common(spans, moving.all_runs())),

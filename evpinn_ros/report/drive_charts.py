@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replay.foretold import Foretold
+from evpinn_ros.replay.foretold import ForecastOutcome
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import DECIMALS
 from evpinn_ros.replay.scoring import longest_step, measured_at
@@ -98,7 +98,7 @@ def parameter_chart(drive: Drive, name: str, truth: Parameters | None, points: i
 
 
 def share_chart(drive: Drive, points: int) -> Chart:
-    """How much of each parameter is prior belief, percent over time: one strip each."""
+    """Share of the prior in each parameter, percent over time: one strip each."""
     any_time = next(iter(drive.parameters.values()))[:, 0]
     grid = grid_for(any_time, drive.duration, points)
     strips = [
@@ -108,7 +108,7 @@ def share_chart(drive: Drive, points: int) -> Chart:
     return {"kind": "strips", **grid.times, "series": strips}
 
 
-def outcome_chart(parts: Iterable[Foretold]) -> Chart:
+def outcome_chart(parts: Iterable[ForecastOutcome]) -> Chart:
     """Each part of the drive: begin and end, s; energy measured, forecast, and half its band."""
     rows = [
         [

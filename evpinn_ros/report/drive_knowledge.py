@@ -1,4 +1,4 @@
-"""What a drive could tell of its car: identifiable combinations, and prior shares over time."""
+"""Information in a drive on its car: identifiable combinations, and prior shares over time."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def knowledge(vehicle: Vehicle, drive: Drive, minutes: Mapping[str, float]) -> s
     return (
         "<h2>What could be known</h2><p>Power and speed determine only these combinations. "
         "Mass, η and C_d scaled together change nothing that could be measured, so their absolute "
-        "values keep a share of prior belief however long the drive.</p>"
+        "values keep a share of the prior however long the drive.</p>"
         "<div class='wide'><table><thead><tr><th>combination</th><th>at the end, 1-sigma</th>"
-        "<th>left of the vehicle file's 1-sigma</th><th>told by driving</th><th>for</th></tr>"
+        "<th>left of the vehicle file's 1-sigma</th><th>learned by driving</th><th>for</th></tr>"
         f"</thead><tbody>{rows}</tbody></table></div>{_SHARES}"
     )
 
 
 def _row(name: str, end: np.ndarray, before: float, minutes: float) -> str:
     """A row: `end` is time, value, 1-sigma; `before` the vehicle file's 1-sigma."""
-    label, form, told_by = ROWS[name]
+    label, form, learned_by = ROWS[name]
     _, value, std = end
     left = 100 * std / before if before > 0 else 100.0
     spread = f"± {100 * std / abs(value):.1f} %" if value else ""
@@ -50,13 +50,13 @@ def _row(name: str, end: np.ndarray, before: float, minutes: float) -> str:
         escape(label),
         f"{escape(form.format(value))} {spread}",
         f"<span class='bar'><i style='width:{min(left, 100):.0f}%'></i></span>{left:.0f} %",
-        escape(told_by),
+        escape(learned_by),
         f"{minutes:.1f} min",
     )
     return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
 
 
 _SHARES = (
-    "<figure><figcaption><b>Share of prior belief</b> in each parameter. Full colour: all from "
+    "<figure><figcaption><b>Share of the prior</b> in each parameter. Full colour: all from "
     "data; pale: all prior.</figcaption><div class='plot' data-plot='shares'></div></figure>"
 )

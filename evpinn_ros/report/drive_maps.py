@@ -1,4 +1,4 @@
-"""Where in speed and acceleration a drive's data lay, and where its predictions were off."""
+"""Maps over speed and acceleration of a drive's data coverage and its prediction errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KILO = 1000.0
 HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
 SPEED_CELL, ACCELERATION_CELL = 5.0, 0.25  # km/h, m/s^2
 LARGEST_SPEED, LARGEST_ACCELERATION = 300.0, 5.0  # km/h, m/s^2: what is beyond counts as this
-LEAST = 1.0  # s in a cell or bin before an error is told of it
+LEAST = 1.0  # s in a cell or bin before an error is shown of it
 POINTS = 2500  # of single moments beside their spread
 HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
 FAST, SLOW = 80.0, 5.0  # km/h: drag tells above, auxiliary power below
@@ -46,7 +46,7 @@ class Moments(NamedTuple):
 
 
 def moments(drive: Drive) -> Moments:
-    """The moments of `power/smoothed` at which the battery was heard."""
+    """The moments of `power/smoothed` at which the battery was measured."""
     series = drive.smoothed
     measured, known = measured_at(drive, series.time)
     order = np.argsort(drive.speed[:, 0], kind="stable")

@@ -1,4 +1,4 @@
-"""The report of one drive or several: what was measured, learned, known, foretold."""
+"""The report of one drive or several: what was measured, learned, known, forecast."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.replay.events import Event, EventKind, drive_events
-from evpinn_ros.replay.foretold import Foretold, foretold_parts
+from evpinn_ros.replay.foretold import ForecastOutcome, forecast_outcomes
 from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import Span, null_scores
+from evpinn_ros.replay.scoring import Span, baseline_scores
 from evpinn_ros.replay.tables import (
     SCORE_COLUMNS,
     energy_lines,
@@ -36,7 +36,7 @@ LEAST_POINTS = 2_000  # of a curve of one of many drives
 SMALL = 4  # times fewer points for parameters, which come once a second and change slowly
 MOST_EVENTS = 200  # shown
 # With these, energy measured is of a part of the drive, and distance of another.
-PARTIAL = (EventKind.SPEED_SILENT, EventKind.BATTERY_SILENT, EventKind.WITHHELD, EventKind.RESET)
+PARTIAL = (EventKind.SPEED_DROPOUT, EventKind.BATTERY_DROPOUT, EventKind.WITHHELD, EventKind.RESET)
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 LAST_STAMP = 253_402_300_799 * 10**9  # ns, the end of the year 9999: a calendar has no more
 
@@ -89,9 +89,9 @@ def _drive(reported: ReportedDrive, points: int) -> tuple[str, dict[str, Any]]:
     """One drive as HTML, and what the page's script draws into it."""
     drive = reported.drive
     events = drive_events(drive, reported.withheld_from)
-    parts = foretold_parts(drive, reported.vehicle.air_density)
-    told = drive_maps.moments(drive)
-    charts = dict(_curves(reported, points)) | dict(_maps(reported, told))
+    parts = forecast_outcomes(drive, reported.vehicle.air_density)
+    moments = drive_maps.moments(drive)
+    charts = dict(_curves(reported, points)) | dict(_maps(reported, moments))
     if parts:
         charts["outcome"] = drive_charts.outcome_chart(parts)
     shaded = [[0.0, min(reported.warm_up, drive.duration)]]
@@ -102,9 +102,9 @@ def _drive(reported: ReportedDrive, points: int) -> tuple[str, dict[str, Any]]:
             _summary(reported, events),
             _course(events),
             _learned(charts),
-            knowledge(reported.vehicle, drive, drive_maps.driven_minutes(told)),
+            knowledge(reported.vehicle, drive, drive_maps.driven_minutes(moments)),
             _where(charts),
-            _foretold(parts),
+            _forecasts(parts),
             _events(events),
         )
     )
@@ -131,12 +131,12 @@ def _curves(reported: ReportedDrive, points: int) -> Iterator[tuple[str, drive_c
 
 
 def _maps(
-    reported: ReportedDrive, told: drive_maps.Moments
+    reported: ReportedDrive, moments: drive_maps.Moments
 ) -> Iterator[tuple[str, drive_maps.Chart]]:
-    if not len(told.time):
+    if not len(moments.time):
         return
-    yield "coverage", drive_maps.coverage_map(told)
-    counted = drive_maps.scored_moments(reported.drive, told, reported.warm_up)
+    yield "coverage", drive_maps.coverage_map(moments)
+    counted = drive_maps.scored_moments(reported.drive, moments, reported.warm_up)
     if len(counted.time):
         yield "errors", drive_maps.error_map(counted)
         yield "over_speed", drive_maps.spread_chart(counted, "speed")
@@ -144,7 +144,7 @@ def _maps(
 
 
 def _summary(reported: ReportedDrive, events: Sequence[Event]) -> str:
-    """The page to print: scores, nulls beside them, parameters with their state."""
+    """The page to print: scores, baselines beside them, parameters with their state."""
     drive, found = reported.drive, reported.found
     dropped = ", ".join(f"{n} {why}" for why, n in found["input"]["dropped"].items())
     lines = [
@@ -156,15 +156,15 @@ def _summary(reported: ReportedDrive, events: Sequence[Event]) -> str:
         f"<h3>Predict, then update; after {reported.warm_up:.0f} s</h3>"
         + table(SCORE_COLUMNS, score_rows(drive, found, reported.warm_up))
         + "".join(f"<p>{escape(line)}</p>" for line in energy_lines(found))
-        + "<p class='muted'>No prediction knows the sample it is held against. The nulls know "
+        + "<p class='muted'>No prediction knows the sample that scores it. The baselines know "
         "nothing of cars: at 10 Hz the last value held is hard to beat, and worth nothing once "
         "the battery is silent; a random split proves interpolation, not prediction.</p>"
     )
     parameters = (
         "<h3>Parameters at the end</h3>"
         + table(parameter_columns(reported.truth), parameter_rows(found, reported.truth))
-        + "<p class='muted'>Prior: how much of the value is belief and not data. 100 % means that "
-        "the data said nothing.</p>"
+        + "<p class='muted'>Prior: share of the prior in the value. 100 % means that "
+        "the data did not inform it.</p>"
     )
     return (
         "<section class='first'>"
@@ -185,8 +185,8 @@ def _tiles(reported: ReportedDrive, events: Sequence[Event]) -> Iterator[str]:
     if energy["measured_j"] is not None and whole and distance >= 1.0:
         consumption = energy["measured_j"] / 3600 / distance
         yield _tile(f"{consumption:.0f} Wh/km", "consumption")
-    null = watts(null_scores(drive, Span(reported.warm_up, drive.duration))["last_value"])
-    yield _tile(watts(power["rmse_w"]), f"RMSE of power; last value held: {null}")
+    held = watts(baseline_scores(drive, Span(reported.warm_up, drive.duration))["last_value"])
+    yield _tile(watts(power["rmse_w"]), f"RMSE of power; last value held: {held}")
     covered = power["coverage_90"]
     yield _tile("-" if covered is None else f"{100 * covered:.1f} %", "of power in its 90 % band")
 
@@ -237,7 +237,7 @@ def _learned(charts: Mapping[str, Any]) -> str:
 
 def _where(charts: Mapping[str, Any]) -> str:
     if "coverage" not in charts:
-        return "<h2>Where the data lay</h2><p>The battery said nothing of this drive.</p>"
+        return "<h2>Data coverage</h2><p>The battery was not measured on this drive.</p>"
     rest = f"Point at a cell for its value. Full colour: {charts['coverage']['full']:.0f} s."
     figures = _figure("coverage", "Where the data lay:", "time in each cell.", rest)
     if "errors" in charts:
@@ -248,12 +248,12 @@ def _where(charts: Mapping[str, Any]) -> str:
         figures += _figure("over_acceleration", "Error over acceleration:", "likewise.")
     return (
         "<h2>Where the data lay, and where predictions were off</h2><p>Outside of the coloured "
-        "cells the car was never seen: what is said there is extrapolated. Errors are of "
+        "cells the car was never seen: values there are extrapolated. Errors are of "
         f"power/smoothed less measured power.</p><div class='pair'>{figures}</div>"
     )
 
 
-def _foretold(parts: Sequence[Foretold]) -> str:
+def _forecasts(parts: Sequence[ForecastOutcome]) -> str:
     title = "<h2>Forecast against outcome</h2>"
     if not parts:
         return f"{title}<p>No part of this drive was whole and long enough, or had a model.</p>"
@@ -268,7 +268,7 @@ def _foretold(parts: Sequence[Foretold]) -> str:
 
 def _events(events: Sequence[Event]) -> str:
     if not events:
-        return "<h2>Events</h2><p>None: no gap, no change of payload, no suspicion.</p>"
+        return "<h2>Events</h2><p>None: no gap, no change of payload, no signal fault.</p>"
     rows = [
         (str(timedelta(seconds=round(event.time))), event.kind.value, event.text)
         for event in events[:MOST_EVENTS]
@@ -291,6 +291,6 @@ def _date(stamp_ns: int) -> str:
 
 
 _FOOTER = (
-    "<footer class='muted'>SI units unless said. Power and energy are positive when drawn from "
+    "<footer class='muted'>SI units unless stated. Power and energy are positive when drawn from "
     "the battery. Plots: uPlot, MIT licence, within this file.</footer>"
 )

@@ -8,8 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, Told
-from evpinn_ros.fleet.tables import SHOWN, Summary
+from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
+from evpinn_ros.fleet.tables import SHOWN, FleetSummary
 from evpinn_ros.report.html import table, write_page
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -17,7 +17,7 @@ POPULATION_HEAD = ("", "vehicle file", "mean of the cars", "from car to car", "n
 CAR_HEAD = ("car", "vehicle", "drives", "hours", *PARAMETER_NAMES)
 
 
-def write_fleet_page(path: Path, summary: Summary, command: str) -> None:
+def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
     """Write the report.
 
     Raises:
@@ -42,22 +42,22 @@ def population_cells(population: Population) -> list[tuple[str, ...]]:
     named += [(name, population.combination(name)) for name in COMBINATIONS]
     files += [""] * len(COMBINATIONS)
     return [
-        (name, file, *_told_cells(name, told))
-        for (name, told), file in zip(named, files, strict=True)
+        (name, file, *_value_cells(name, found))
+        for (name, found), file in zip(named, files, strict=True)
     ]
 
 
-def _told_cells(name: str, told: Told) -> tuple[str, ...]:
+def _value_cells(name: str, found: PopulationValue) -> tuple[str, ...]:
     """Value with 1-sigma, spread with 1-sigma, the next car's 1-sigma, and how many cars."""
     if name == LINEAR:
-        value, scale, unit = told.mean, 1.0, " W"
+        value, scale, unit = found.mean, 1.0, " W"
     else:
-        value, scale, unit = math.exp(told.mean), 100.0, " %"
+        value, scale, unit = math.exp(found.mean), 100.0, " %"
     return (
-        f"{value:.4g} +- {scale * told.mean_std:.2g}{unit}",
-        f"{scale * told.spread:.2g} +- {scale * told.spread_std:.2g}{unit}",
-        f"+- {scale * told.new_car_std:.2g}{unit}",
-        f"{told.cars:.1f} cars",
+        f"{value:.4g} +- {scale * found.mean_std:.2g}{unit}",
+        f"{scale * found.spread:.2g} +- {scale * found.spread_std:.2g}{unit}",
+        f"+- {scale * found.new_car_std:.2g}{unit}",
+        f"{found.cars:.1f} cars",
     )
 
 

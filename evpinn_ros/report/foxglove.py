@@ -18,7 +18,7 @@ LOOPBACK, PORT = "127.0.0.1", 8765  # 8765 is where Foxglove looks
 LAST_PORT = 65535
 ORIGINS = ("https://app.foxglove.dev",)
 """Web pages that may connect."""
-TOLD_EVERY_NS = 20_000_000  # of the clock of a replay
+SEND_EVERY_NS = 20_000_000  # of the clock of a replay
 
 
 class FoxgloveServer:
@@ -43,7 +43,7 @@ class FoxgloveServer:
             host: name or address of the interface to listen on.
             port: 0 for any that is free.
             topics: types by full name, all of ROS 2 Jazzy.
-            replay: whether `tell_time` gives the clock; else it is the computer's.
+            replay: whether `send_time` gives the clock; else it is the computer's.
             origins: of web pages that may connect beside `ORIGINS`.
 
         Raises:
@@ -71,7 +71,7 @@ class FoxgloveServer:
             )
             for topic, type_name in topics.items()
         }
-        self._told_ns = -TOLD_EVERY_NS
+        self._sent_ns = -SEND_EVERY_NS
         inside = _inside()
         self._server = foxglove.start_server(
             name="evpinn",
@@ -104,11 +104,11 @@ class FoxgloveServer:
         if channel is not None:
             channel.log(data, log_time=max(time_ns, 0))
 
-    def tell_time(self, time_ns: int) -> None:
-        """Set the clock of all clients; told often enough for a smooth picture."""
-        if not 0 <= time_ns - self._told_ns < TOLD_EVERY_NS:
+    def send_time(self, time_ns: int) -> None:
+        """Set the clock of all clients; sent often enough for a smooth picture."""
+        if not 0 <= time_ns - self._sent_ns < SEND_EVERY_NS:
             self._server.broadcast_time(max(time_ns, 0))
-            self._told_ns = time_ns
+            self._sent_ns = time_ns
 
     def start_over(self) -> None:
         """Let all clients forget what they have, for time begins anew."""
@@ -116,7 +116,7 @@ class FoxgloveServer:
 
     @property
     def watched(self) -> bool:
-        """Whether anybody has subscribed to anything."""
+        """True if anybody has subscribed to anything."""
         return any(channel.has_sinks() for channel in self._channels.values())
 
     def close(self) -> None:
@@ -146,7 +146,7 @@ def _definition(type_name: str) -> bytes:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach what listens there."""
+    """True if only this machine can reach what listens there."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

@@ -80,7 +80,7 @@ def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def _policy(scripts: Iterable[str]) -> str:
-    """What the browser may do: run these scripts, use styles and pictures of the page itself."""
+    """Policy for the browser: run these scripts, use styles and pictures of the page itself."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
     return (

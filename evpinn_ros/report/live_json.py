@@ -16,19 +16,19 @@ from evpinn_ros.report.live_state import POWERS, LiveState
 
 
 def as_json(state: LiveState, now: float) -> dict[str, Any]:
-    """What is known, ready for `json.dumps`."""
+    """State of the system, ready for `json.dumps`."""
     battery = state.fresh_battery(now)
     return {
         "speed_mps": _known(state.fresh_speed(now)),
         "voltage_v": _known(battery.voltage) if battery else None,
         "current_a": _known(battery.current) if battery else None,
-        "power_w": {name: _told(*state.power(topic, now)) for topic, name in POWERS.items()},
+        "power_w": {name: _estimate(*state.power(topic, now)) for topic, name in POWERS.items()},
         "energy_j": _numbers(state.vector(topics.ENERGY_STATE)),
         "consumption": _numbers(state.vector(topics.ENERGY_CONSUMPTION)),
         "range_m": _numbers(state.vector(topics.ENERGY_RANGE)),
         "parameters": {
             row.name: {
-                **_told(row.value, row.sigma),
+                **_estimate(row.value, row.sigma),
                 "prior_share": _known(row.prior_share),
                 "lower": _known(row.lower),
                 "upper": _known(row.upper),
@@ -44,7 +44,7 @@ def as_json(state: LiveState, now: float) -> dict[str, Any]:
     }
 
 
-def _told(value: float, std: float) -> dict[str, float | None]:
+def _estimate(value: float, std: float) -> dict[str, float | None]:
     return {"value": _known(value), "std": _known(std)}
 
 

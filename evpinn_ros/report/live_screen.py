@@ -57,7 +57,7 @@ COLUMNS = (
     Column("1-sigma", 9),
     Column("bounds", 19, wide_only=True),
     Column("prior", 6),
-    Column("told", 6),
+    Column("data", 6),
 )
 
 
@@ -111,7 +111,7 @@ def plain_line(state: LiveState, now: float) -> str:
 
 
 def problem_lines(state: LiveState, now: float) -> list[str]:
-    """What is missing and why, one line each."""
+    """Missing inputs and their reasons, one line each."""
     return [f"{level.name.lower()}: {text}" for level, text in state.problems(now)]
 
 
@@ -137,10 +137,10 @@ def _parameters(state: LiveState, width: int) -> Iterable[Text]:
             "1-sigma": _parameter(row, row.sigma),
             "bounds": bounds if math.isfinite(row.lower) else UNKNOWN,
             "prior": _percent(100 * row.prior_share),
-            "told": _percent(row.progress),
+            "data": _percent(row.progress),
         }
-        said = row.state or UNKNOWN
-        yield Text(f"{_row(columns, texts)} ").append(said, STATE_STYLES.get(row.state, FAINT))
+        shown = row.state or UNKNOWN
+        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.state, FAINT))
 
 
 def _row(columns: Iterable[Column], texts: Mapping[str, str]) -> str:
@@ -191,7 +191,7 @@ def _energy(state: LiveState) -> Text:
 
 
 def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:
-    """Where the data lay, and beside it how many messages come."""
+    """Data coverage, and beside it the rates of messages."""
     seen = state.seen()
     most = max([1.0, *(n for row in seen for n in row if math.isfinite(n))])
     cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")

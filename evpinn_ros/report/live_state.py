@@ -1,4 +1,4 @@
-"""What is known of a running system, from its messages alone: the model of the live view.
+"""State of a running system, from its messages alone: the model of the live view.
 
 Reads no clock and knows no ROS: messages come with the time of their arrival, s of any steady
 clock, and every question is asked for such a time.
@@ -23,7 +23,7 @@ from evpinn_ros.nodes.messages import (
     speed_reading,
 )
 from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.report.power_line import PowerLine
+from evpinn_ros.report.power_line import PowerHistory
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -55,7 +55,7 @@ class Power(NamedTuple):
 
 
 class ParameterRow(NamedTuple):
-    """One parameter; NaN and empty where nothing was told."""
+    """One parameter; NaN and empty where nothing was received."""
 
     name: str
     value: float
@@ -68,7 +68,7 @@ class ParameterRow(NamedTuple):
 
 
 class PartStatus(NamedTuple):
-    """What a part of a node said of itself last, and when that came."""
+    """Newest status of a part of a node, and its time of arrival."""
 
     level: Level
     text: str
@@ -88,11 +88,11 @@ class LiveState:
     """
 
     def __init__(self, namespace: str = topics.NAMESPACE) -> None:
-        """Nothing heard yet of the car under a namespace."""
+        """Begin without messages of the car under a namespace."""
         self._namespace = namespace.strip("/")
         self.speed = math.nan
         self.battery: BatteryReading | None = None
-        self.line = PowerLine()
+        self.line = PowerHistory()
         self.statuses: dict[str, PartStatus] = {}
         self.unusable: Counter[str] = Counter()
         self._vectors: dict[Topic, NamedVector] = {}
@@ -162,8 +162,8 @@ class LiveState:
 
     def fresh_speed(self, now: float) -> float:
         """Speed, m/s, NaN when it has fallen silent."""
-        heard = min(self.age(topic, now) for topic in SPEEDS_OF_CAR)
-        return self.speed if heard < STALE_AFTER else math.nan
+        age = min(self.age(topic, now) for topic in SPEEDS_OF_CAR)
+        return self.speed if age < STALE_AFTER else math.nan
 
     def fresh_battery(self, now: float) -> BatteryReading | None:
         """Voltage and current, None when they have fallen silent."""
@@ -175,14 +175,14 @@ class LiveState:
         return {} if found is None else found.values
 
     def sigmas(self, topic: Topic) -> Mapping[str, float]:
-        """The last 1-sigmas of a named vector, empty where not told."""
+        """The last 1-sigmas of a named vector, empty where not received."""
         found = self._vectors.get(topic)
         return {} if found is None else found.sigmas
 
     def parameters(self) -> list[ParameterRow]:
-        """All parameters, also those of which nothing was told."""
+        """All parameters, also those of which nothing was received."""
         values, sigmas = self.vector(topics.PARAMETERS), self.sigmas(topics.PARAMETERS)
-        bounds, told = self.vector(topics.BOUNDS), self._estimator()
+        bounds, status = self.vector(topics.BOUNDS), self._estimator()
         return [
             ParameterRow(
                 name,
@@ -191,28 +191,30 @@ class LiveState:
                 bounds.get(f"{name}_lower", math.nan),
                 bounds.get(f"{name}_upper", math.nan),
                 bounds.get(f"{name}_prior_share", math.nan),
-                _number(told.get(f"progress.{name}")),
-                told.get(f"state.{name}", ""),
+                _number(status.get(f"progress.{name}")),
+                status.get(f"state.{name}", ""),
             )
             for name in PARAMETER_NAMES
         ]
 
     def seen(self) -> list[list[float]]:
         """Samples learned from: a row for each of `MANNERS`, a column for each of `SPEEDS`."""
-        told = self._estimator()
+        values = self._estimator()
         return [
-            [_number(told.get(f"seen.{speed}_kmh_{manner}")) for speed in SPEEDS]
+            [_number(values.get(f"seen.{speed}_kmh_{manner}")) for speed in SPEEDS]
             for manner in MANNERS
         ]
 
     def band_coverage(self) -> float:
-        """Share of recent samples in the 90 % band of power/predicted, NaN when not told."""
+        """Share of recent samples in the 90 % band of power/predicted, NaN when not received."""
         return _number(self._estimator().get("in_90_band.predicted"))
 
     def problems(self, now: float) -> list[tuple[Level, str]]:
-        """What is missing and why, the worst first; empty when all is well."""
+        """Missing inputs and their reasons, the worst first; empty when all is well."""
         if not self._last:
-            return [(Level.WARN, "nothing heard yet: are the nodes up, with this ROS_DOMAIN_ID?")]
+            return [
+                (Level.WARN, "nothing received yet: are the nodes up, with this ROS_DOMAIN_ID?")
+            ]
         if not self.statuses:
             found = [(Level.WARN, "no /diagnostics of our nodes yet")]
         else:
@@ -226,7 +228,7 @@ class LiveState:
             node = name.partition(":")[0]
             silent[node] = min(silent.get(node, math.inf), now - status.arrived)
         found += [
-            (Level.ERROR, f"{node}: has said nothing for {age:.0f} s")
+            (Level.ERROR, f"{node}: has sent nothing for {age:.0f} s")
             for node, age in silent.items()
             if age >= STALE_AFTER
         ]
@@ -237,7 +239,7 @@ class LiveState:
         return sorted(found, key=lambda each: each[0], reverse=True)
 
     def activity(self, now: float) -> str:
-        """What the estimator does, in its own words; empty when it is silent."""
+        """Activity of the estimator, in its own words; empty when it sends nothing."""
         status = self.statuses.get("estimator: estimate")
         return status.text if status is not None and now - status.arrived < STALE_AFTER else ""
 
@@ -250,7 +252,7 @@ class LiveState:
 
 
 def _number(text: str | None) -> float:
-    """A value of a status; NaN when it was not told or is no number."""
+    """A value of a status; NaN when it was not received or is no number."""
     try:
         return math.nan if text is None else float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""A door before a WebSocket server of this computer: pages that nobody named stay outside.
+"""A door before a WebSocket server of this computer: pages that were not named stay outside.
 
 A browser lets any page connect to any WebSocket, also to one on this computer, and says in the
 header `Origin` which page it is (RFC 6455, 10.2). The server of the Foxglove SDK does not look.
@@ -22,7 +22,7 @@ REFUSAL = b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: 0" + 
 
 
 def is_welcome(head: bytes, origins: Collection[str]) -> bool:
-    """Whether a request opens a WebSocket, from no page or from one of `origins`.
+    """True if a request opens a WebSocket, from no page or from one of `origins`.
 
     Args:
         head: of an HTTP request, with its empty line.
@@ -95,7 +95,7 @@ class OriginGate:
         self._open.add(task)
         try:
             if len(self._open) > MOST_CONNECTIONS:
-                return  # unheard: each would hold a file open, of which a process has a thousand
+                return  # no answer: each would hold a file open, of which a process has a thousand
             with suppress(OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
                 await self._pass_on(reader, writer)
         finally:

@@ -16,7 +16,7 @@ _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 DOT_COLUMNS, DOT_ROWS = len(_DOTS), len(_DOTS[0])  # of one character
 
 
-class PowerLine:
+class PowerHistory:
     """The mean power of each half second, of several kinds beside each other.
 
     Attributes:
@@ -24,7 +24,7 @@ class PowerLine:
     """
 
     def __init__(self) -> None:
-        """Nothing heard yet."""
+        """Begin without power."""
         self.newest_ns: int | None = None
         self._bins: dict[str, dict[int, tuple[float, int]]] = {}
 
@@ -42,7 +42,7 @@ class PowerLine:
             del bins[min(bins)]
 
     def last(self, kind: str, count: int) -> list[float]:
-        """The newest bins, W, oldest first; NaN where nothing was heard."""
+        """The newest bins, W, oldest first; NaN where nothing was received."""
         bins = self._bins.get(kind, {})
         if self.newest_ns is None:
             return [math.nan] * count

@@ -28,7 +28,7 @@ class Grid(NamedTuple):
 
     @property
     def times(self) -> dict[str, float | int]:
-        """Where the kept points lie: their first, step and number, as the page takes them."""
+        """Times of the kept points: their first, step and number, as the page takes them."""
         step = self.width / PER_BUCKET
         return {"start": step / 2, "step": step, "count": PER_BUCKET * self.buckets}
 

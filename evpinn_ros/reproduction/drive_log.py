@@ -23,7 +23,7 @@ MIN_SAMPLES = 100
 # causal. The paper differentiates an input and does not say how.
 SMOOTHING_AHEAD = 0.3  # s
 DELAYS = np.linspace(-0.4, 0.4, 41)  # s, candidates
-LEAST_GAIN = 0.01  # share of what is unexplained that a delay must take away to be believed
+LEAST_GAIN = 0.01  # share of what is unexplained that a delay must take away to be used
 MOST_UNEXPLAINED = 0.5  # share of the variance of power
 
 
@@ -79,7 +79,7 @@ def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None)
 
 
 def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
-    """How much later than power speed was stamped, s: where eq. 21 explains most of the power.
+    """Delay of speed behind power, s: the one at which eq. 21 explains most of the power.
 
     Eq. 21 is linear in its combinations, so each candidate is one least squares. Zero where the
     drive does not tell: eq. 21 explains little of it, hardly more than without a delay, or most
@@ -88,8 +88,8 @@ def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
     left = np.array([_unexplained(log, vehicle, delay) for delay in DELAYS])
     best = int(np.argmin(left))
     without = float(np.interp(0.0, DELAYS, left))
-    told = left[best] < MOST_UNEXPLAINED and left[best] < (1.0 - LEAST_GAIN) * without
-    if best in (0, len(DELAYS) - 1) or not told:
+    decided = left[best] < MOST_UNEXPLAINED and left[best] < (1.0 - LEAST_GAIN) * without
+    if best in (0, len(DELAYS) - 1) or not decided:
         return 0.0
     before, least, after = left[best - 1 : best + 2]
     bend = before - 2.0 * least + after

@@ -219,7 +219,7 @@ class EnergyTraining:
 
         Args:
             epoch: the last to do.
-            on_epoch: told each epoch and the RKNN's training loss, both as in the table.
+            on_epoch: called with each epoch and the RKNN's training loss, both as in the table.
 
         Raises:
             InputError: a loss is no longer finite; the epochs before stay counted.
@@ -241,7 +241,7 @@ class EnergyTraining:
                 on_epoch(number, rknn)
 
     def state(self) -> dict[str, Tensor]:
-        """All that training has made."""
+        """State that training has made."""
         state = {"epoch": torch.tensor(self._epoch)}
         state["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 5)
         for name, value in self._networks.state_dict().items():

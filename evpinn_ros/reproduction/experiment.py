@@ -52,7 +52,7 @@ CHECKPOINT_VERSION = 1  # of what a file holds and of the constants it was train
 PROGRESS_EVERY = 10  # epochs
 RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
 NETWORK = "network"
-NULLS = {RANDOM: "null: line in time", CHRONOLOGICAL: "null: last power held"}
+BASELINES = {RANDOM: "baseline: line in time", CHRONOLOGICAL: "baseline: last power held"}
 REGRESSION = "eq. 21, least squares"
 
 # Takes the title of a training, its epoch, its last epoch and the newest loss.
@@ -61,7 +61,7 @@ OnProgress = Callable[[str, int, int, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         optimizer: of the power network.
@@ -106,7 +106,7 @@ class Energies(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """All that the tables, figures and files are made from."""
+    """Basis of the tables, figures and files."""
 
     log: DriveLog
     vehicle: Vehicle
@@ -239,7 +239,7 @@ class Experiment:
             save_checkpoint(path, key, training.state())
 
     def _key(self, title: str, settings: tuple[object, ...]) -> str:
-        """All that a training was made from; each key has a file of its own."""
+        """Key of a training: all inputs it was made from; each key has a file of its own."""
         data = hashlib.sha256(b"".join(column.tobytes() for column in self._log)).hexdigest()
         vehicle = hashlib.sha256(repr(self._vehicle).encode()).hexdigest()
         return json.dumps([CHECKPOINT_VERSION, title, data, vehicle, *map(str, settings)])
@@ -267,14 +267,14 @@ class Experiment:
 
 
 def _scores(training: PowerTraining, split: str) -> list[Scored]:
-    """Network and regression on the validation data of a training, and the null of the split."""
+    """Network and regression on the validation data of a training, and its baseline."""
     problem = training.problem
     log, rows = problem.log, problem.split
     held = log.part(rows.validation)
     powers = {
         NETWORK: problem.predicted_power(training.optimizer.network, held),
         REGRESSION: least_squares_power(problem)[0],
-        NULLS[split]: interpolated_power(log.part(rows.training), held),
+        BASELINES[split]: interpolated_power(log.part(rows.training), held),
     }
     return [
         Scored(method, split, power_score(power, held.power, problem.scale))

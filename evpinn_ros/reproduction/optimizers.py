@@ -44,7 +44,7 @@ KINK_SHARPNESS = 3.0  # distance of two kinks over the width of one
 
 
 class OptimizerName(str, Enum):
-    """What `evpinn reproduce --optimizer` takes."""
+    """Names that `evpinn reproduce --optimizer` takes."""
 
     ADAM = "adam"
     ADAM_LBFGS = "adam_lbfgs"
@@ -75,7 +75,7 @@ class Optimizer(Protocol):
         """One epoch."""
 
     def state(self) -> dict[str, torch.Tensor]:
-        """What a resumed training needs, besides the problem and the seed."""
+        """State that a resumed training needs, besides the problem and the seed."""
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
@@ -128,7 +128,7 @@ class Adam:
         self._adam.step()
 
     def trained(self) -> list[torch.Tensor]:
-        """All that is trained."""
+        """Trained state."""
         return [*self.network.parameters(), self.log_scale]
 
     def state(self) -> dict[str, torch.Tensor]:

@@ -55,7 +55,7 @@ class PowerTraining:
                 on_epoch(self.epoch, self.rows[-1].validation.total)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """All that `load_state` needs to go on with the same numbers."""
+        """State that `load_state` needs to go on with the same numbers."""
         rows = [(row.epoch, *row.training, *row.validation) for row in self.rows]
         return {
             **self.optimizer.state(),

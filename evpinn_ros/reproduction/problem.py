@@ -34,7 +34,7 @@ Network: TypeAlias = Callable[[torch.Tensor], torch.Tensor]  # (n, 2) to (n,), b
 
 
 class InputForm(str, Enum):
-    """How the network takes speed and time."""
+    """Form in which the network takes speed and time."""
 
     RAW = "raw"  # m/s and s, as the paper states no normalisation
     UNIT = "unit"  # each mapped to [-1, 1] over the drive
@@ -96,7 +96,7 @@ class InputScale:
 
 
 class Motion(NamedTuple):
-    """What eq. 21 needs to know: speed, m/s, and acceleration, m/s^2, shape (n,) each."""
+    """Inputs of eq. 21: speed, m/s, and acceleration, m/s^2, shape (n,) each."""
 
     speed: torch.Tensor
     acceleration: torch.Tensor

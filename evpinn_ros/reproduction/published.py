@@ -1,4 +1,4 @@
-"""What the paper prints, to stand beside what is measured here.
+"""Figures that the paper prints, to stand beside what is measured here.
 
 Source of every figure: H. Lim et al., "EV-PINN: A Physics-Informed Neural Network for Predicting
 Electric Vehicle Dynamics", Tables II to VI and section III. Keys are names of vehicle files.

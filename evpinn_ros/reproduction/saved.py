@@ -1,4 +1,4 @@
-"""What was found, for the car: a start for the estimator node, and a vehicle file."""
+"""Results for the car: a start for the estimator node, and a vehicle file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How good a power is, and the yardsticks the paper leaves out."""
+"""Scores of a power, and the baselines the paper leaves out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
-TOLD_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
+KNOWN_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
 # The combinations that enter eq. 21, as exponents of the parameters.
 COMBINATIONS = {
     "mass_over_eta": {"mass": 1.0, "eta": -1.0},
@@ -70,7 +70,7 @@ def power_score(predicted: np.ndarray, measured: np.ndarray, scale: PowerScale) 
 
 
 def interpolated_power(training: DriveLog, validation: DriveLog) -> np.ndarray:
-    """The null: a line in time between the neighbours trained on, W.
+    """The baseline: a line in time between the neighbours trained on, W.
 
     After the last of them, as under a chronological split, its power is held.
     """
@@ -169,8 +169,8 @@ def parameter_rows(
         variance = float(covariance[index, index])
         share = min(1.0, variance / (prior.std / prior.value) ** 2)
         value = float(getattr(values, name))
-        told = name in free and share < TOLD_BELOW
-        rows.append(ParameterRow(name, prior.value, value, variance**0.5 * value, share, told))
+        known = name in free and share < KNOWN_BELOW
+        rows.append(ParameterRow(name, prior.value, value, variance**0.5 * value, share, known))
     return rows
 
 
@@ -187,7 +187,7 @@ def combination_rows(
         variance = float(vector @ covariance @ vector)
         share = min(1.0, variance / float(vector @ prior_covariance @ vector))
         std = variance**0.5 * after[name]
-        rows.append(ParameterRow(name, before[name], after[name], std, share, share < TOLD_BELOW))
+        rows.append(ParameterRow(name, before[name], after[name], std, share, share < KNOWN_BELOW))
     return rows
 
 

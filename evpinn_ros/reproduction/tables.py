@@ -119,17 +119,17 @@ def parameter_table(outcome: Outcome) -> Table:
     ]
     return Table(
         "Table V: parameters",
-        ["", "guess", "found, 1-sigma", "from guess", "prior", "told", "paper", "fit"],
+        ["", "guess", "found, 1-sigma", "from guess", "prior", "from data", "paper", "fit"],
         rows,
         "The paper calls the distance from the initial guess an error; no truth is known. "
-        "Prior: share of the variance that the data did not take away; told: whether the data "
+        "Prior: share of the variance that the data did not take away; from data: whether they "
         "determine it, which they cannot for eta, mass and C_d alone. Fit: eq. 21 by least "
         "squares, without a network.",
     )
 
 
 def combination_table(outcome: Outcome) -> Table:
-    """What eq. 21 lets data determine at all."""
+    """Table of what eq. 21 lets data determine at all."""
     area, form = outcome.vehicle.frontal_area, outcome.settings.form
     fitted = combinations(outcome.regression, area, form)
     rows = [
@@ -145,7 +145,7 @@ def combination_table(outcome: Outcome) -> Table:
     ]
     return Table(
         "What the data can determine",
-        ["", "guess", "found, 1-sigma", "prior", "told", "paper", "fit"],
+        ["", "guess", "found, 1-sigma", "prior", "from data", "paper", "fit"],
         rows,
         "(eta, mass, C_d) scaled together, and in the form wheel_power mu the other way, change "
         "no power: only these combinations enter eq. 21.",

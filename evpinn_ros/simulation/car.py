@@ -1,6 +1,6 @@
 """A simulated car: far more than the five parameters, so that finding these is no foregone end.
 
-What the estimator is not told: a loss map over torque and speed in place of constant
+What the estimator does not know: a loss map over torque and speed in place of constant
 efficiencies, friction brakes, wind, an auxiliary load that changes, tyres that roll harder at
 speed, an air density and a rotating inertia a little off those of the vehicle file.
 """

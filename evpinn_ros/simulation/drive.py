@@ -37,7 +37,7 @@ KMH = 1 / 3.6
 
 
 class DriveKind(str, Enum):
-    """Where the car is driven."""
+    """Kind of road that the car is driven on."""
 
     URBAN = "urban"
     HIGHWAY = "highway"
@@ -58,7 +58,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the car moves: shape (n,) at the middle of each 1 / SAMPLE_RATE interval.
+    """Motion of the car: shape (n,) at the middle of each 1 / SAMPLE_RATE interval.
 
     Mid-interval values make the sums over intervals exact: m v a adds up to the kinetic energy
     gained, m g slope v to the potential energy.

@@ -51,7 +51,7 @@ def write(
 
 
 def truth_document(drive: SimulatedDrive) -> dict[str, Any]:
-    """What really happened, as plain values to six digits: the content of `truth.yaml`.
+    """True values of the drive, as plain values to six digits: the content of `truth.yaml`.
 
     `hidden` says how the car departs from the five-parameter model; no estimator may read it.
     """

@@ -1,4 +1,4 @@
-"""What lies between the wheels and the battery of a simulated car.
+"""Powertrain of a simulated car, between the wheels and the battery.
 
 None of it is in the estimator's model, which knows one constant efficiency each way.
 """
@@ -63,7 +63,7 @@ class Drivetrain:
 
 @dataclass(frozen=True, slots=True)
 class Brakes:
-    """How a demand to brake is shared between the motor and the friction brakes.
+    """Sharing of a demand to brake between the motor and the friction brakes.
 
     Attributes:
         motor_share: share of the demand offered to the motor, 0..1; the limits come after.
@@ -87,7 +87,7 @@ class Brakes:
 
 
 class Terminals(NamedTuple):
-    """What the battery does, shape (n,) each: V, A (positive discharging), V, 0..1."""
+    """State of the battery, shape (n,) each: V, A (positive discharging), V, 0..1."""
 
     voltage: np.ndarray
     current: np.ndarray

@@ -1,4 +1,4 @@
-"""What a simulated car tells of itself: lagging, noisy, rounded, a frame lost now and then.
+"""Sensors of a simulated car: lagging, noisy, rounded, a frame lost now and then.
 
 One path, as on a real car: true signal, sensor, CAN frame, decoder, reading. The bus is thinned
 to 10 Hz; each message has its own phase and jitter, so nothing arrives together.
@@ -50,21 +50,21 @@ MICROSECOND = 1000  # ns, the resolution of a candump log
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class SensorData:
     """Frames that reached the log, in order of time, and the readings that the car made known."""
 
     frames: tuple[CanFrame, ...]
     readings: tuple[Reading, ...]
 
 
-def tell(
+def sense(
     trace: Trace,
     profile: CanProfile,
     start_ns: int,
     rng: np.random.Generator,
     motors: Sequence[MotorReading] = (),
-) -> Told:
-    """What the bus of a car with this profile tells of a drive that starts at `start_ns`.
+) -> SensorData:
+    """Readings from the bus of a car with this profile, for a drive that starts at `start_ns`.
 
     Speed and current beyond what their signals can show read as the most that they can, as in a
     car. A voltage beyond is that of another car, and refused. `motors` go over the bus where the
@@ -84,9 +84,9 @@ def tell(
     kept += torque
     kept.sort(key=attrgetter("stamp_ns"))
     decoder = Decoder(profile)
-    readings = (reading for frame in kept for reading in decoder.push(frame))
+    readings = (reading for frame in kept for reading in decoder.decode(frame))
     beside = () if on_bus else motors
-    return Told(tuple(kept), (*readings, *beside))
+    return SensorData(tuple(kept), (*readings, *beside))
 
 
 def _sent(
@@ -124,8 +124,8 @@ def motor_readings(
     turning = car.drivetrain.turning(np.interp(time, trace.motion.time, speed))
     shown = (_rounded(torque, TORQUE_STEP), _rounded(turning, MOTOR_SPEED_STEP))
     arrives = rng.uniform(size=time.size) >= LOST
-    told = zip(stamps, *shown, arrives, strict=True)
-    return [MotorReading(stamp, *values) for stamp, *values, here in told if here]
+    shown_rows = zip(stamps, *shown, arrives, strict=True)
+    return [MotorReading(stamp, *values) for stamp, *values, here in shown_rows if here]
 
 
 def _rounded(values: np.ndarray, step: float) -> list[float]:
@@ -173,7 +173,7 @@ def _batteries(trace: Trace, start_ns: int, rng: np.random.Generator) -> Iterato
 def _moments(
     trace: Trace, rate: float, start_ns: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, list[int]]:
-    """When a message of this rate is sent: s from the start, shape (n,), and stamps in ns."""
+    """Moments of a message of this rate: s from the start, shape (n,), and stamps in ns."""
     first = rng.uniform(JITTER, 1 / rate)
     time = np.arange(first, trace.motion.time[-1] - JITTER, 1 / rate)
     time = time + rng.uniform(-JITTER, JITTER, time.size)

@@ -1,4 +1,4 @@
-"""A drive with known truth, from one seed: what the car told, and what really happened."""
+"""A drive with known truth, from one seed: what its sensors gave, and what really happened."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
 from evpinn_ros.simulation.equation_car import drive_equation_car, equation_car
 from evpinn_ros.simulation.road import hilly_road
-from evpinn_ros.simulation.sensors import altitudes, motor_readings, tell, temperatures
+from evpinn_ros.simulation.sensors import altitudes, motor_readings, sense, temperatures
 from evpinn_ros.simulation.surroundings import ambient_celsius, draw_surroundings
 from evpinn_ros.simulation.truth import Truth, plausible_parameters, true_values, tuned
 from evpinn_ros.vehicle.files import Vehicle
@@ -25,7 +25,7 @@ from evpinn_ros.vehicle.parameters import LIMITS, Parameters
 from evpinn_ros.vehicle.physics import RegenForm
 
 EPOCH_NS = 1_735_689_600 * NANOSECONDS
-"""Every simulated drive starts on 2025-01-01 at 00:00:00 UTC unless told otherwise."""
+"""Every simulated drive starts on 2025-01-01 at 00:00:00 UTC unless given otherwise."""
 
 RMS_GRADE = 0.005
 """Gentle hills, up to about 1.5 percent."""
@@ -125,13 +125,13 @@ def simulate(
         trace = drive_car(car, motion, around)
         truth = true_values(car, trace)
     motors = motor_readings(trace, car, start_ns, inverter) if motor_torque else []
-    told = tell(trace, profile, start_ns, sensors, motors)
+    sensed = sense(trace, profile, start_ns, sensors, motors)
     extra = altitudes(trace, start_ns, sensors) if altitude else []
     if temperature:
         extra += temperatures(trace, ambient_celsius(car.air_density), start_ns, sensors)
-    readings = sorted((*told.readings, *extra), key=attrgetter("stamp_ns"))
+    readings = sorted((*sensed.readings, *extra), key=attrgetter("stamp_ns"))
     return SimulatedDrive(
-        vehicle, kind, seed, told.frames, tuple(readings), car, trace, truth, equation
+        vehicle, kind, seed, sensed.frames, tuple(readings), car, trace, truth, equation
     )
 
 

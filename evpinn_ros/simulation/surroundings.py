@@ -1,4 +1,4 @@
-"""What happens to the car from outside and inside while it drives: wind and auxiliary loads."""
+"""Loads on the car from outside and inside while it drives: wind and auxiliary loads."""
 
 from __future__ import annotations
 

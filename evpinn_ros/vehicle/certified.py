@@ -72,7 +72,7 @@ class CertifiedCar:
         name: for people, with the model year.
         can_profile: for its bus, if any is known.
         loads: at least one.
-        udds: at the wall, Wh/km; NaN where it was not told.
+        udds: at the wall, Wh/km; NaN where it is not known.
         highway: likewise.
     """
 
@@ -88,13 +88,13 @@ class CertifiedCar:
         logs = np.log([load.physics for load in self.loads])
         mass, c_rr, area = np.exp(logs.mean(axis=0))
         spread = np.hypot((MASS_SPREAD, ROLLING_SPREAD, DRAG_SPREAD), logs.std(axis=0))
-        told = f"{SOURCE}: road load"
+        origin = f"{SOURCE}: road load"
         return {
             "eta": DRIVETRAIN["eta"],
             "mu": DRIVETRAIN["mu"],
             "mass": _prior(mass, spread[0], f"{SOURCE}: test mass; spread: payload"),
-            "c_rr": _prior(c_rr, spread[1], f"{told}; spread: tyres and roads"),
-            "c_d": _prior(area / FRONTAL_AREA, spread[2], f"{told}; only A C_d is certified"),
+            "c_rr": _prior(c_rr, spread[1], f"{origin}; spread: tyres and roads"),
+            "c_d": _prior(area / FRONTAL_AREA, spread[2], f"{origin}; only A C_d is certified"),
             "p_aux": DRIVETRAIN["p_aux"],
         }
 
@@ -107,7 +107,7 @@ class Population(NamedTuple):
 
 
 def population(cars: Iterable[CertifiedCar]) -> Population:
-    """What to believe of a car that nobody knows.
+    """Prior for a car that is not known.
 
     Certified cars are sold in the United States and heavy; small cars weigh half of them. So mass
     is as `ANY_MASS`, and of the certified cars is taken what belongs to a mass: how c_rr and drag
@@ -153,8 +153,8 @@ def _load(row: Mapping[str, str]) -> RoadLoad:
 
 
 def _mean(rows: list[dict[str, str]], name: str) -> float:
-    told = [float(row[name]) for row in rows if row[name]]
-    return sum(told) / len(told) if told else math.nan
+    known = [float(row[name]) for row in rows if row[name]]
+    return sum(known) / len(known) if known else math.nan
 
 
 def words_of(text: str) -> list[str]:

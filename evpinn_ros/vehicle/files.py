@@ -217,14 +217,14 @@ def _correlations(section: Section) -> dict[tuple[str, str], float]:
     """Of pairs: under the one that comes first in `PARAMETER_NAMES`, the other and a number."""
     section.refuse_unknown(("source", *PARAMETER_NAMES))
     section.text("source")
-    told = {name: section.section(name) for name in PARAMETER_NAMES if section.has(name)}
-    for name, others in told.items():
+    given = {name: section.section(name) for name in PARAMETER_NAMES if section.has(name)}
+    for name, others in given.items():
         later = PARAMETER_NAMES[PARAMETER_NAMES.index(name) + 1 :]
         others.refuse_unknown(later)
     found = {
-        (one, other): told[one].number(other, -1.0, 1.0)
+        (one, other): given[one].number(other, -1.0, 1.0)
         for one, other in combinations(PARAMETER_NAMES, 2)
-        if one in told and told[one].has(other)
+        if one in given and given[one].has(other)
     }
     if np.linalg.eigvalsh(_matrix(found)).min() < LEAST_EIGENVALUE:
         raise section.error("no quantities can have these correlations together")

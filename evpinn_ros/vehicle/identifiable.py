@@ -1,4 +1,4 @@
-"""What battery power, speed and grade alone determine of a car.
+"""Combinations of a car's parameters that battery power, speed and grade alone determine.
 
 In the `wheel_power` form of the dynamics eta, mu, mass and C_d enter battery power only through
 products, so (eta, mu, mass, C_d) -> (s eta, mu / s, s mass, s C_d) changes nothing that could be

@@ -1,4 +1,4 @@
-"""The parameters of a car, their units, and what is believed of them before driving."""
+"""The parameters of a car, their units, and their priors before driving."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ LIMITS: Mapping[str, Limits] = {
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is believed of one parameter before driving: value, 1-sigma and where it is from."""
+    """Prior of one parameter before driving: value, 1-sigma and its source."""
 
     value: float
     std: float

@@ -21,7 +21,7 @@ STANDSTILL_SPEED = 0.1  # m/s: below this a car stands and draws auxiliary power
 
 
 class RegenForm(str, Enum):
-    """How braking enters battery power. See `battery_power`."""
+    """Effect of braking on battery power. See `battery_power`."""
 
     PRINTED = "printed"
     RECOVERY = "recovery"

@@ -19,7 +19,7 @@ def test_a_second_is_four_thousand_frames_some_of_them_ours():
     assert ids[0x132] == 100 and ids[0x257] == 50 and ids[0x292] == 10
     assert len(ids) == 93 and all(frame.can_id < 0x800 for tick in ticks for frame in tick)
     decoder = Decoder(load_profile(PROFILE))
-    readings = [reading for tick in ticks for frame in tick for reading in decoder.push(frame)]
+    readings = [reading for tick in ticks for frame in tick for reading in decoder.decode(frame)]
     assert sum(isinstance(each, BatteryReading) for each in readings) == 100
     assert sum(isinstance(each, SpeedReading) for each in readings) == 50
     assert not decoder.dropped

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from evpinn_ros.bench.carried import CarriedBenchmark, Foretold, energy_errors
+from evpinn_ros.bench.carried import CarriedBenchmark, CarriedForecast, energy_errors
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
@@ -17,8 +17,8 @@ def benchmark(vehicle, *, speed_only=False) -> CarriedBenchmark:
     return CarriedBenchmark(vehicle, lambda: 0.0, speed_only=speed_only)
 
 
-def test_a_drive_is_foretold_without_its_battery(vehicle, drive):
-    """Twice the current: twice the energy measured, and the very same foretold."""
+def test_a_drive_is_forecast_without_its_battery(vehicle, drive):
+    """Twice the current: twice the energy measured, and the very same forecast."""
     double = [
         replace(each, current=2 * each.current) if isinstance(each, BatteryReading) else each
         for each in drive
@@ -28,7 +28,7 @@ def test_a_drive_is_foretold_without_its_battery(vehicle, drive):
     assert other.predicted_j == one.predicted_j
 
 
-def test_what_one_drive_taught_foretells_the_next(vehicle, drive):
+def test_what_one_drive_taught_improves_the_next_forecast(vehicle, drive):
     found = benchmark(vehicle)
     first, again = found.drive(lambda: drive), found.drive(lambda: drive)
     assert abs(again.error_percent) < abs(first.error_percent)
@@ -44,9 +44,11 @@ def test_speed_only_hears_nothing_else(vehicle, drive):
 
 
 def test_the_first_drive_does_not_count():
-    def told(percent: float | None) -> Foretold:
-        return Foretold(1.0, 0.9, 1.0, 1.0, percent)
+    def outcome(percent: float | None) -> CarriedForecast:
+        return CarriedForecast(1.0, 0.9, 1.0, 1.0, percent)
 
-    assert energy_errors([told(90.0), told(-2.0), told(4.0), told(None), told(9.0)]) == (4.0, 5.0)
-    assert energy_errors([told(None), told(-6.0)]) == (6.0, 6.0)
-    assert energy_errors([told(1.0)]) is None
+    assert energy_errors(
+        [outcome(90.0), outcome(-2.0), outcome(4.0), outcome(None), outcome(9.0)]
+    ) == (4.0, 5.0)
+    assert energy_errors([outcome(None), outcome(-6.0)]) == (6.0, 6.0)
+    assert energy_errors([outcome(1.0)]) is None

@@ -7,7 +7,7 @@ import pytest
 
 from evpinn_ros.bench.energy_forecast import (
     ForecastBenchmark,
-    Foretold,
+    PlannedForecast,
     driven_plan,
     forecast_totals,
 )
@@ -49,7 +49,9 @@ def test_a_moment_is_no_drive():
 
 
 def test_totals_leave_out_the_first():
-    drives = [Foretold(100.0, energy, 10.0, 0.0, 1.0) for energy in (500.0, 110.0, 120.0, 84.0)]
+    drives = [
+        PlannedForecast(100.0, energy, 10.0, 0.0, 1.0) for energy in (500.0, 110.0, 120.0, 84.0)
+    ]
     median, mean, covered, counted = forecast_totals(drives)
     assert (median, mean) == (pytest.approx(16.0), pytest.approx(46.0 / 3))
     assert (covered, counted) == (2, 3)  # 10 and 16 J off, of 16.4

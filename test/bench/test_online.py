@@ -27,7 +27,7 @@ SERIES = ("smoothed", "newest")
 def run(vehicle, names: Iterable[str], readings: Iterable[Reading]) -> Run:
     benchmark = OnlineBenchmark(vehicle, names, time.thread_time)
     for reading in readings:
-        benchmark.push(reading)
+        benchmark.add_reading(reading)
     return benchmark.finish()
 
 
@@ -53,7 +53,7 @@ def test_hybrid_scores_as_in_replay(vehicle, readings, whole):
     history = History()
     for reading in readings:
         history.add_reading(reading)
-        for output in chain.push(reading):
+        for output in chain.add_reading(reading):
             history.add_output(output)
     replayed = drive_scores(history.drive(), 5.0)
     benched = drive_scores(whole.predicted["hybrid"], 5.0)
@@ -63,7 +63,7 @@ def test_hybrid_scores_as_in_replay(vehicle, readings, whole):
     assert whole.predicted["hybrid"].energy[-1, 1] == pytest.approx(predicted, rel=1e-12)
 
 
-def test_null_holds_the_battery_reading_before(whole, readings):
+def test_baseline_holds_the_battery_reading_before(whole, readings):
     powers = [r.power for r in readings if isinstance(r, BatteryReading)]
     for series in SERIES:
         held = getattr(whole.predicted["null"], series)

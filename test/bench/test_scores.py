@@ -53,7 +53,7 @@ def test_only_a_method_with_a_sigma_has_a_coverage(vehicle, readings):
     names = ["null", "split", "rls5", "ekf5"]
     benchmark = OnlineBenchmark(vehicle, names, time.thread_time)
     for reading in readings:
-        benchmark.push(reading)
+        benchmark.add_reading(reading)
     found = log_scores(benchmark.finish(), names, 5.0)
     assert list(found) == names
     assert [found[name]["coverage_90"] is None for name in names] == [True, True, True, False]

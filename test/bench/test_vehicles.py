@@ -1,4 +1,4 @@
-"""Beliefs before driving: judged by cars that they were not told of."""
+"""Priors before driving: judged by cars that were withheld from them."""
 
 import json
 
@@ -19,7 +19,7 @@ def test_no_car_is_told_of_its_own_model(monkeypatch):
     told = []
     monkeypatch.setattr(vehicles, "population", lambda cars: told.append({*cars}) or ANY)
     ANY = vehicles.of_vehicle(load_vehicle("generic"))
-    list(vehicles.beliefs({}))
+    list(vehicles.prior_errors({}))
     cars = certified_cars()
     own = [group for group in told if cars[TAYCAN] not in group]
     assert len(own) == 1 and not any("Taycan" in car.name for car in own[0])
@@ -28,7 +28,7 @@ def test_no_car_is_told_of_its_own_model(monkeypatch):
 
 def test_the_population_of_other_models_is_honest_where_a_sedan_is_not():
     sedan = load_vehicle("tesla_model_3_lr")
-    found = {(row.name, row.speed): row for row in vehicles.beliefs({"sedan": sedan})}
+    found = {(row.name, row.speed): row for row in vehicles.prior_errors({"sedan": sedan})}
     for speed in vehicles.SPEEDS:
         others = found["population of the other models", speed]
         assert others.error < 0.2 and 0.85 < others.inside <= 1.0

@@ -20,9 +20,9 @@ def drive(bridge, profile, start_ms, end_ms, *, speed=True):
     encoder = Encoder(profile)
     readings = []
     for time in range(start_ms, end_ms, 10):
-        readings += bridge.push(encoder.battery(BatteryReading(time * MS, 390.0, -20.0)))
+        readings += bridge.decode(encoder.battery(BatteryReading(time * MS, 390.0, -20.0)))
         if speed and time % 20 == 0:
-            readings += bridge.push(encoder.speed(SpeedReading(time * MS, 10.0)))
+            readings += bridge.decode(encoder.speed(SpeedReading(time * MS, 10.0)))
     return readings
 
 
@@ -47,15 +47,15 @@ def test_receiving(profile):
 def test_stale_after_ten_periods_and_back(profile):
     bridge, encoder = CanBridge(profile), Encoder(profile)
     for time in range(0, 8000, 10):
-        bridge.push(encoder.battery(BatteryReading(time * MS, 390.0, -20.0)))
+        bridge.decode(encoder.battery(BatteryReading(time * MS, 390.0, -20.0)))
         if time % 400 == 0 and time < 4000:
-            bridge.push(encoder.speed(SpeedReading(time * MS, 10.0)))
+            bridge.decode(encoder.speed(SpeedReading(time * MS, 10.0)))
         if time == 7590:
             assert bridge.status(time * MS).ok
     status = bridge.status(8000 * MS)
     assert not status.ok and status.text == "no speed"
     assert status.signals["speed"].stale and not status.signals["battery"].stale
-    bridge.push(encoder.speed(SpeedReading(8000 * MS, 10.0)))
+    bridge.decode(encoder.speed(SpeedReading(8000 * MS, 10.0)))
     assert bridge.status(8000 * MS).ok
     assert bridge.status(60_000 * MS).text == "no speed and no battery"
 
@@ -73,14 +73,14 @@ def test_equal_stamps_do_not_end_patience(profile):
     bridge = CanBridge(profile)
     encoder = Encoder(profile)
     for _ in range(3):
-        bridge.push(encoder.speed(SpeedReading(0, 10.0)))
+        bridge.decode(encoder.speed(SpeedReading(0, 10.0)))
     signal = bridge.status(50 * MS).signals["speed"]
     assert not signal.stale and math.isnan(signal.rate)
 
 
 def test_another_bus(profile):
     bridge = CanBridge(profile)
-    bridge.push(CanFrame(0, 0x700, b""))
+    bridge.decode(CanFrame(0, 0x700, b""))
     status = bridge.status(0)
     assert status.text == "no frame of this profile: another bus or car?"
     assert (status.frames, status.unknown_frames, status.unknown_ids) == (0, 1, 1)
@@ -91,7 +91,7 @@ def test_wrong_profile_is_told(profile):
     bridge = CanBridge(other)
     encoder = Encoder(load_profile("tesla_model_3_2019"))
     for time in range(100):
-        assert not bridge.push(encoder.battery(BatteryReading(time, 380.0, -20.0)))
+        assert not bridge.decode(encoder.battery(BatteryReading(time, 380.0, -20.0)))
     status = bridge.status(100)
     assert not status.ok and status.text == "most values are implausible: wrong profile?"
     assert status.dropped == {"out_of_range": 100}

@@ -88,7 +88,7 @@ def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
     for frame, logged in zip(received, LogFile(log).frames(), strict=True):
         assert abs(frame.stamp_ns - time.time_ns()) < 60 * 10**9
         same_time = CanFrame(logged.stamp_ns, frame.can_id, frame.data, frame.extended)
-        assert repr(live.push(same_time)) == repr(offline.push(logged))
+        assert repr(live.decode(same_time)) == repr(offline.decode(logged))
 
 
 class Adapter:
@@ -256,7 +256,7 @@ def test_stamps_of_an_adapter_with_its_own_zero(scripted):
     assert stamps("virtual", clock) == clock
 
 
-def test_stamps_of_the_epoch_are_believed(scripted):
+def test_stamps_of_the_epoch_are_used(scripted):
     scripted([message(1549819403.028902)])
     assert stamps("virtual", [NOW]) == [1549819403028902000]
 

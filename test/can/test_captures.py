@@ -48,7 +48,7 @@ def decode(profile, path):
     speed, battery, start = [], [], None
     for frame in LogFile(path).frames():
         start = frame.stamp_ns if start is None else start
-        for reading in decoder.push(frame):
+        for reading in decoder.decode(frame):
             time = (reading.stamp_ns - start) / 1e9
             if isinstance(reading, SpeedReading):
                 speed.append((time, reading.speed))
@@ -107,7 +107,7 @@ def test_profiles_of_other_cars_do_not_fit():
         for other in others:
             bridge = CanBridge(load_profile(other))
             for frame in itertools.islice(LogFile(log).frames(), 5000):
-                bridge.push(frame)
+                bridge.decode(frame)
             status = bridge.status(frame.stamp_ns)
             assert not status.ok, (profile, other, status)
 
@@ -122,10 +122,10 @@ CAPTURES = [
 def test_inspection_names_the_profile(right, log):
     inspection = Inspection(bundled_profiles(), 500_000)
     for frame in LogFile(log).frames():
-        inspection.push(frame)
+        inspection.add_frame(frame)
     report = inspection.report()
     assert report.best.fit.profile == right and report.best.fit.score > 0.99
-    assert report.best.sign is None and report.best.sign_told
+    assert report.best.sign is None and report.best.sign_decided
     assert 0.0 < report.load[0] < report.load[1] < 0.5
     assert all(profile.fit.score < 0.7 for profile in report.profiles[1:])
 
@@ -137,10 +137,10 @@ def test_the_guard_lets_out_the_right_profile_alone(right, log, patient):
     for profile in bundled_profiles():
         plain = CanBridge(profile)
         bridge = CanBridge(profile, guard=FitGuard(profile, bundled_profiles(), patient=patient))
-        got = [reading for frame in frames for reading in bridge.push(frame)]
+        got = [reading for frame in frames for reading in bridge.decode(frame)]
         got += bridge.finish()
         if profile.key == right:
-            assert repr(got) == repr([r for frame in frames for r in plain.push(frame)])
+            assert repr(got) == repr([r for frame in frames for r in plain.decode(frame)])
         else:
             assert not got, profile.key
 
@@ -161,7 +161,7 @@ TORQUE = [
 def test_motor_power_explains_battery_power(profile, log, gear, lag, alike, driving, braking):
     decoder = Decoder(load_profile(profile))
     frames = LogFile(DATA / f"{log}.candump.log").frames()
-    readings = [reading for frame in frames for reading in decoder.push(frame)]
+    readings = [reading for frame in frames for reading in decoder.decode(frame)]
 
     def rows(kind, *names):
         found = [each for each in readings if isinstance(each, kind)]

@@ -40,7 +40,7 @@ def frames(draw):
 def test_every_payload_gives_a_plausible_reading_or_a_reason(cases):
     for profile, frame in cases:
         decoder = Decoder(profile)
-        readings = decoder.push(frame)
+        readings = decoder.decode(frame)
         held = ("state_of_charge", "motor", "second_motor")  # wait for what completes them
         silent = frame.can_id in (
             profile.messages[name].message.frame_id for name in held if name in profile.messages
@@ -83,9 +83,9 @@ def test_guard_and_inspection_take_whatever_comes(cases, patient):
     bridge = CanBridge(profile, guard=guard, sign=CurrentSign())
     inspection = Inspection(PROFILES.values(), 500_000)
     for _, frame in cases:
-        for reading in bridge.push(frame):
+        for reading in bridge.decode(frame):
             assert_within(profile, reading)
-        inspection.push(frame)
+        inspection.add_frame(frame)
     for reading in bridge.finish():
         assert_within(profile, reading)
     assert bridge.status(0).text
@@ -108,9 +108,9 @@ def test_round_trip_within_half_a_step(name, speed, voltage, current, charge):
     written = BatteryReading(7, voltage, current, charge)
     has_charge = "state_of_charge" in profile.messages
     if has_charge:
-        decoder.push(encoder.state_of_charge(written))
-    (speed_back,) = decoder.push(encoder.speed(SpeedReading(6, speed)))
-    (battery_back,) = decoder.push(encoder.battery(written))
+        decoder.decode(encoder.state_of_charge(written))
+    (speed_back,) = decoder.decode(encoder.speed(SpeedReading(6, speed)))
+    (battery_back,) = decoder.decode(encoder.battery(written))
     assert (speed_back.stamp_ns, battery_back.stamp_ns) == (6, 7)
 
     def step(quantity, index=0):
@@ -130,8 +130,8 @@ def test_round_trip_within_half_a_step(name, speed, voltage, current, charge):
 def test_counters_run(name):
     encoder, decoder = Encoder(PROFILES[name]), Decoder(PROFILES[name])
     for _ in range(40):
-        assert decoder.push(encoder.speed(SpeedReading(0, 10.0)))
-        assert decoder.push(encoder.battery(BatteryReading(0, 380.0, -20.0)))
+        assert decoder.decode(encoder.speed(SpeedReading(0, 10.0)))
+        assert decoder.decode(encoder.battery(BatteryReading(0, 380.0, -20.0)))
     assert not decoder.dropped
 
 

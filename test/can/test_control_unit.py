@@ -45,7 +45,7 @@ class Desk:
 
     def frame(self, data, stamp=0):
         frame = CanFrame(stamp, self.address.rx_id, bytes.fromhex(data), self.address.extended)
-        return self.unit.push(frame, self.now)
+        return self.unit.receive(frame, self.now)
 
 
 @pytest.fixture
@@ -239,7 +239,7 @@ def test_whatever_comes_is_a_plausible_reading_or_none(case, asking):
     gate = ReadOnlyGate(profile.requests, lambda frame: sent.append(frame) or True)
     bridge = CanBridge(profile, gate if asking else None)
     for address, data in frames:
-        for reading in bridge.push(CanFrame(5, address.rx_id, data, address.extended)):
+        for reading in bridge.decode(CanFrame(5, address.rx_id, data, address.extended)):
             if isinstance(reading, SpeedReading):
                 lower, upper = bounds(profile, "speed")
                 assert lower <= reading.speed <= upper and 0 < reading.variance < 1

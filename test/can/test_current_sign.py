@@ -27,18 +27,18 @@ def flipped(reading):
 def watched(readings):
     sign = CurrentSign()
     for reading in readings:
-        sign.push(reading)
+        sign.add_reading(reading)
     return sign
 
 
 def test_a_drive_of_the_right_sign(drive):
     sign = watched(drive)
-    assert sign.told and sign.suspicion is None
+    assert sign.decided and sign.fault is None
 
 
 def test_a_drive_of_the_wrong_sign(drive):
     sign = watched(map(flipped, drive))
-    assert sign.suspicion == (
+    assert sign.fault == (
         "current_sign: to accelerate charges the battery; flip positive_means in the profile"
     )
 
@@ -49,7 +49,7 @@ def test_a_hundred_a_second_say_the_same(drive):
         dataclasses.replace(reading, stamp_ns=reading.stamp_ns + 10_000_000 * copy)
         for reading, copy in itertools.product(map(flipped, drive), range(10))
     ]
-    assert watched(sorted(dense, key=lambda reading: reading.stamp_ns)).suspicion is not None
+    assert watched(sorted(dense, key=lambda reading: reading.stamp_ns)).fault is not None
 
 
 @pytest.mark.parametrize(("current", "suspected"), [(125.0, False), (-125.0, True)])
@@ -60,7 +60,7 @@ def test_fast_charging(current, suspected):
         stamp = index * SECOND // 10
         readings += [SpeedReading(stamp, 0.0), BatteryReading(stamp, 400.0, current)]
     sign = watched(readings)
-    assert sign.told and (sign.suspicion is not None) is suspected
+    assert sign.decided and (sign.fault is not None) is suspected
 
 
 @pytest.mark.parametrize(("current", "suspected"), [(30.0, False), (-30.0, True)])
@@ -71,10 +71,10 @@ def test_slow_charging_of_a_car_that_is_silent_but_for_its_battery(current, susp
         for index in range(600)
     ]
     sign = watched(readings)
-    assert sign.told and (sign.suspicion is not None) is suspected
+    assert sign.decided and (sign.fault is not None) is suspected
 
 
 def test_nothing_is_said_of_little_or_of_nonsense(drive):
-    assert not watched(drive[:100]).told
+    assert not watched(drive[:100]).decided
     nonsense = [BatteryReading(index * SECOND, math.nan, math.nan, 0.5) for index in range(100)]
-    assert not watched(nonsense).told
+    assert not watched(nonsense).decided

@@ -74,15 +74,15 @@ def test_a_mapping_file_anywhere_reads_a_loose_dbc(write):
     profile = load_profile(write(HEAD + SPEED + BATTERY))
     assert profile.key == "my_car"
     decoder = Decoder(profile)
-    (speed,) = decoder.push(CanFrame(1, 256, bytes.fromhex("2710")))
+    (speed,) = decoder.decode(CanFrame(1, 256, bytes.fromhex("2710")))
     assert speed == SpeedReading(1, pytest.approx(100 / 3.6), pytest.approx(0.01**2 / 3.6**2 / 12))
     # Page 1: 400.0 V, 20.0 A discharged.
-    (battery,) = decoder.push(CanFrame(2, 512, bytes.fromhex("01A00FC80000000000")))
+    (battery,) = decoder.decode(CanFrame(2, 512, bytes.fromhex("01A00FC80000000000")))
     assert (battery.voltage, battery.current) == (pytest.approx(400.0), pytest.approx(-20.0))
-    assert decoder.push(CanFrame(3, 512, bytes.fromhex("02A00FC800000000"))) == ()
+    assert decoder.decode(CanFrame(3, 512, bytes.fromhex("02A00FC800000000"))) == ()
     assert not decoder.dropped
-    assert decoder.push(CanFrame(4, 512, bytes.fromhex("03A00FC800000000"))) == ()
-    assert decoder.push(CanFrame(5, 512, bytes.fromhex("01A0"))) == ()
+    assert decoder.decode(CanFrame(4, 512, bytes.fromhex("03A00FC800000000"))) == ()
+    assert decoder.decode(CanFrame(5, 512, bytes.fromhex("01A0"))) == ()
     assert decoder.dropped == {"unknown_multiplexer": 1, "short_frame": 1}
 
 
@@ -90,7 +90,7 @@ def test_a_mapping_file_anywhere_reads_a_loose_dbc(write):
 @settings(max_examples=300, deadline=None)
 def test_no_payload_of_a_users_file_is_an_exception(write, can_id, data):
     decoder = Decoder(_loaded(write))
-    for reading in decoder.push(CanFrame(0, can_id, data)):
+    for reading in decoder.decode(CanFrame(0, can_id, data)):
         if isinstance(reading, BatteryReading):
             assert 200 <= reading.voltage <= 500 and -500 <= reading.current <= 500
         else:
@@ -148,7 +148,7 @@ def test_a_mistake_is_told_with_its_line(write, old, new, reason):
 
 def test_a_unit_that_the_dbc_file_has_wrong_can_be_overruled(write):
     text = (HEAD + SPEED).replace("VehicleSpeed, unit", "MilesPerHour, scale: 1, unit")
-    (reading,) = Decoder(load_profile(write(text))).push(
+    (reading,) = Decoder(load_profile(write(text))).decode(
         CanFrame(0, 256, bytes.fromhex("00002710"))
     )
     assert reading.speed == pytest.approx(100 / 3.6)

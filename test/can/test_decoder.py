@@ -44,38 +44,38 @@ def test_stamp_keeps_the_digits_of_the_log():
 
 def test_speed_of_model_3(tesla):
     # raw 1500: 1500 * 0.08 - 40 = 80 km/h
-    (reading,) = tesla.push(tesla_speed(1500))
+    (reading,) = tesla.decode(tesla_speed(1500))
     assert isinstance(reading, SpeedReading)
     assert reading.speed == pytest.approx(80 / 3.6)
     assert reading.variance == pytest.approx((0.08 / 3.6) ** 2 / 12)
 
 
 def test_standstill_is_exactly_zero(tesla):
-    assert tesla.push(tesla_speed(500))[0].speed == 0.0
+    assert tesla.decode(tesla_speed(500))[0].speed == 0.0
     old = Decoder(load_profile("tesla_model_3_2019"))
-    assert old.push(tesla_speed(500))[0].speed == 0.0
+    assert old.decode(tesla_speed(500))[0].speed == 0.0
 
 
 def test_reverse_is_negative(tesla):
-    assert tesla.push(tesla_speed(375))[0].speed == pytest.approx(-10 / 3.6)
+    assert tesla.decode(tesla_speed(375))[0].speed == pytest.approx(-10 / 3.6)
 
 
 def test_speed_not_available_is_dropped(tesla):
-    assert tesla.push(tesla_speed(4095)) == ()
+    assert tesla.decode(tesla_speed(4095)) == ()
     assert tesla.dropped == Counter(not_available=1)
 
 
 def test_checksum_is_checked(tesla):
     good = tesla_speed(1500)
     bad = CanFrame(0, good.can_id, bytes([good.data[0] ^ 1]) + good.data[1:])
-    assert tesla.push(bad) == ()
+    assert tesla.decode(bad) == ()
     assert tesla.dropped == Counter(bad_checksum=1)
 
 
 @pytest.mark.parametrize("payload", ["989467000000", "9894670000000000", "98946700"])
 def test_battery_of_model_3_also_when_shortened(tesla, payload):
     # 0x9498 = 38040: 380.40 V; 0x0067 = 103: -0.1 * 103 = -10.3 A discharge, so it charges
-    (reading,) = tesla.push(frame(0x132, payload, 5))
+    (reading,) = tesla.decode(frame(0x132, payload, 5))
     assert isinstance(reading, BatteryReading)
     assert reading.stamp_ns == 5
     assert reading.voltage == pytest.approx(380.40)
@@ -85,37 +85,37 @@ def test_battery_of_model_3_also_when_shortened(tesla, payload):
 
 def test_discharge_of_model_3_is_negative(tesla):
     # raw -200 in 15 bits is 0x7F38: -0.1 * -200 = +20 A discharge
-    (reading,) = tesla.push(frame(0x132, "9894387F0000"))
+    (reading,) = tesla.decode(frame(0x132, "9894387F0000"))
     assert reading.current == pytest.approx(-20.0)
     assert reading.power == pytest.approx(380.4 * 20.0)
     # Bit 31 is no part of the value.
-    (reading,) = tesla.push(frame(0x132, "989438FF0000"))
+    (reading,) = tesla.decode(frame(0x132, "989438FF0000"))
     assert reading.current == pytest.approx(-20.0)
 
 
 def test_battery_of_2019_has_the_old_offset():
     # 9962: 1000 - 996.2 = 3.8 A drawn
     old = Decoder(load_profile("tesla_model_3_2019"))
-    (reading,) = old.push(frame(0x132, "7695EA2600000000"))
+    (reading,) = old.decode(frame(0x132, "7695EA2600000000"))
     assert reading.voltage == pytest.approx(382.62)
     assert reading.current == pytest.approx(-3.8)
 
 
 def test_wrong_firmware_is_out_of_range(tesla):
-    assert tesla.push(frame(0x132, "7695EA2600000000")) == ()
+    assert tesla.decode(frame(0x132, "7695EA2600000000")) == ()
     old = Decoder(load_profile("tesla_model_3_2019"))
-    assert old.push(frame(0x132, "9894670000000000")) == ()
+    assert old.decode(frame(0x132, "9894670000000000")) == ()
     assert tesla.dropped == old.dropped == Counter(out_of_range=1)
 
 
 @pytest.mark.parametrize("payload", ["", "98", "989467"])
 def test_too_short_a_frame_is_counted(tesla, payload):
-    assert tesla.push(frame(0x132, payload)) == ()
+    assert tesla.decode(frame(0x132, payload)) == ()
     assert tesla.dropped == Counter(short_frame=1)
 
 
 def test_all_ones_is_dropped(tesla):
-    assert tesla.push(frame(0x132, "FFFFFFFFFFFFFFFF")) == ()
+    assert tesla.decode(frame(0x132, "FFFFFFFFFFFFFFFF")) == ()
     assert tesla.dropped == Counter(out_of_range=1)
 
 
@@ -123,7 +123,7 @@ def test_speed_of_model_s():
     # raw 2500 at bit 16: 2500 * 0.05 - 25 = 100 mph
     body = bytes.fromhex("0040C40903")
     data = body + bytes([(0x16 + 0x01 + sum(body)) & 0xFF])
-    (reading,) = Decoder(load_profile("tesla_model_s")).push(CanFrame(0, 0x116, data))
+    (reading,) = Decoder(load_profile("tesla_model_s")).decode(CanFrame(0, 0x116, data))
     assert reading.speed == pytest.approx(44.704)
 
 
@@ -138,16 +138,16 @@ def leaf_battery(current_raw: int, voltage_raw: int, counter: int = 0) -> CanFra
 
 
 def test_battery_of_leaf_keeps_its_sign(leaf):
-    (reading,) = leaf.push(leaf_battery(-141, 783))
+    (reading,) = leaf.decode(leaf_battery(-141, 783))
     assert (reading.voltage, reading.current) == (391.5, -70.5)
-    (reading,) = leaf.push(leaf_battery(60, 800))
+    (reading,) = leaf.decode(leaf_battery(60, 800))
     assert (reading.voltage, reading.current) == (400.0, 30.0)
 
 
 def test_leaf_checksum_and_length(leaf):
     good = leaf_battery(-141, 783)
-    assert leaf.push(CanFrame(0, 0x1DB, good.data[:7] + bytes([good.data[7] ^ 0x80]))) == ()
-    assert leaf.push(CanFrame(0, 0x1DB, good.data[:7])) == ()
+    assert leaf.decode(CanFrame(0, 0x1DB, good.data[:7] + bytes([good.data[7] ^ 0x80]))) == ()
+    assert leaf.decode(CanFrame(0, 0x1DB, good.data[:7])) == ()
     assert leaf.dropped == Counter(bad_checksum=1, short_frame=1)
 
 
@@ -161,38 +161,38 @@ def test_crc8_against_a_polynomial_division():
 def test_speed_of_leaf_uses_the_tyre_scale(leaf):
     # raw 9800 is 100 km/h
     body = bytes.fromhex("000000002648") + b"\x07"
-    (reading,) = leaf.push(CanFrame(0, 0x284, body + bytes([id_sum(0x284, body)])))
+    (reading,) = leaf.decode(CanFrame(0, 0x284, body + bytes([id_sum(0x284, body)])))
     assert reading.speed == pytest.approx(100 / 3.6, rel=1e-4)
 
 
 def test_stuck_counter(leaf):
-    pushed = [leaf.push(leaf_battery(-141, 783, 2)) for _ in range(STUCK_AFTER + 3)]
-    assert [bool(readings) for readings in pushed] == [True] * STUCK_AFTER + [False] * 3
+    decoded = [leaf.decode(leaf_battery(-141, 783, 2)) for _ in range(STUCK_AFTER + 3)]
+    assert [bool(readings) for readings in decoded] == [True] * STUCK_AFTER + [False] * 3
     assert leaf.dropped == Counter(stuck_counter=3)
-    assert leaf.push(leaf_battery(-141, 783, 3))
+    assert leaf.decode(leaf_battery(-141, 783, 3))
 
 
 def test_state_of_charge_comes_with_the_battery(leaf):
-    assert math.isnan(leaf.push(leaf_battery(0, 783))[0].state_of_charge)
+    assert math.isnan(leaf.decode(leaf_battery(0, 783))[0].state_of_charge)
     # 925 = 0b11_1001_1101: 92.5 %
-    assert leaf.push(frame(0x55B, "E740000000000000")) == ()
-    (reading,) = leaf.push(leaf_battery(0, 783, 1))
+    assert leaf.decode(frame(0x55B, "E740000000000000")) == ()
+    (reading,) = leaf.decode(leaf_battery(0, 783, 1))
     assert reading.state_of_charge == pytest.approx(0.925)
     late = leaf_battery(0, 783, 2)
-    (reading,) = leaf.push(CanFrame(CHARGE_HOLD_NS + 1, late.can_id, late.data))
+    (reading,) = leaf.decode(CanFrame(CHARGE_HOLD_NS + 1, late.can_id, late.data))
     assert math.isnan(reading.state_of_charge)
 
 
 def test_unknown_ids_are_counted(tesla):
-    assert tesla.push(frame(0x700, "00")) == ()
-    assert tesla.push(frame(0x132, "989467000000", extended=True)) == ()
+    assert tesla.decode(frame(0x700, "00")) == ()
+    assert tesla.decode(frame(0x132, "989467000000", extended=True)) == ()
     assert tesla.unknown == Counter({0x700: 1, 0x132: 1})
     assert tesla.known == 0
 
 
 def test_garbage_ids_fill_no_memory(tesla):
     for can_id in range(MOST_IDS + 10):
-        tesla.push(frame(can_id, "00", extended=True))
+        tesla.decode(frame(can_id, "00", extended=True))
     assert (len(tesla.unknown), tesla.uncounted) == (MOST_IDS, 10)
 
 
@@ -214,12 +214,12 @@ def test_other_pages_of_a_multiplexed_message_are_no_fault(tmp_path):
         "speed: {message: M, signal: Speed, unit: km/h, valid: [0, 300]}\n"
     )
     decoder = Decoder(load_profile(tmp_path / "m.yaml"))
-    assert decoder.push(frame(100, "01E80300"))[0].speed == pytest.approx(10 / 3.6)
-    assert decoder.push(frame(100, "02E80300")) == ()
-    assert decoder.push(frame(100, "02E803")) == () and decoder.push(frame(100, "02E8")) == ()
+    assert decoder.decode(frame(100, "01E80300"))[0].speed == pytest.approx(10 / 3.6)
+    assert decoder.decode(frame(100, "02E80300")) == ()
+    assert decoder.decode(frame(100, "02E803")) == () and decoder.decode(frame(100, "02E8")) == ()
     assert not decoder.dropped
-    assert decoder.push(frame(100, "09E80300")) == ()
-    assert decoder.push(frame(100, "01E8")) == ()
+    assert decoder.decode(frame(100, "09E80300")) == ()
+    assert decoder.decode(frame(100, "01E8")) == ()
     assert decoder.dropped.total() == 2
 
 
@@ -234,13 +234,13 @@ def leaf_motor(torque: int, rpm: int, counter: int = 0) -> CanFrame:
 
 def test_motor_of_the_leaf(leaf):
     # 200 x 0.5 N m; 3000 rpm are 314.16 rad/s; then regeneration, and reverse.
-    assert leaf.push(leaf_motor(200, 3000)) == (
+    assert leaf.decode(leaf_motor(200, 3000)) == (
         MotorReading(7, 100.0, pytest.approx(3000 * 2 * math.pi / 60)),
     )
-    (braking,) = leaf.push(leaf_motor(-60, -300, 1))
+    (braking,) = leaf.decode(leaf_motor(-60, -300, 1))
     assert (braking.torque, braking.speed) == (-30.0, pytest.approx(-10 * math.pi))
     good = leaf_motor(200, 3000, 2)
-    assert leaf.push(CanFrame(7, good.can_id, good.data[:7] + b"\x00")) == ()
+    assert leaf.decode(CanFrame(7, good.can_id, good.data[:7] + b"\x00")) == ()
     assert leaf.dropped == Counter(bad_checksum=1)
 
 
@@ -252,19 +252,19 @@ def model_3_motor(can_id: int, axle_torque: int, stamp_ns: int) -> CanFrame:
 
 def test_torque_of_two_motors_is_their_sum_and_waits_for_both(tesla):
     rear, front = 0x108, 0x186
-    assert tesla.push(model_3_motor(rear, 904, 0)) == ()
-    assert tesla.push(model_3_motor(front, -90, 10)) == ()
-    (reading,) = tesla.push(model_3_motor(rear, 904, 20))
+    assert tesla.decode(model_3_motor(rear, 904, 0)) == ()
+    assert tesla.decode(model_3_motor(front, -90, 10)) == ()
+    (reading,) = tesla.decode(model_3_motor(rear, 904, 20))
     assert reading.torque == pytest.approx((904 - 90) / 9.04, rel=1e-4)
     assert reading.speed == pytest.approx(100 * 9.04 * 2 * math.pi / 60)
-    assert tesla.push(model_3_motor(rear, 904, TORQUE_HOLD_NS + 11)) == ()
+    assert tesla.decode(model_3_motor(rear, 904, TORQUE_HOLD_NS + 11)) == ()
     assert not tesla.dropped
 
 
 def test_a_car_without_a_second_motor_has_the_torque_of_the_first(tesla):
-    assert tesla.push(model_3_motor(0x108, -904, 5)) == ()
-    assert tesla.push(model_3_motor(0x108, -904, ALONE_AFTER_NS)) == ()
-    (reading,) = tesla.push(model_3_motor(0x108, -904, ALONE_AFTER_NS + 6))
+    assert tesla.decode(model_3_motor(0x108, -904, 5)) == ()
+    assert tesla.decode(model_3_motor(0x108, -904, ALONE_AFTER_NS)) == ()
+    (reading,) = tesla.decode(model_3_motor(0x108, -904, ALONE_AFTER_NS + 6))
     assert reading.torque == pytest.approx(-100.0, rel=1e-4)
 
 
@@ -275,9 +275,9 @@ def test_no_torque_where_that_of_the_second_motor_cannot_be_read():
         body = bytes((0, counter << 5, 0x90, 0x01, 0, 0x10, 0))
         return CanFrame(stamp_ns, 0x106, body + bytes([id_sum(0x106, body)]))
 
-    assert decoder.push(motor(0, 0)) == ()
-    (reading,) = decoder.push(motor(ALONE_AFTER_NS + 1, 1))
+    assert decoder.decode(motor(0, 0)) == ()
+    (reading,) = decoder.decode(motor(ALONE_AFTER_NS + 1, 1))
     assert reading == MotorReading(ALONE_AFTER_NS + 1, 100.0, pytest.approx(4096 * math.pi / 30))
-    decoder.push(frame(0x1D4, "0000000000000000", ALONE_AFTER_NS + 2))
-    assert decoder.push(motor(ALONE_AFTER_NS + 3, 2)) == ()
-    assert decoder.push(motor(10 * ALONE_AFTER_NS, 3)) == ()
+    decoder.decode(frame(0x1D4, "0000000000000000", ALONE_AFTER_NS + 2))
+    assert decoder.decode(motor(ALONE_AFTER_NS + 3, 2)) == ()
+    assert decoder.decode(motor(10 * ALONE_AFTER_NS, 3)) == ()

@@ -71,7 +71,7 @@ class Live:
         self.threads = [threading.Thread(target=run) for run in runs]
 
     def _on_frame(self, frame):
-        self.readings += self.bridge.push(frame)
+        self.readings += self.bridge.decode(frame)
 
     def of(self, kind):
         return [reading for reading in self.readings if isinstance(reading, kind)]
@@ -281,8 +281,8 @@ def test_an_adapter_that_begins_anew_is_prepared_anew(adapter):
 @pytest.mark.parametrize(
     ("answers", "banner", "why"),
     [
-        ({}, b"modem 56k", "no ELM327 or OBDLink is there: it said b'modem 56k"),
-        ({"ATZ": None, "": None}, None, "it said nothing; is the ignition on"),
+        ({}, b"modem 56k", "no ELM327 or OBDLink is there: it replied b'modem 56k"),
+        ({"ATZ": None, "": None}, None, "it replied nothing; is the ignition on"),
         ({"ATH1": b"?"}, b"ELM327 v2.1", "does not know ATH1: a clone?"),
     ],
 )

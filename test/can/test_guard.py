@@ -8,7 +8,7 @@ from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.guard import FitGuard, Verdict
+from evpinn_ros.can.guard import FitGuard, ProfileVerdict
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
@@ -24,13 +24,13 @@ def guarded(name, **kwargs):
 
 
 def run(bridge, frames):
-    readings = [reading for frame in frames for reading in bridge.push(frame)]
+    readings = [reading for frame in frames for reading in bridge.decode(frame)]
     return [*readings, *bridge.finish()]
 
 
 def decoded(name, frames):
     decoder = Decoder(PROFILES[name])
-    return [reading for frame in frames for reading in decoder.push(frame)]
+    return [reading for frame in frames for reading in decoder.decode(frame)]
 
 
 @pytest.mark.parametrize("patient", [False, True])
@@ -39,14 +39,14 @@ def test_a_right_profile_loses_nothing(name, patient, bus):
     frames = bus(name)
     guard, bridge = guarded(name, patient=patient)
     assert repr(run(bridge, frames)) == repr(decoded(name, frames))
-    assert guard.verdict is Verdict.TRUSTED and not guard.dropped
+    assert guard.verdict is ProfileVerdict.TRUSTED and not guard.dropped
 
 
 @pytest.mark.parametrize("name", sorted(PROFILES))
 def test_a_right_profile_speaks_within_a_second(name, bus):
     _, bridge = guarded(name)
     frames = bus(name)
-    first = next(frame for frame in frames if bridge.push(frame))
+    first = next(frame for frame in frames if bridge.decode(frame))
     assert first.stamp_ns - frames[0].stamp_ns < SECOND
 
 
@@ -64,7 +64,7 @@ def test_a_log_filtered_to_one_id_is_no_contradiction(name, quantity, bus):
     frames = [frame for frame in bus(name) if frame.can_id == wanted]
     guard, bridge = guarded(name)
     assert repr(run(bridge, frames)) == repr(decoded(name, frames))
-    assert guard.verdict is Verdict.TRUSTED
+    assert guard.verdict is ProfileVerdict.TRUSTED
 
 
 @pytest.mark.parametrize("wrong", sorted(PROFILES))
@@ -97,7 +97,7 @@ def test_model_s_on_the_bus_of_a_model_3(moving, bus):
         low = chance.randrange(0x2500, 0x2900) if moving else 0x2600
         frames += [frame, door_status(frame, low.to_bytes(2, "little"))]
     doors = [frame for frame in frames if frame.can_id == 0x102]
-    assert decoded("tesla_model_s", doors)  # alone each is a believable battery
+    assert decoded("tesla_model_s", doors)  # alone each is a plausible battery
     guard, bridge = guarded("tesla_model_s")
     assert run(bridge, frames) == []
     assert guard.contradiction.better == "tesla_model_3"
@@ -121,7 +121,7 @@ def test_the_firmware_of_another_year(patient, bus):
     guard, bridge = guarded("tesla_model_3", patient=patient)
     for reading in run(bridge, bus("tesla_model_3_2019")):
         assert isinstance(reading, SpeedReading)
-    assert guard.verdict is Verdict.REFUSED
+    assert guard.verdict is ProfileVerdict.REFUSED
     assert guard.contradiction.better == "tesla_model_3_2019"
     assert "battery (0x132): 100 % out_of_range" in bridge.refusal
 
@@ -133,9 +133,9 @@ def test_an_adapter_moved_to_another_car_and_back(bus):
     again = bus("tesla_model_3")[1200:]
     assert len(run(bridge, right)) == len(decoded("tesla_model_3", right))
     batteries = [r for r in run(bridge, wrong) if isinstance(r, BatteryReading)]
-    assert not batteries and guard.verdict is Verdict.REFUSED
+    assert not batteries and guard.verdict is ProfileVerdict.REFUSED
     back = run(bridge, again)
-    assert guard.verdict is Verdict.TRUSTED and bridge.refusal is None
+    assert guard.verdict is ProfileVerdict.TRUSTED and bridge.refusal is None
     assert back[0].stamp_ns - again[0].stamp_ns < 25 * SECOND
     assert back[-1].stamp_ns == again[-1].stamp_ns
 
@@ -149,7 +149,7 @@ def test_a_battery_that_is_off_is_no_contradiction(bus):
     ]
     guard, bridge = guarded("tesla_model_3")
     readings = run(bridge, frames)
-    assert guard.verdict is Verdict.TRUSTED
+    assert guard.verdict is ProfileVerdict.TRUSTED
     assert readings and repr(readings) == repr(decoded("tesla_model_3", frames))
 
 
@@ -189,15 +189,15 @@ def test_noise_under_a_profile_without_checksums_is_refused_before_it_speaks(min
         bridge = CanBridge(mine, guard=guard)
         frames = [CanFrame(i * SECOND // 10, 80, chance.randbytes(8)) for i in range(300)]
         assert decoded_by(mine, frames) and run(bridge, frames) == []
-        assert guard.verdict is Verdict.REFUSED and guard.contradiction.better is None
+        assert guard.verdict is ProfileVerdict.REFUSED and guard.contradiction.better is None
 
 
 def decoded_by(profile, frames):
     decoder = Decoder(profile)
-    return [reading for frame in frames for reading in decoder.push(frame)]
+    return [reading for frame in frames for reading in decoder.decode(frame)]
 
 
-def test_a_car_that_stands_still_and_never_changes_is_believed(mine):
+def test_a_car_that_stands_still_and_never_changes_is_accepted(mine):
     encoder = Encoder(mine)
     frame = encoder.battery(BatteryReading(0, 380.0, -1.0))
     frames = [CanFrame(i * SECOND // 10, 80, frame.data) for i in range(20)]
@@ -208,7 +208,7 @@ def test_a_car_that_stands_still_and_never_changes_is_believed(mine):
 def test_the_end_of_a_short_log_lets_out_what_was_held(mine):
     frame = Encoder(mine).battery(BatteryReading(0, 380.0, -1.0))
     bridge = CanBridge(mine, guard=FitGuard(mine, ALL))
-    assert bridge.push(frame) == ()
+    assert bridge.decode(frame) == ()
     text = bridge.status(0).text
     assert text == "weighing whether the profile fits: 2 readings held back"
     assert len(bridge.finish()) == 2 and bridge.finish() == ()
@@ -229,7 +229,7 @@ def test_stamps_that_stand_still_or_go_back_do_not_hold_for_ever(bus):
     guard, bridge = guarded("tesla_model_3")
     looped = [*frames, *frames]
     assert len(run(bridge, looped)) == len(decoded("tesla_model_3", looped))
-    assert guard.verdict is Verdict.TRUSTED
+    assert guard.verdict is ProfileVerdict.TRUSTED
 
 
 # The published answer of a Kona to 22 01 01 (test_request.py).

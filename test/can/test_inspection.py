@@ -17,7 +17,7 @@ MS = 1_000_000
 def inspected(frames, bitrate=500_000):
     inspection = Inspection(PROFILES.values(), bitrate)
     for frame in frames:
-        inspection.push(frame)
+        inspection.add_frame(frame)
     return inspection
 
 
@@ -104,7 +104,7 @@ KONA = """
 def test_what_another_tester_asks_for_is_told():
     inspection = Inspection(bundled_profiles(), 500_000)
     for stamp, data in enumerate(KONA.split() * 3):
-        inspection.push(CanFrame(stamp * 10 * MS, 0x7EC, bytes.fromhex(data)))
+        inspection.add_frame(CanFrame(stamp * 10 * MS, 0x7EC, bytes.fromhex(data)))
     best = inspection.report().best
     assert best.fit.profile == "hyundai_kia" and best.asks
     assert best.values["voltage"].newest == pytest.approx(404.7)
@@ -115,7 +115,7 @@ def test_what_another_tester_asks_for_is_told():
 def test_answers_of_another_car_fit_nothing():
     inspection = Inspection(bundled_profiles(), 500_000)
     for stamp in range(50):
-        inspection.push(CanFrame(stamp * 10 * MS, 0x7BB, bytes.fromhex("0361010000000000")))
+        inspection.add_frame(CanFrame(stamp * 10 * MS, 0x7BB, bytes.fromhex("0361010000000000")))
     report = inspection.report()
     assert report.best is None
     own = next(each for each in report.profiles if each.fit.profile == "hyundai_kia")

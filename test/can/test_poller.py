@@ -57,7 +57,7 @@ class Live:
         self.threads = [threading.Thread(target=run) for run in runs]
 
     def _on_frame(self, frame):
-        self.readings += self.bridge.push(frame)
+        self.readings += self.bridge.decode(frame)
 
     def of(self, kind):
         return [reading for reading in self.readings if isinstance(reading, kind)]
@@ -278,7 +278,7 @@ def test_a_dead_car_is_asked_a_hundred_times_and_no_more(every_s, frames):
             next_s += every_s
             for can_id, data in frames:
                 frame = CanFrame(0, can_id, data)
-                poller.push(frame) if poller.hears(frame) else poller.note(frame, ())
+                poller.decode(frame) if poller.is_answer(frame) else poller.note(frame, ())
     assert 50 < len(sent) <= 140
     assert poller.status().text.startswith("stopped: no answer")
 
@@ -355,7 +355,7 @@ def test_a_log_of_a_polled_drive_decodes_like_the_live_bus(channel, unit):
             wait_for(lambda: len(car.of(BatteryReading)) >= 3)
         offline, readings = CanBridge(KONA), []
         for message in iter(lambda: log.recv(0), None):
-            readings += offline.push(CanFrame(0, message.arbitration_id, bytes(message.data)))
+            readings += offline.decode(CanFrame(0, message.arbitration_id, bytes(message.data)))
 
     def values(readings):
         return [repr(reading).partition(",")[2] for reading in readings]
@@ -377,7 +377,7 @@ def test_a_car_that_is_another_is_not_asked(monkeypatch):
     wait_for(lambda: sent)
     for index in range(100):  # more than 600 mph, for a second
         speed = (60_000 + index).to_bytes(2, "big") + bytes(6)
-        bridge.push(CanFrame(index * 10_000_000, 0x3E9, speed))
+        bridge.decode(CanFrame(index * 10_000_000, 0x3E9, speed))
     assert bridge.refusal is not None
     sent.clear()
     time.sleep(1.3)  # after a second without an answer the next question would be due

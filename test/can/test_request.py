@@ -40,7 +40,7 @@ def decode(name, **answers):
     requests = {request.name: request for request in profile.requests}
     decoder, readings = AnswerDecoder(profile), []
     for stamp, (request, data) in enumerate(answers.items()):
-        readings += decoder.push(Answer(stamp, requests[request], bytes.fromhex(data)))
+        readings += decoder.decode(Answer(stamp, requests[request], bytes.fromhex(data)))
     assert not decoder.dropped
     return decoder, readings
 
@@ -116,7 +116,7 @@ def test_published_frames_decode_as_a_log_would(frames, voltage, current, charge
     bridge = CanBridge(load_profile("hyundai_kia"))
     readings = []
     for stamp, data in enumerate(frames.split()):
-        readings += bridge.push(CanFrame(stamp, 0x7EC, bytes.fromhex(data)))
+        readings += bridge.decode(CanFrame(stamp, 0x7EC, bytes.fromhex(data)))
     (reading,) = readings
     assert reading == BatteryReading(
         0, pytest.approx(voltage), pytest.approx(current), pytest.approx(charge)
@@ -126,7 +126,7 @@ def test_published_frames_decode_as_a_log_would(frames, voltage, current, charge
 
 def test_bolt_broadcasts_its_speed():
     bridge = CanBridge(load_profile("chevrolet_bolt"))
-    (reading,) = bridge.push(CanFrame(7, 0x3E9, bytes.fromhex("1388000000000000")))
+    (reading,) = bridge.decode(CanFrame(7, 0x3E9, bytes.fromhex("1388000000000000")))
     assert reading == SpeedReading(7, pytest.approx(50 * 0.44704), pytest.approx(1.7e-6, rel=0.1))
 
 

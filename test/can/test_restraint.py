@@ -34,7 +34,9 @@ def asleep(restraint, now_s=0.0, patience_s=UNANSWERED_S):
 def traffic(restraint, now_s, ids=(0x100, 0x200, 0x300), frames=AWAKE_FRAMES, step_s=0.01):
     """Frames of a bus; True when any of them ends a stop."""
     times_s = [now_s + index * step_s for index in range(frames)]
-    ends = [restraint.heard(ids[i % len(ids)], False, at_s) for i, at_s in enumerate(times_s)]
+    ends = [
+        restraint.record_frame(ids[i % len(ids)], False, at_s) for i, at_s in enumerate(times_s)
+    ]
     return any(ends)
 
 
@@ -88,10 +90,10 @@ def test_a_car_that_moves_is_awake(restraint):
     now = asleep(restraint)
     traffic(restraint, now, frames=1)
     restraint.observe(SpeedReading(0, 10.0), now + 1)
-    assert restraint.heard(0x100, False, now + 1.1)
+    assert restraint.record_frame(0x100, False, now + 1.1)
 
 
-def test_what_woke_in_vain_is_believed_later_each_time(restraint):
+def test_what_woke_in_vain_is_accepted_later_each_time(restraint):
     now, woken = asleep(restraint), []
     while now < 24 * 3600.0:
         now += 12.0

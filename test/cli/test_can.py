@@ -64,7 +64,7 @@ def test_a_log_for_people(folder):
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert done.stdout.rstrip().splitlines()[-2:] == [
         "Fits: tesla_model_3",
-        "Sign of the current: too little driving to tell",
+        "Sign of the current: too little driving to judge",
     ]
     assert "1800 frames of 2 ids in 12.0 s" in done.stdout
     assert " 132 " in done.stdout and "battery" in done.stdout

@@ -46,7 +46,7 @@ def test_everything_the_issue_names_is_written(
     options = ("--vehicle", VEHICLE, "--optimizer", "gauss_newton", "--quick", "--out", out)
     text = run("reproduce", drive, *options)
     assert "QUICK LOOK" in text
-    for title in ("Table II", "Table IV", "Table V", "Table VI", "null: line in time"):
+    for title in ("Table II", "Table IV", "Table V", "Table VI", "baseline: line in time"):
         assert title in text
     found = json.loads((out / "results.json").read_text())
     assert found["settings"]["epochs"] == 15

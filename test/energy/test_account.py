@@ -34,11 +34,11 @@ def drive(
         t, stamp = tick / 2, START + tick * 500_000_000
         if not silent.start < t < silent.stop:
             charge = first_charge - power * t / CAPACITY
-            to.push_charge(stamp, round(charge * 500) / 500)
-            to.push_measured(stamp, power, 30.0)
+            to.add_charge(stamp, round(charge * 500) / 500)
+            to.add_measured(stamp, power, 30.0)
         if not blind.start < t < blind.stop:
-            to.push_speed(stamp, SPEED)
-            to.push_predicted(stamp, predicted, 1e3)
+            to.add_speed(stamp, SPEED)
+            to.add_predicted(stamp, predicted, 1e3)
     return to
 
 
@@ -85,12 +85,12 @@ def test_a_silence_is_reconciled_with_the_state_of_charge():
     drive(counted, range(3600, 6000), predicted=9e3, silent=range(3600, 4800))
     found = counted.reconciled
     assert found.verdict is Verdict.JOINED
-    assert found.silence.duration == pytest.approx(1200.0, abs=1.0)
-    assert found.silence.bridge.energy == pytest.approx(10.8e6, rel=0.01)
+    assert found.dropout.duration == pytest.approx(1200.0, abs=1.0)
+    assert found.dropout.bridge.energy == pytest.approx(10.8e6, rel=0.01)
     assert found.by_charge.value == pytest.approx(12e6, abs=2 * found.by_charge.sigma)
     error = counted.lifetime().net.value - before - 24e6
     assert abs(error) < 0.5 * 1.2e6
-    assert counted.meter.lasting.silences == 1
+    assert counted.meter.lasting.dropouts == 1
     net = counted.since_reset().net
     assert net.sigma < counted.meter.state.consumed_sigma
     uncorrected = sum(window.total.energy for window in counted.trip.windows[:1])
@@ -142,7 +142,7 @@ def test_saved_and_restored_the_totals_are_the_same_and_go_on():
 def test_without_a_sigma_of_power_totals_are_kept_all_the_same():
     first = account()
     for tick in range(20):
-        first.push_measured(START + tick * 500_000_000, 1e3, math.nan)
+        first.add_measured(START + tick * 500_000_000, 1e3, math.nan)
     first.reset_trip()
     second = account()
     second.restore(json.loads(json.dumps(first.export(), allow_nan=False)))
@@ -175,11 +175,11 @@ def test_what_no_car_can_do_is_refused_and_all_goes_on(wrong):
     counted, sound = account(), drive(account(), range(120))
     drive(counted, range(60))
     late = START + 60_250_000_000
-    counted.push_speed(late, wrong)
-    counted.push_measured(late, wrong, 30.0)
-    assert not counted.push_predicted(late, wrong, 1e3)
-    counted.push_measured(late, 1e4, 1e308)
-    assert not counted.push_predicted(late, 1e4, -1.0)
+    counted.add_speed(late, wrong)
+    counted.add_measured(late, wrong, 30.0)
+    assert not counted.add_predicted(late, wrong, 1e3)
+    counted.add_measured(late, 1e4, 1e308)
+    assert not counted.add_predicted(late, 1e4, -1.0)
     drive(counted, range(60, 120))
     assert counted.summary().lifetime == pytest.approx(sound.summary().lifetime)
     assert counted.refused == {"speed_out_of_range": 1, "power_out_of_range": 4}
@@ -190,8 +190,8 @@ def test_the_largest_power_and_speed_that_are_taken_never_stop_the_account():
     counted = account()
     for second in range(1000):
         stamp = START + second * 1_000_000_000
-        counted.push_speed(stamp, MAX_SPEED)
-        counted.push_predicted(stamp, MAX_POWER, MAX_POWER)
+        counted.add_speed(stamp, MAX_SPEED)
+        counted.add_predicted(stamp, MAX_POWER, MAX_POWER)
     again = account()
     again.restore(json.loads(json.dumps(counted.export(), allow_nan=False)))
     assert again.lifetime().distance == pytest.approx(999 * MAX_SPEED)
@@ -263,13 +263,13 @@ def test_the_lifetime_never_falls_whatever_time_does():
         assert now.distance > before.distance and now.drawn > before.drawn
         match random.integers(4):
             case 0:
-                counted.begin_next_stretch()
+                counted.begin_after_jump()
             case 1:
                 counted.begin_next_trip()
                 assert counted.since_reset().distance == 0.0
             case 2:
                 counted.reset_trip()
-                counted.begin_next_stretch()
+                counted.begin_after_jump()
             case _:
                 again = account()
                 again.restore(json.loads(json.dumps(counted.export(), allow_nan=False)))
@@ -280,7 +280,7 @@ def test_the_lifetime_never_falls_whatever_time_does():
 
 def test_a_jump_of_time_joins_nothing():
     counted = drive(account(), range(600))
-    counted.begin_next_stretch()
+    counted.begin_after_jump()
     drive(counted, range(600))
     assert counted.since_reset().net.value == pytest.approx(12e6)
     assert counted.since_reset().unmeasured_s == 0.0

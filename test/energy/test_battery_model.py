@@ -49,7 +49,7 @@ def plan(power, seconds):
 @pytest.fixture(scope="module")
 def learned():
     model = BatteryModel(CAPACITY)
-    charge = drive(model.push, 5000)
+    charge = drive(model.add_reading, 5000)
     return model, charge
 
 
@@ -87,18 +87,18 @@ def test_a_percent_takes_less_energy_of_an_empty_battery_than_of_a_full_one(lear
 def test_it_says_nothing_before_it_knows_enough():
     model = BatteryModel(CAPACITY)
     assert model.after(plan(1e4, 600.0), Uncertain(0.5, 0.0)) is None
-    drive(model.push, LEAST_SAMPLES - 2)
+    drive(model.add_reading, LEAST_SAMPLES - 2)
     assert not model.known
-    drive(model.push, 10, begin=LEAST_SAMPLES)
+    drive(model.add_reading, 10, begin=LEAST_SAMPLES)
     assert model.known
     assert model.after(plan(1e4, 600.0), UNKNOWN) is None
 
 
 def test_without_a_capacity_in_the_vehicle_file_it_waits_for_one():
     model = BatteryModel(math.nan)
-    drive(model.push, 100)
+    drive(model.add_reading, 100)
     assert not model.known
-    drive(model.push, 4000, begin=200)
+    drive(model.add_reading, 4000, begin=200)
     assert model.full_charge.value == pytest.approx(FULL, rel=0.02) and model.known
 
 
@@ -115,16 +115,16 @@ def test_more_power_than_there_is_and_an_empty_battery_give_finite_ends(learned)
 def test_readings_of_no_battery_change_nothing(wrong):
     model, sound = BatteryModel(CAPACITY), BatteryModel(CAPACITY)
     for to in (model, sound):
-        charge = drive(to.push, 100)
-    model.push(BatteryReading(START + 99_950_000_000, *wrong, charge))
+        charge = drive(to.add_reading, 100)
+    model.add_reading(BatteryReading(START + 99_950_000_000, *wrong, charge))
     for to in (model, sound):
-        drive(to.push, 100, charge, begin=100)
+        drive(to.add_reading, 100, charge, begin=100)
     assert model.exported() == sound.exported()
 
 
 def test_saved_and_restored_it_forecasts_the_same():
     account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
-    charge = drive(account.push_battery, 3000)
+    charge = drive(account.add_battery, 3000)
     again = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
     again.restore(json.loads(json.dumps(account.export(), allow_nan=False)))
     ends = [
@@ -138,7 +138,7 @@ def test_saved_and_restored_it_forecasts_the_same():
 def test_a_file_without_a_battery_is_of_before_and_is_read():
     account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
     saved = {key: value for key, value in account.export().items() if key != "battery"}
-    drive(account.push_battery, 100)
+    drive(account.add_battery, 100)
     account.restore(saved)
     assert account.battery.samples == 0
 

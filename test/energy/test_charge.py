@@ -16,7 +16,7 @@ def discharge(gauge, begin, end, *, capacity=CAPACITY, step=0.005, start=0, unme
         true = begin + (end - begin) * tick / ticks
         stamp = (start + tick) * SECOND
         taken = Uncertain((1.0 - true) * capacity, 1e4)
-        gauge.push(stamp, round(true / step) * step, taken, unmeasured_s)
+        gauge.update(stamp, round(true / step) * step, taken, unmeasured_s)
     return stamp
 
 
@@ -43,11 +43,11 @@ def test_a_change_that_was_not_measured_teaches_nothing():
     gauge = ChargeGauge(CAPACITY)
     for tick in range(200):
         unmeasured_s = float(tick) if tick < 100 else None
-        gauge.push(tick * SECOND, 0.9 - tick / 400, Uncertain(tick * 1e5, 1e5), unmeasured_s)
+        gauge.update(tick * SECOND, 0.9 - tick / 400, Uncertain(tick * 1e5, 1e5), unmeasured_s)
     assert gauge.learned == 0
 
 
-def test_a_reading_is_believed_for_a_minute_then_projected():
+def test_a_reading_is_valid_for_a_minute_then_projected():
     gauge = ChargeGauge(CAPACITY)
     stamp = discharge(gauge, 0.9, 0.5)
     taken = Uncertain(0.5 * CAPACITY, 1e4)
@@ -67,9 +67,9 @@ def test_unknown_stays_unknown():
     gauge = ChargeGauge(math.nan)
     assert not gauge.charge(0, Uncertain(0.0, 0.0)).known
     for wrong in (math.nan, -0.1, 1.2):
-        gauge.push(0, wrong, Uncertain(0.0, 0.0), 0.0)
+        gauge.update(0, wrong, Uncertain(0.0, 0.0), 0.0)
     assert not gauge.charge(0, Uncertain(0.0, 0.0)).known
-    gauge.push(0, 0.5, Uncertain(0.0, 0.0), 0.0)
+    gauge.update(0, 0.5, Uncertain(0.0, 0.0), 0.0)
     assert gauge.charge(SECOND, Uncertain(0.0, 0.0)).value == 0.5
     assert not gauge.charge(61 * SECOND, Uncertain(1e5, 0.0)).known  # no capacity to project by
     assert not gauge.usable(Uncertain(0.5, 0.01)).known

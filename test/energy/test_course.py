@@ -5,7 +5,13 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.course import MEMORY, WAITING, Course, MeasuredStep, Prediction
+from evpinn_ros.energy.course import (
+    MEMORY,
+    WAITING,
+    MeasuredStep,
+    PowerInterpolation,
+    PredictedPower,
+)
 from evpinn_ros.energy.quadrature import EnergyIntegral, Step
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.silence import Bridge
@@ -26,22 +32,24 @@ def step(begin, end, power, power_next):
 
 def predict(to, ticks, power=lambda tick: 1e3, sigma=1e3):
     return [
-        found for t in ticks for found in to.push_predicted(Prediction(stamp(t), power(t), sigma))
+        found
+        for t in ticks
+        for found in to.add_predicted(PredictedPower(stamp(t), power(t), sigma))
     ]
 
 
 def integral(values):
     whole = EnergyIntegral()
     for tick, power in values:
-        whole.push(stamp(tick), power)
+        whole.append(stamp(tick), power)
     return whole
 
 
 @given(st.lists(powers, min_size=11, max_size=11), powers, st.floats(-1e4, 1e4))
 def test_an_error_of_the_prediction_that_is_linear_costs_nothing(truth, offset, slope):
     """Energy and regenerated energy of the step are those of the true power at 10 Hz."""
-    course, line = Course(2.0, None), step(0, 10, truth[0], truth[10])
-    assert list(course.push_measured(line)) == []
+    course, line = PowerInterpolation(2.0, None), step(0, 10, truth[0], truth[10])
+    assert list(course.add_measured(line)) == []
     (found,) = predict(course, range(11), lambda t: truth[t] + offset + slope * t)
     exact = integral(enumerate(truth))
     energy = line.line.energy + found.bridge.energy
@@ -56,10 +64,10 @@ def test_an_error_at_the_ends_of_a_dropout_counts_for_as_long_as_it_is_remembere
     """Of two ends 1 kW above the prediction: tau tanh(T / 2 tau) seconds each."""
     count = 900
     stamps = [START + round(i / count * seconds * 1e9) for i in range(count + 1)]
-    course, line = Course(2.0, None), Step(seconds, 4e3, 4e3)
+    course, line = PowerInterpolation(2.0, None), Step(seconds, 4e3, 4e3)
     nothing = Bridge()
-    list(course.push_measured(MeasuredStep(stamps[0], stamps[-1], line, nothing)))
-    found = [c for ns in stamps for c in course.push_predicted(Prediction(ns, 3e3, 1e3))]
+    list(course.add_measured(MeasuredStep(stamps[0], stamps[-1], line, nothing)))
+    found = [c for ns in stamps for c in course.add_predicted(PredictedPower(ns, 3e3, 1e3))]
     expected = 3e3 * seconds + 2e3 * MEMORY * math.tanh(seconds / 2 / MEMORY)
     assert found[0].bridge.energy == pytest.approx(expected, rel=1e-3)
 
@@ -69,9 +77,9 @@ def test_the_network_takes_the_midpoints_of_the_course():
         return 1e3 + 9e3 * (tick == 1)
 
     network, line = load_rknn(), step(0, 4, bump(0), bump(4))
-    course, trapezoid = Course(2.0, network), Course(2.0, None)
+    course, trapezoid = PowerInterpolation(2.0, network), PowerInterpolation(2.0, None)
     for each in (course, trapezoid):
-        assert not list(each.push_measured(line))
+        assert not list(each.add_measured(line))
     (found,), (other,) = (predict(each, range(5), bump) for each in (course, trapezoid))
     expected = network.step(1e3, 1e3, 0.2, 1e4) + network.step(1e3, 1e3, 0.2)
     assert found.bridge.energy == pytest.approx(float(expected) - 400.0, rel=1e-9)
@@ -83,10 +91,10 @@ def test_the_network_takes_the_midpoints_of_the_course():
 @pytest.mark.parametrize("network", [None, load_rknn()], ids=["trapezoid", "rknn"])
 def test_a_dropout_is_the_prediction_between_its_two_stamps(network):
     """Not up to where the prediction, which lags, was when they came."""
-    course, wave = Course(2.0, network), lambda t: 8e3 + 6e3 * math.sin(t / 9)
+    course, wave = PowerInterpolation(2.0, network), lambda t: 8e3 + 6e3 * math.sin(t / 9)
     counted = Bridge.of_parts(5e4, 1e3)._replace(covered_s=9.7)
     line = step(0, 100, wave(0), wave(100)).line
-    list(course.push_measured(MeasuredStep(stamp(0), stamp(100), line, counted)))
+    list(course.add_measured(MeasuredStep(stamp(0), stamp(100), line, counted)))
     (found,) = predict(course, range(-1, 102), wave)
     exact = integral((t, wave(t)) for t in range(101)).energy
     assert counted.energy + found.bridge.energy == pytest.approx(exact, rel=1e-3)
@@ -95,8 +103,8 @@ def test_a_dropout_is_the_prediction_between_its_two_stamps(network):
 
 def test_a_launch_and_a_stop_between_two_words_by_hand():
     """The battery says 1 kW twice; in between 20 kW more were predicted at one moment."""
-    course = Course(2.0, None)
-    list(course.push_measured(step(0, 10, 1e3, 1e3)))
+    course = PowerInterpolation(2.0, None)
+    list(course.add_measured(step(0, 10, 1e3, 1e3)))
     (found,) = predict(course, range(11), lambda t: 21e3 if t == 5 else 1e3, sigma=400.0)
     assert found.bridge.energy == pytest.approx(20e3 * 0.1)
     assert found.variance == pytest.approx((400.0 * 1.0) ** 2 / 2)
@@ -108,21 +116,21 @@ def test_stamps_of_battery_and_prediction_need_not_be_the_same():
 
     line = Step(1.0, ramp(0.3), ramp(10.3))
     late = MeasuredStep(stamp(0) + 30_000_000, stamp(10) + 30_000_000, line)
-    course = Course(2.0, None)
-    list(course.push_measured(late))
+    course = PowerInterpolation(2.0, None)
+    list(course.add_measured(late))
     (found,) = predict(course, range(12), ramp)
     assert found.bridge.energy == pytest.approx(0.0, abs=1e-6)
-    bent = Course(2.0, None)
-    list(bent.push_measured(late))
+    bent = PowerInterpolation(2.0, None)
+    list(bent.add_measured(late))
     (found,) = predict(bent, range(12), lambda t: ramp(t) + 40.0 * (t - 0.3) * (t - 10.3))
     # Of 4000 t (t - 1) W over 1 s, t in s: -4000 / 6.
     assert found.bridge.energy == pytest.approx(-4000 / 6, rel=0.02)
 
 
 def test_predictions_may_come_first():
-    course = Course(2.0, None)
+    course = PowerInterpolation(2.0, None)
     assert predict(course, range(11), lambda t: 2e3 if t == 5 else 1e3) == []
-    (found,) = course.push_measured(step(0, 10, 1e3, 1e3))
+    (found,) = course.add_measured(step(0, 10, 1e3, 1e3))
     assert found.bridge.energy == pytest.approx(100.0)
 
 
@@ -137,18 +145,18 @@ def test_predictions_may_come_first():
     ],
 )
 def test_where_the_prediction_tells_no_course_the_straight_line_stays(ticks):
-    course = Course(2.0, None)
-    list(course.push_measured(step(0, 10, 1e3, 1e3)))
+    course = PowerInterpolation(2.0, None)
+    list(course.add_measured(step(0, 10, 1e3, 1e3)))
     assert predict(course, ticks, lambda t: 1e3 * t * t) == []
 
 
 def test_every_step_is_told_once_and_in_order():
-    course, random = Course(2.0, None), np.random.default_rng(2)
+    course, random = PowerInterpolation(2.0, None), np.random.default_rng(2)
     truth = random.normal(8e3, 2e4, 1001)
     found = []
     for tick in range(1001):
         if tick % 10 == 0 and tick:
-            found += course.push_measured(step(tick - 10, tick, truth[tick - 10], truth[tick]))
+            found += course.add_measured(step(tick - 10, tick, truth[tick - 10], truth[tick]))
         if tick >= 3:  # the smoothed prediction lags by 0.3 s
             found += predict(course, [tick - 3], lambda t: 0.9 * truth[t] + 500.0)
     assert len(found) == 99
@@ -160,9 +168,9 @@ def test_every_step_is_told_once_and_in_order():
 
 
 def test_a_battery_without_predictions_for_hours_keeps_little():
-    course = Course(2.0, None)
+    course = PowerInterpolation(2.0, None)
     for second in range(5 * WAITING):
-        assert not list(course.push_measured(step(10 * second, 10 * second + 10, 1e3, 1e3)))
+        assert not list(course.add_measured(step(10 * second, 10 * second + 10, 1e3, 1e3)))
     last = 50 * WAITING
     found = predict(course, range(last - 10, last + 1))
     assert len(found) == 1  # the steps before hold no predictions: they stay straight lines

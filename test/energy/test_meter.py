@@ -39,13 +39,13 @@ def drive(
     for tick in range(seconds.start * 10, seconds.stop * 10 + 1):
         stamp = START + tick * 100_000_000
         if tick / 10 <= silent.start or tick / 10 > silent.stop:
-            to.push_measured(stamp, measured, measured_sigma)
+            to.add_measured(stamp, measured, measured_sigma)
         if tick / 10 <= blind.start or tick / 10 > blind.stop:
-            to.push_predicted(stamp, predicted, sigma)
+            to.add_predicted(stamp, predicted, sigma)
     return to
 
 
-def test_before_anything_is_pushed():
+def test_before_anything_is_counted():
     state = meter().state
     assert (state.stamp_ns, state.measuring, state.unmeasured_s) == (0, False, 0.0)
     assert state.measured.energy == state.predicted.energy == state.rknn.energy == 0.0
@@ -66,7 +66,7 @@ def test_both_integrals_by_hand():
 def test_measured_sigma_when_the_sensor_is_known():
     known = meter()
     for tick in range(3):
-        known.push_measured(START + tick * 100_000_000, 1e3, 50.0)
+        known.add_measured(START + tick * 100_000_000, 1e3, 50.0)
     assert 0 < known.state.measured.sigma < 50.0
 
 
@@ -83,9 +83,9 @@ def test_a_silent_battery_stops_only_what_is_measured():
 
 def test_silence_is_declared_after_the_timeout():
     late = drive(meter(battery_timeout=3.0), range(10))
-    late.push_predicted(START + 12_900_000_000, 11e3, 1e3)
+    late.add_predicted(START + 12_900_000_000, 11e3, 1e3)
     assert late.state.measuring
-    late.push_predicted(START + 13_100_000_000, 11e3, 1e3)
+    late.add_predicted(START + 13_100_000_000, 11e3, 1e3)
     assert not late.state.measuring
 
 
@@ -110,7 +110,7 @@ def test_sigma_grows_while_silent_and_does_not_shrink_when_the_battery_returns()
     assert silent.predicted.sigma > silent.consumed_sigma > 20 * speaking.consumed_sigma
     later = drive(driven, range(901, 960), measured_sigma=10.0).state
     assert later.consumed_sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
-    assert driven.last_silence.sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
+    assert driven.last_dropout.sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
 
 
 def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_it():
@@ -119,7 +119,7 @@ def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_i
     assert state.unknown_s == pytest.approx(300.0, abs=0.3)
     assert state.unmeasured_s == pytest.approx(700.0, abs=0.3)
     assert state.consumed == pytest.approx(200 * 10e3 + 400 * 11e3, abs=2 * SEAM)
-    assert driven.last_silence.unknown_s == pytest.approx(300.0, abs=0.3)
+    assert driven.last_dropout.unknown_s == pytest.approx(300.0, abs=0.3)
 
 
 def test_speed_that_is_silent_while_the_battery_speaks_costs_nothing():
@@ -149,10 +149,10 @@ def test_prediction_without_any_battery():
 def test_what_cannot_be_used_is_counted():
     faulty = drive(meter(), range(10))
     before = faulty.state
-    faulty.push_predicted(START, 1e3, 1e3)
-    faulty.push_measured(START, 1e3)
-    faulty.push_measured(START + 10_000_000_000, 1e3)
-    faulty.push_predicted(START + 10_100_000_000, math.nan, 1e3)
+    faulty.add_predicted(START, 1e3, 1e3)
+    faulty.add_measured(START, 1e3)
+    faulty.add_measured(START + 10_000_000_000, 1e3)
+    faulty.add_predicted(START + 10_100_000_000, math.nan, 1e3)
     state = faulty.state
     assert state.dropped == 4
     assert state.measured == pytest.approx(before.measured, nan_ok=True)
@@ -184,19 +184,19 @@ def slow_battery(to, ticks, every, lag=3):
     """A battery at every so many ticks of 0.1 s, predictions 6 % high and late, as on board."""
     for tick in ticks:
         if tick % every == 0:
-            to.push_measured(START + tick * 100_000_000, town(tick), 30.0)
+            to.add_measured(START + tick * 100_000_000, town(tick), 30.0)
         if tick >= lag:
             late = tick - lag
-            to.push_predicted(START + late * 100_000_000, 1.06 * town(late), 500.0)
+            to.add_predicted(START + late * 100_000_000, 1.06 * town(late), 500.0)
     return to.state
 
 
 def test_between_two_words_of_a_slow_battery_the_prediction_tells_the_course():
     truth, coarse = EnergyIntegral(), EnergyIntegral()
     for tick in range(6001):
-        truth.push(START + tick * 100_000_000, town(tick))
+        truth.append(START + tick * 100_000_000, town(tick))
         if tick % 10 == 0:
-            coarse.push(START + tick * 100_000_000, town(tick))
+            coarse.append(START + tick * 100_000_000, town(tick))
     joined = meter()
     state = slow_battery(joined, range(6004), every=10)
     missed = abs(coarse.regenerated - truth.regenerated)
@@ -221,13 +221,13 @@ def test_short_dropouts_are_the_prediction_between_the_two_words_of_the_battery(
     truth = EnergyIntegral()
     joined = meter(integrator=integrator)
     for tick in range(3001):
-        truth.push(START + tick * 100_000_000, town(tick))
+        truth.append(START + tick * 100_000_000, town(tick))
         if tick % 50 == 0:
-            joined.push_measured(START + tick * 100_000_000, town(tick), 30.0)
+            joined.add_measured(START + tick * 100_000_000, town(tick), 30.0)
         if tick >= 3:
             late = tick - 3
-            joined.push_predicted(START + late * 100_000_000, town(late), 500.0)
-    joined.push_predicted(START + 3000 * 100_000_000, town(3000), 500.0)
+            joined.add_predicted(START + late * 100_000_000, town(late), 500.0)
+    joined.add_predicted(START + 3000 * 100_000_000, town(3000), 500.0)
     state = joined.state
     assert state.consumed == pytest.approx(truth.energy, rel=1e-3)
     assert state.regenerated.energy == pytest.approx(truth.regenerated, rel=1e-3)
@@ -244,7 +244,7 @@ def test_a_straight_line_stands_until_the_prediction_has_passed_it():
     early = meter()
     slow_battery(early, range(11), every=10)
     assert early.state.consumed == early.state.measured.energy
-    early.push_predicted(START + 10 * 100_000_000, 1.06 * town(10), 500.0)
+    early.add_predicted(START + 10 * 100_000_000, 1.06 * town(10), 500.0)
     assert early.state.consumed != early.state.measured.energy
 
 

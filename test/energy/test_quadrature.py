@@ -15,7 +15,7 @@ powers = st.floats(-5e5, 5e5)
 def integrate(samples, max_gap=2.0):
     integral = EnergyIntegral(max_gap)
     for t, power in samples:
-        integral.push(round(t * SECOND), power)
+        integral.append(round(t * SECOND), power)
     return integral
 
 
@@ -32,7 +32,7 @@ def test_compensated_sum_is_as_good_as_exact(terms):
 def test_24_hours_at_10_hertz_do_not_drift():
     integral = EnergyIntegral()
     for i in range(24 * 36_000 + 1):
-        integral.push(i * SECOND // 10, 1100.1)
+        integral.append(i * SECOND // 10, 1100.1)
     assert integral.energy == pytest.approx(1100.1 * 86_400, rel=1e-12)
 
 
@@ -94,7 +94,7 @@ def test_restored_totals_are_the_exported_ones(samples):
     copy = EnergyIntegral()
     copy.restore(integral.exported())
     assert copy.exported() == integral.exported()
-    assert copy.push(10**15, 1000.0) is None
+    assert copy.append(10**15, 1000.0) is None
     assert copy.gaps == integral.gaps
 
 

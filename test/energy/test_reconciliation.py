@@ -4,14 +4,14 @@ import pytest
 
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.reconciliation import Verdict, reconcile
-from evpinn_ros.energy.silence import Bridge, Silence
+from evpinn_ros.energy.silence import Bridge, Dropout
 
 WH = 3600.0
 
 
 def silence(energy=1000 * WH, sigma=60 * WH, duration=600.0, covered=600.0):
     bridge = Bridge(energy, 0.0, abs(energy), covered)
-    return Silence(0, duration, bridge, 10 * WH, sigma)
+    return Dropout(0, duration, bridge, 10 * WH, sigma)
 
 
 def test_without_a_state_of_charge_only_the_prediction_is_there():

@@ -20,7 +20,7 @@ def drive(to, seconds, *, speed=20.0, cost=500.0, start=0.0, silent=range(0)):
     for tick in range(round(seconds * 10) + 1):
         t = start + tick / 10
         if not silent.start < t < silent.stop:
-            to.push(round(t * SECOND), speed, cost * speed * t)
+            to.update(round(t * SECOND), speed, cost * speed * t)
     return to
 
 
@@ -44,11 +44,11 @@ def test_a_window_holds_exactly_the_end_of_what_was_driven(driven, length):
 @given(st.lists(st.floats(1.0, 40.0), min_size=30, max_size=400), st.floats(-3e3, 3e3))
 def test_windows_and_total_agree_while_nothing_is_forgotten(speeds, cost):
     log, energy, distance = TripLog(), 0.0, 0.0
-    log.push(0, speeds[0], 0.0)
+    log.update(0, speeds[0], 0.0)
     for second, (before, speed) in enumerate(pairwise(speeds), start=1):
         distance += (before + speed) / 2
         energy += cost * (before + speed) / 2
-        log.push(second * SECOND, speed, energy)
+        log.update(second * SECOND, speed, energy)
     assert log.total == pytest.approx((distance, energy), rel=1e-9, abs=1e-6)
     assert log.windows[-1].total == pytest.approx(log.total, rel=1e-9, abs=1e-6)
 
@@ -57,7 +57,7 @@ def test_the_last_kilometre_forgets_the_one_before():
     log = drive(TripLog(), 100.0, cost=500.0)  # 2 km
     energy = log.total.energy
     for tick in range(1, 1001):  # 2 km more at twice the cost
-        log.push(round((100 + tick / 10) * SECOND), 20.0, energy + 1000.0 * 2.0 * tick)
+        log.update(round((100 + tick / 10) * SECOND), 20.0, energy + 1000.0 * 2.0 * tick)
     short = log.windows[0]
     assert short.known and short.total.energy / short.total.distance == pytest.approx(1000.0)
     assert not log.windows[1].known
@@ -78,8 +78,8 @@ def test_in_reverse_a_car_covers_distance_too():
 def test_what_is_late_or_no_number_changes_nothing():
     log = drive(TripLog(), 10.0)
     before = log.total
-    log.push(5 * SECOND, 20.0, 9e9)
-    log.push(11 * SECOND, math.nan, 9e9)
+    log.update(5 * SECOND, 20.0, 9e9)
+    log.update(11 * SECOND, math.nan, 9e9)
     assert log.total == before
 
 

@@ -23,7 +23,7 @@ def test_limits_of_the_model():
 def test_step_by_step_equals_the_closed_form(steps, tau):
     error = CorrelatedError(tau)
     for dt in steps:
-        error.push(250.0, dt)
+        error.integrate(250.0, dt)
     closed = energy_sigma(np.array(sum(steps)), 250.0, tau)
     assert error.sigma == pytest.approx(float(closed), rel=1e-6)
 
@@ -39,23 +39,23 @@ def test_against_simulated_errors():
     for now in sigma:
         after = keep * u + math.sqrt(1 - keep**2) * random.normal(size=count)
         energy += now * (u + after) / 2 * dt
-        error.push(now, dt)
+        error.integrate(now, dt)
         u = after
     assert error.sigma == pytest.approx(energy.std(), rel=0.05)
 
 
 def test_unknown_stays_unknown():
     error = CorrelatedError()
-    error.push(100.0, 1.0)
-    error.push(math.nan, 1.0)
-    error.push(100.0, 1.0)
+    error.integrate(100.0, 1.0)
+    error.integrate(math.nan, 1.0)
+    error.integrate(100.0, 1.0)
     assert math.isnan(error.sigma)
 
 
 def test_start_sigma_adds_as_an_independent_error():
     error, fresh = CorrelatedError(5.0, start_sigma=300.0), CorrelatedError(5.0)
     for each in (error, fresh):
-        each.push(100.0, 2.0)
+        each.integrate(100.0, 2.0)
     assert error.sigma == pytest.approx(math.hypot(300.0, fresh.sigma))
 
 
@@ -63,19 +63,19 @@ def test_the_lasting_share_starts_at_its_prior_and_follows_what_it_sees():
     share = LastingShare()
     assert share.value == PRIOR_SHARE
     for error in (0.15, -0.15) * 50:
-        share.push(error * 1e6, 1e4, 1e6)
+        share.update(error * 1e6, 1e4, 1e6)
     assert share.value == pytest.approx(0.145, abs=0.01)
-    assert LastingShare(share.silences, share.squares).value == share.value
+    assert LastingShare(share.dropouts, share.squares).value == share.value
 
 
 def test_a_silence_that_cannot_tell_teaches_nothing():
     share = LastingShare()
     for known, gross in ((1e6, 1e6), (math.nan, 1e6), (1e4, 0.0)):
-        share.push(5e5, known, gross)
-    assert share.silences == 0
+        share.update(5e5, known, gross)
+    assert share.dropouts == 0
 
 
 @pytest.mark.parametrize("wrong", [(-1, 0.0), (1, math.nan), (1, math.inf), (1, -1.0)])
 def test_an_impossible_lasting_share_is_refused(wrong):
-    with pytest.raises(ValueError, match="silences"):
+    with pytest.raises(ValueError, match="dropouts"):
         LastingShare(*wrong)

@@ -29,7 +29,7 @@ def data(tmp_path):
     return tmp_path
 
 
-def told(cars, data):
+def names_of(cars, data):
     return {car.car: [str(path.relative_to(data)) for path in car.drives] for car in cars}
 
 
@@ -41,22 +41,22 @@ ALL = {
 
 
 def test_a_top_folder_is_a_car(data):
-    assert told(cars_by_folder([str(data / "data")], LEAF), data) == ALL
+    assert names_of(cars_by_folder([str(data / "data")], LEAF), data) == ALL
 
 
 def test_folders_of_cars_may_be_given_themselves(data):
     found = cars_by_folder([str(data / "data" / "bob"), str(data / "data" / "loose.csv")], LEAF)
-    assert told(found, data) == {"bob": ALL["bob"], "data": ALL["data"]}
+    assert names_of(found, data) == {"bob": ALL["bob"], "data": ALL["data"]}
 
 
 def test_a_folder_of_one_level_more_is_not_that_car(data):
     """Given ann herself, her drives lie in 2025: that is the folder below the given one."""
-    assert list(told(cars_by_folder([str(data / "data" / "ann")], LEAF), data)) == ["2025"]
+    assert list(names_of(cars_by_folder([str(data / "data" / "ann")], LEAF), data)) == ["2025"]
 
 
 def test_patterns_and_the_same_drive_twice(data):
     found = cars_by_folder([str(data / "data/b*/*.mcap"), str(data / "data/bob")], LEAF)
-    assert told(found, data) == {"bob": ALL["bob"]}
+    assert names_of(found, data) == {"bob": ALL["bob"]}
 
 
 def test_two_folders_of_one_name_are_not_mixed(data):
@@ -79,7 +79,7 @@ def test_yaml(data):
         "  ../bob: {vehicle: nissan_leaf, drives: 'data/bob/*.mcap'}\n"
     )
     found = cars_by_manifest(manifest)
-    assert told(found, data) == {"ann's": ALL["ann"], "../bob": ALL["bob"]}
+    assert names_of(found, data) == {"ann's": ALL["ann"], "../bob": ALL["bob"]}
     assert [car.vehicle.key for car in found] == ["nissan_leaf", "bmw_i3"]
     assert all("/" not in car.folder_name for car in found)
 
@@ -92,7 +92,7 @@ def test_csv(data):
         "other/bob,b,nissan_leaf\n"
         "data/ann,a,bmw_i3\n"
     )
-    assert told(cars_by_manifest(manifest), data) == {
+    assert names_of(cars_by_manifest(manifest), data) == {
         "a": ALL["ann"],
         "b": ["data/bob/first.mcap", "other/bob/third.mcap"],
     }

@@ -41,7 +41,7 @@ def directions():
     yield from COMBINATIONS.items()
 
 
-def told(population, name):
+def value_of(population, name):
     known = name in COMBINATIONS
     return population.combination(name) if known else population.parameter(name)
 
@@ -57,7 +57,7 @@ def test_mean_and_spread_are_recovered_within_what_is_stated(count):
         population = Population(LEAF, list(cars(count, mean, spread, rng)))
         for name, parts in directions():
             direction = np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
-            found = told(population, name)
+            found = value_of(population, name)
             true = direction @ (START + SIGMA * mean)
             means.append((found.mean - true) / found.mean_std)
             true_spread = np.linalg.norm(direction * SIGMA * spread)
@@ -73,7 +73,7 @@ def test_without_evidence_the_vehicle_file_stays():
         for name, prior in LEAF.priors.items():
             assert priors[name].value == pytest.approx(prior.value, rel=1e-12)
             assert priors[name].std == pytest.approx(prior.std, rel=1e-12)
-            assert told(Population(LEAF, found), name).cars == pytest.approx(0.0, abs=1e-9)
+            assert value_of(Population(LEAF, found), name).cars == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_car_that_is_all_prior_changes_nothing():

@@ -15,21 +15,23 @@ def info(number, publisher=b"a"):
 def test_a_gap_in_the_numbers_of_a_publisher_is_what_was_lost():
     for name in (b"a", None):  # None as in Jazzy
         numbers = MessageNumbers()
-        found = [numbers.push("speed", info(n, name), 0.0).lost for n in (301, 302, 305, 306)]
+        found = [numbers.record("speed", info(n, name), 0.0).lost for n in (301, 302, 305, 306)]
         assert found == [0, 0, 2, 0]
-        assert numbers.push("battery", info(900, name), 0.0).lost == 0
-        assert numbers.push("speed", info(1, name and b"b"), 0.0).lost == 0
+        assert numbers.record("battery", info(900, name), 0.0).lost == 0
+        assert numbers.record("speed", info(1, name and b"b"), 0.0).lost == 0
 
 
 def test_a_middleware_that_tells_no_numbers_counts_nothing_and_excludes_nothing():
     numbers = MessageNumbers()
-    assert numbers.push("speed", {}, 0.0) == numbers.push("speed", info(None), 0.0) == (0, True)
+    assert (
+        numbers.record("speed", {}, 0.0) == numbers.record("speed", info(None), 0.0) == (0, True)
+    )
 
 
 def test_publishers_that_come_and_go_for_years_are_not_kept():
     numbers = MessageNumbers()
     for publisher in range(1000):
-        numbers.push("speed", info(1, publisher.to_bytes(4, "big")), 0.0)
+        numbers.record("speed", info(1, publisher.to_bytes(4, "big")), 0.0)
     assert len(numbers._numbers["speed"]) <= MOST_PUBLISHERS
 
 
@@ -38,7 +40,7 @@ def test_two_publishers_are_told_from_one_that_was_started_anew(names):
     def told(*messages):
         numbers = MessageNumbers()
         return [
-            numbers.push("speed", info(n, names[who]), step / 10)
+            numbers.record("speed", info(n, names[who]), step / 10)
             for step, (who, n) in enumerate(messages)
         ]
 
@@ -54,7 +56,7 @@ def watch(*moments):
     """Verdicts on (stamp, now, steady), in seconds."""
     guard = StampWatch()
     return [
-        guard.push(round(stamp * NANOSECONDS), round(now * NANOSECONDS), steady)
+        guard.check(round(stamp * NANOSECONDS), round(now * NANOSECONDS), steady)
         for stamp, now, steady in moments
     ]
 
@@ -75,10 +77,10 @@ def test_a_clock_that_is_not_known_yet_judges_nothing():
 
 def test_what_happened_lately_is_forgotten():
     lately = Lately()
-    assert lately.push(0.0, {"late": 5}) == {"late": 5}
-    assert lately.push(LATELY / 2, {"late": 7}) == {"late": 7}
-    assert lately.push(LATELY + 1, {"late": 7}) == {"late": 2}
-    assert lately.push(2 * LATELY, {"late": 7}) == {}
+    assert lately.update(0.0, {"late": 5}) == {"late": 5}
+    assert lately.update(LATELY / 2, {"late": 7}) == {"late": 7}
+    assert lately.update(LATELY + 1, {"late": 7}) == {"late": 2}
+    assert lately.update(2 * LATELY, {"late": 7}) == {}
 
 
 def test_a_few_messages_lost_are_no_news():

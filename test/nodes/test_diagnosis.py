@@ -62,7 +62,7 @@ def estimator(status=STATUS, health=WELL, age=0.1, problem=None):
 
 def test_learning_is_well_and_shows_its_counters():
     status = estimator()
-    assert status.level is Level.OK and status.text == "learning: 35 of 40 updates adopted"
+    assert status.level is Level.OK and status.text == "learning: 35 of 40 updates accepted"
     assert status.values["dropped.speed_late"] == 2 and status.values["gated.standing"] == 5
     assert status.values["rejected.not_better"] == 5 and status.values["update_ms"] == 5.0
 
@@ -149,7 +149,7 @@ def test_states_of_a_log():
 def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
     bus = BusStatus(BusState.OPEN, None, {})
     refused = dataclasses.replace(BRIDGE, ok=False, text="no", refusal="no")
-    suspected = dataclasses.replace(BRIDGE, ok=False, text="current_sign: x", suspicion="x")
+    suspected = dataclasses.replace(BRIDGE, ok=False, text="current_sign: x", fault="x")
     for status in (bus_status(bus, refused, WELL), log_status("playing", None, refused, WELL)):
         assert (status.level, status.text) == (Level.ERROR, "no")
     for status in (bus_status(bus, suspected, WELL), log_status("playing", None, suspected, WELL)):
@@ -191,7 +191,7 @@ def test_a_grade_of_the_wrong_sign_is_named():
 def test_a_notice_is_added_to_the_verdict_and_makes_it_a_warning():
     found = estimator(health=Health({}, {}, ("2 publishers of vehicle/speed",)))
     assert found.level is Level.WARN
-    assert found.text == "learning: 35 of 40 updates adopted; 2 publishers of vehicle/speed"
+    assert found.text == "learning: 35 of 40 updates accepted; 2 publishers of vehicle/speed"
 
 
 @pytest.mark.parametrize("stuck", [SPEED_STUCK, BATTERY_STUCK])

@@ -164,7 +164,7 @@ def test_planners_hear_consumption_and_range_only_when_known(bench):
     assert told["distance_lower"] < expected < told["distance_upper"]
     assert len(vector.effort) == len(vector.name)
     status = bench.diagnosis(node)["charge"]
-    assert status[1] == "state of charge heard" and status[2]["projected"] == "False"
+    assert status[1] == "state of charge received" and status[2]["projected"] == "False"
 
 
 def test_a_wrong_stamp_of_speed_costs_no_distance(bench):

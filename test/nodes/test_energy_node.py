@@ -134,8 +134,8 @@ def test_the_battery_at_the_end_rests_on_the_capacity_that_was_learned(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
     half = VEHICLE.battery_capacity / 2
-    node.account.gauge.push(1, 0.9, Uncertain(0.0, 0.0), 0.0)
-    node.account.gauge.push(2, 0.5, Uncertain(0.4 * half, 0.0), 0.0)
+    node.account.gauge.update(1, 0.9, Uncertain(0.0, 0.0), 0.0)
+    node.account.gauge.update(2, 0.5, Uncertain(0.4 * half, 0.0), 0.0)
     learned = node.account.gauge.capacity
     assert learned.value < 0.95 * VEHICLE.battery_capacity
     charge(bench, node, 0.5)
@@ -195,7 +195,7 @@ def test_forecasts_follow_the_estimate_and_the_residual(bench):
     vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, light, [0.0] * 5)
     bench.deliver(node, topics.IDENTIFIABLE, vector)
     for _ in range(3000):
-        node.forecaster.hear_sigma(100.0)
+        node.forecaster.set_sigma(100.0)
     (after,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
     assert after.points[-1].positions[0] < before.points[-1].positions[0]
     assert after.points[-1].effort[0] < 0.1 * before.points[-1].effort[0]
@@ -236,7 +236,7 @@ def test_the_model_of_another_car_is_refused(bench):
     assert bench.diagnosis(node)["plan"][2]["forecasts_from"] == "vehicle file"
 
 
-def unbelievable(model):
+def implausible(model):
     """Finite models and combinations that leave no plan a finite answer, each on its topic."""
     for change in ({"mass": 1e-300}, {"mean": model.mean * 1e300}, {"standing_noise": 1e200}):
         wrong = dataclasses.replace(model, **change)
@@ -257,7 +257,7 @@ def test_no_finite_model_leaves_a_plan_unanswered(bench):
     bench.listen(*ANSWERS)
     good = PinnLearner(VEHICLE).linear_power(None)
     (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-    for topic, message in unbelievable(good):
+    for topic, message in implausible(good):
         bench.deliver(node, topic, message)
         (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
         assert answer == before

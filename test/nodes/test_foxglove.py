@@ -297,6 +297,6 @@ def test_a_time_before_1970_ends_no_server():
         app.subscribe("/a")
         while not server.watched:
             time.sleep(0.01)
-        server.tell_time(-5)
+        server.send_time(-5)
         server.send("/a", offered["/a"], bytes(12), -5)
         assert next(app.messages()).time_ns == 0

@@ -168,7 +168,7 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
         text=True,
     )
     try:
-        assert "nothing heard yet" in running.stdout.readline()
+        assert "nothing received yet" in running.stdout.readline()
         messages = [message for topic, _, message in urban(1.0) if topic == topics.SPEED]
         bench.publisher(topics.SPEED)
         line = ""

@@ -1,4 +1,4 @@
-"""The topic `estimate/model`: what is sent is what is heard, and nothing else is believed."""
+"""The topic `estimate/model`: what is sent is what is received, and nothing else is used."""
 
 import dataclasses
 

@@ -79,7 +79,9 @@ def equal(bench, drive, policy):
     core = chain(JumpRule(policy))
     expected = defaultdict(list)
     for topic, bag_message, ros_message in drive:
-        for name, messages in messages_of(core.push(to_reading(topic.type_name, bag_message))):
+        for name, messages in messages_of(
+            core.add_reading(to_reading(topic.type_name, bag_message))
+        ):
             expected[name] += messages
         bench.deliver(estimator, topic, ros_message)
         bench.pump(lambda: all(energy.received[t] == estimator.published[t] for t in POWERS))

@@ -65,7 +65,7 @@ def test_odometry_is_not_used_beside_vehicle_speed(bench):
     bench.deliver(node, topics.SPEED, message)
     bench.deliver(node, topics.ODOMETRY, odometry(1, 99.0))
     _, text, values = bench.diagnosis(node)["estimate"]
-    assert values["bad.odom: vehicle/speed is heard"] == "1" and "not used" not in text
+    assert values["bad.odom: vehicle/speed is received"] == "1" and "not used" not in text
 
 
 def test_the_distance_driven_comes_from_odometry_too(bench):

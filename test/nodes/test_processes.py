@@ -213,7 +213,7 @@ def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(benc
     )
     states = []
     for topic, bag_message, _ in drive:
-        list(core.push(to_reading(topic.type_name, bag_message)))
+        list(core.add_reading(to_reading(topic.type_name, bag_message)))
         states.append(core.meter.state)
     end_ns = states[-1].stamp_ns
     # At ten times real time, a tenth of a second without the processor would overflow ten deep.

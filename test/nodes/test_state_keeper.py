@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.state_keeper import REFUSED_KEPT, StateKeeper, state_path
+from evpinn_ros.nodes.state_keeper import REFUSED_KEPT, StateFile, state_path
 
 
 class Counter:
@@ -25,10 +25,10 @@ class Counter:
 
 
 def refuse_and_save(path):
-    keeper = StateKeeper(path, Counter())
-    keeper.load()
-    assert f"{path.name}.refused" in keeper.problem
-    assert keeper.save() is None and keeper.problem is None
+    state_file = StateFile(path, Counter())
+    state_file.load()
+    assert f"{path.name}.refused" in state_file.problem
+    assert state_file.save() is None and state_file.problem is None
 
 
 def test_the_newest_refused_files_are_kept(tmp_path):
@@ -51,9 +51,9 @@ def test_the_newest_refused_files_are_kept(tmp_path):
 def test_a_file_that_was_used_is_not_set_aside(tmp_path):
     path = tmp_path / "car.json"
     for _ in range(2):
-        keeper = StateKeeper(path, Counter())
-        keeper.load()
-        assert keeper.problem is None and keeper.save() is None
+        state_file = StateFile(path, Counter())
+        state_file.load()
+        assert state_file.problem is None and state_file.save() is None
     assert [file.name for file in tmp_path.iterdir()] == ["car.json"]
 
 

@@ -21,7 +21,7 @@ from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -84,7 +84,7 @@ def messages(output):
 
 def outputs(drive: Drive) -> Record:
     """What the chain says of a drive now."""
-    one_thread()
+    limit_blas_threads()
     vehicle = load_vehicle(VEHICLE)
     chain = Chain(vehicle, EstimatorSettings(mode=drive.mode), InlineWorker(time.perf_counter))
     latest, record = {}, {}
@@ -99,7 +99,7 @@ def outputs(drive: Drive) -> Record:
                 for place, number in enumerate(numbers(message)):
                     record[topic, place, str(due)] = number
             due += EVERY
-        for output in chain.push(reading):
+        for output in chain.add_reading(reading):
             latest |= {topic.name: message for topic, message in messages(output)}
     return record
 

@@ -7,14 +7,14 @@ import numpy as np
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.replay.events import EventKind, drive_events
-from evpinn_ros.replay.history import Drive, Noticed, PowerSeries
+from evpinn_ros.replay.history import Detection, Drive, PowerSeries
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.suspicion import CURRENT_SIGN
 
 START_NS = 1_700_000_000 * NANOSECONDS
 
 
-def drive(speed=None, measured=None, noticed=()) -> Drive:
+def drive(speed=None, measured=None, detections=()) -> Drive:
     """A minute of one reading a second, or at the times that are given."""
     whole = np.arange(61.0)
     rows = [
@@ -32,7 +32,7 @@ def drive(speed=None, measured=None, noticed=()) -> Drive:
         parameters={},
         final=None,
         start_ns=START_NS,
-        noticed=tuple(Noticed(time, report) for time, report in noticed),
+        detections=tuple(Detection(time, report) for time, report in detections),
     )
 
 
@@ -41,22 +41,22 @@ def told(found) -> list[tuple[float, EventKind]]:
 
 
 def test_a_quiet_drive_has_no_events():
-    assert drive_events(drive(noticed=[(0.0, LearnerReport())])) == []
+    assert drive_events(drive(detections=[(0.0, LearnerReport())])) == []
 
 
 def test_gaps_are_events_at_the_ends_too():
     speed = [t for t in range(61) if not 20 < t < 30]
     found = drive_events(drive(speed, range(5, 51)))
     assert told(found) == [
-        (0.0, EventKind.BATTERY_SILENT),
-        (20.0, EventKind.SPEED_SILENT),
-        (50.0, EventKind.BATTERY_SILENT),
+        (0.0, EventKind.BATTERY_DROPOUT),
+        (20.0, EventKind.SPEED_DROPOUT),
+        (50.0, EventKind.BATTERY_DROPOUT),
     ]
     assert "10.0 s" in found[1].text
 
 
 def test_a_battery_that_never_spoke_is_one_event():
-    assert told(drive_events(drive(measured=[]))) == [(0.0, EventKind.BATTERY_SILENT)]
+    assert told(drive_events(drive(measured=[]))) == [(0.0, EventKind.BATTERY_DROPOUT)]
 
 
 def test_stamps_that_go_back_are_a_reset_and_stragglers_none():
@@ -71,7 +71,7 @@ def test_a_payload_is_told_once_as_it_was_known_last():
     changes = [PayloadChange(stop, mass, std) for mass, std in ((150.0, 40.0), (180.0, 25.0))]
     reports = [LearnerReport(change, 1) for change in changes]
     found = drive_events(
-        drive(noticed=[(0.0, LearnerReport()), (40.0, reports[0]), (41.0, reports[1])])
+        drive(detections=[(0.0, LearnerReport()), (40.0, reports[0]), (41.0, reports[1])])
     )
     assert told(found) == [(10.0, EventKind.PAYLOAD)]
     assert "+180 ± 25 kg" in found[0].text and "30 s later" in found[0].text
@@ -80,22 +80,22 @@ def test_a_payload_is_told_once_as_it_was_known_last():
 def test_a_payload_that_is_withdrawn_is_told():
     known = LearnerReport(PayloadChange(START_NS, 150.0, 40.0), 1)
     gone = LearnerReport(None, 1, 1)
-    found = drive_events(drive(noticed=[(0.0, LearnerReport()), (30.0, known), (50.0, gone)]))
+    found = drive_events(drive(detections=[(0.0, LearnerReport()), (30.0, known), (50.0, gone)]))
     assert told(found) == [(0.0, EventKind.PAYLOAD), (50.0, EventKind.PAYLOAD)]
     assert "withdrawn" in found[1].text
 
 
 def test_a_payload_of_an_earlier_drive_is_no_event():
     known = LearnerReport(PayloadChange(START_NS - NANOSECONDS, 150.0, 40.0), 1)
-    assert drive_events(drive(noticed=[(0.0, known)])) == []
+    assert drive_events(drive(detections=[(0.0, known)])) == []
 
 
 def test_suspicions_come_and_go():
     suspected = LearnerReport(suspicion=CURRENT_SIGN)
     found = drive_events(
-        drive(noticed=[(0.0, LearnerReport()), (20.0, suspected), (40.0, LearnerReport())])
+        drive(detections=[(0.0, LearnerReport()), (20.0, suspected), (40.0, LearnerReport())])
     )
-    assert told(found) == [(20.0, EventKind.SUSPICION), (40.0, EventKind.SUSPICION)]
+    assert told(found) == [(20.0, EventKind.SIGNAL_FAULT), (40.0, EventKind.SIGNAL_FAULT)]
     assert "sign of current" in found[0].text
 
 

@@ -10,7 +10,7 @@ import pytest
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.foretold import drive_plan, foretold_parts
+from evpinn_ros.replay.foretold import drive_plan, forecast_outcomes
 from evpinn_ros.replay.history import MODEL_STEP, History, KnownModel
 from evpinn_ros.replay.scoring import Span, energy_score
 
@@ -26,22 +26,22 @@ def drive(readings, vehicle):
     return history.drive()
 
 
-def test_a_drive_is_foretold_by_what_was_known_before(drive, vehicle):
-    (part,) = foretold_parts(drive, vehicle.air_density)
+def test_a_drive_is_forecast_by_what_was_known_before(drive, vehicle):
+    (part,) = forecast_outcomes(drive, vehicle.air_density)
     assert part.span == Span(0.0, drive.duration)
     time, power = drive.measured.T
     assert part.measured == pytest.approx(np.trapezoid(power, time), rel=0.02)
     assert part.covered and 0 < part.sigma < abs(part.forecast)
 
 
-def test_each_part_is_foretold_by_the_model_of_its_begin(drive, vehicle):
+def test_each_part_is_forecast_by_the_model_of_its_begin(drive, vehicle):
     first = drive.models[0].model
     halved = replace(first, mean=0.5 * first.mean)
     half = drive.duration / 2
     models = (drive.models[0], KnownModel(half, halved))
-    parts = foretold_parts(replace(drive, models=models), vehicle.air_density)
-    whole = foretold_parts(replace(drive, models=(drive.models[0],)), vehicle.air_density)
-    again = foretold_parts(
+    parts = forecast_outcomes(replace(drive, models=models), vehicle.air_density)
+    whole = forecast_outcomes(replace(drive, models=(drive.models[0],)), vehicle.air_density)
+    again = forecast_outcomes(
         replace(drive, models=(drive.models[0], KnownModel(half, first))), vehicle.air_density
     )
     assert [part.span.begin for part in parts] == [0.0, half]
@@ -55,12 +55,12 @@ def test_each_part_is_foretold_by_the_model_of_its_begin(drive, vehicle):
 def test_a_part_with_a_gap_is_not_compared(drive, vehicle, series):
     rows = getattr(drive, series)
     gappy = replace(drive, **{series: rows[np.abs(rows[:, 0] - 50.0) > 2.0]})
-    assert foretold_parts(gappy, vehicle.air_density) == []
+    assert forecast_outcomes(gappy, vehicle.air_density) == []
 
 
 def test_a_short_drive_and_one_without_models_are_not_compared(drive, vehicle):
-    assert foretold_parts(replace(drive, duration=20.0), vehicle.air_density) == []
-    assert foretold_parts(replace(drive, models=()), vehicle.air_density) == []
+    assert forecast_outcomes(replace(drive, duration=20.0), vehicle.air_density) == []
+    assert forecast_outcomes(replace(drive, models=()), vehicle.air_density) == []
 
 
 def test_a_plan_climbs_as_its_altitudes_do():
@@ -96,7 +96,7 @@ def test_energy_has_its_sigma(readings, vehicle):
     )
     for reading in readings[:400]:
         history.add_reading(reading)
-        for output in chain.push(reading):
+        for output in chain.add_reading(reading):
             history.add_output(output)
     drive = history.drive()
     assert drive.energy.shape[1] == 4 and (np.diff(drive.energy[:, 3]) >= 0).all()

@@ -7,7 +7,7 @@ from typing import Any
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.run import span
 from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
@@ -34,7 +34,7 @@ def is_measured(output: Any) -> bool:
 
 
 def test_readings_permuted_within_the_allowed_lateness_change_nothing(vehicle: Vehicle) -> None:
-    one_thread()
+    limit_blas_threads()
     chance = random.Random(0)
     late_ns = round((StreamSettings().allowed_lateness - MARGIN) * NANOSECONDS)
 

@@ -124,10 +124,10 @@ def test_a_stray_stamp_stops_nothing(readings, vehicle):
     outputs = []
     for index, reading in enumerate(readings[:400]):
         for each in [*strays[index // 100 : index // 100 + 1][: index % 100 == 99], reading]:
-            outputs += used.push(each)
+            outputs += used.add_reading(each)
     fresh = chain(vehicle)
     assert repr(outputs) == repr(
-        [out for reading in readings[:400] for out in fresh.push(reading)]
+        [out for reading in readings[:400] for out in fresh.add_reading(reading)]
     )
     assert used.dropped == {"stamp_leaps": 4}
 

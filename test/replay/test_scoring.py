@@ -8,9 +8,9 @@ import pytest
 from evpinn_ros.replay.history import Drive, PowerSeries
 from evpinn_ros.replay.scoring import (
     Span,
+    baseline_scores,
     energy_score,
     measured_at,
-    null_scores,
     power_score,
     speed_floor,
     worst_window,
@@ -92,11 +92,11 @@ def test_energy_of_the_withheld_part_starts_at_its_begin():
     assert score["predicted_j"] == pytest.approx(2000.0)
 
 
-def test_nulls_by_hand():
+def test_baselines_by_hand():
     found = drive(list(range(100)), [0])
-    nulls = null_scores(found, WHOLE)
-    assert nulls["last_value"] == pytest.approx(1.0)  # a ramp of 1 W per reading
-    assert nulls["interpolation"] == pytest.approx(0.0, abs=1e-9)  # and linear in time
+    baselines = baseline_scores(found, WHOLE)
+    assert baselines["last_value"] == pytest.approx(1.0)  # a ramp of 1 W per reading
+    assert baselines["interpolation"] == pytest.approx(0.0, abs=1e-9)  # and linear in time
 
 
 def test_a_hole_in_the_battery_is_left_out_of_both_energies():

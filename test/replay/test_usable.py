@@ -14,7 +14,7 @@ from evpinn_ros.can.logs import LogFile
 from evpinn_ros.errors import InputError
 from evpinn_ros.replay.contents import contents
 from evpinn_ros.replay.run import span
-from evpinn_ros.replay.usable import Flow, usable
+from evpinn_ros.replay.usable import ReadingFlow, data_coverage
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +36,7 @@ def test_spans_need_speed_and_battery_without_long_gaps():
     tenths = [0.1 * i for i in range(1000)]
     speeds = [t for t in tenths if not 20 < t < 25]
     batteries = [t for t in tenths if t < 60]
-    found = usable(drive(speeds, batteries))
+    found = data_coverage(drive(speeds, batteries))
     assert seconds(found) == [
         (0.0, 20.0),
         pytest.approx((25.0, 59.9)),
@@ -61,12 +61,12 @@ VERDICTS = [
 
 @pytest.mark.parametrize(("readings", "words"), VERDICTS)
 def test_why_nothing_can_be_learned(readings, words):
-    assert words in usable(readings).verdict
+    assert words in data_coverage(readings).verdict
 
 
 @given(st.lists(st.integers(0, 10**12)))
 def test_a_flow_takes_any_stamps(stamps):
-    flow = Flow()
+    flow = ReadingFlow()
     for stamp in stamps:
         flow.add(stamp)
     assert flow.count == len(stamps)
@@ -83,7 +83,7 @@ def test_voltage_and_current_have_stamps_of_their_own():
     ]
     late = [t + 0.8 for t in steps if not 100 < t < 150]
     polled += [(t, BatteryReading(START + int(t * 1e9), math.nan, -20.0, 0.5)) for t in late]
-    found = usable(reading for _, reading in sorted(polled, key=lambda pair: pair[0]))
+    found = data_coverage(reading for _, reading in sorted(polled, key=lambda pair: pair[0]))
     assert [flow.count for flow in found.flows.values()] == [200, 200, len(late), len(late)]
     assert len(found.spans) == 2 and found.seconds == pytest.approx(238 - 50, abs=3)
     assert found.charge == (0.5, 0.5)
@@ -91,7 +91,7 @@ def test_voltage_and_current_have_stamps_of_their_own():
 
 def test_a_signal_every_five_seconds_is_bridged_over_its_own_steps():
     times = [5.0 * i for i in range(100) if i not in (40, 41) and not 60 <= i < 70]
-    found = usable(drive(times, times))
+    found = data_coverage(drive(times, times))
     assert seconds(found) == [(0.0, 295.0), (350.0, 495.0)]
     assert found.distance == pytest.approx(10 * (295 + 145))
 

@@ -225,7 +225,7 @@ def heard(now: float) -> list[tuple[Topic, Any]]:
     bounds = {f"{name}_lower": 0.5 * v for name, v in zip(PARAMETER_NAMES, VALUES, strict=True)}
     bounds |= {f"{name}_upper": 2.0 * v for name, v in zip(PARAMETER_NAMES, VALUES, strict=True)}
     bounds |= {f"{name}_prior_share": 0.25 for name in PARAMETER_NAMES}
-    said = [("/ev/estimator: estimate", Level.OK, "learning: 3 of 4 updates adopted", ESTIMATE)]
+    said = [("/ev/estimator: estimate", Level.OK, "learning: 3 of 4 updates accepted", ESTIMATE)]
     return [
         (topics.SPEED, speed_message(new_message, SpeedReading(stamp, 12.5))),
         (topics.BATTERY, battery_message(new_message, BatteryReading(stamp, 352.0, -41.5))),

@@ -75,7 +75,12 @@ def test_the_whole_story_is_told(reported, tmp_path):
     assert found.headings == HEADINGS
     assert "<code>evpinn replay out/town</code>" in found.text
     assert set(found.plots) == set(found.data[0]["charts"]) and len(found.plots) == 16
-    for text in ("null: last value held", "null: random split", "unestimated", "battery silent"):
+    for text in (
+        "baseline: last value held",
+        "baseline: random split",
+        "unestimated",
+        "battery dropout",
+    ):
         assert text in found.text
     assert len(found.data[0]["events"]) == 2
 
@@ -141,7 +146,7 @@ def single_reading(reported: ReportedDrive) -> ReportedDrive:
 @pytest.mark.parametrize("less", [without_battery, single_reading])
 def test_what_is_missing_is_said(reported, tmp_path, less):
     found = page(tmp_path, less(reported))
-    assert "The battery said nothing" in found.text and "No part of this drive" in found.text
+    assert "The battery was not measured" in found.text and "No part of this drive" in found.text
     assert set(found.plots) == set(found.data[0]["charts"])
 
 

@@ -28,8 +28,8 @@ def test_80_by_24_shows_everything(well):
     found = lines(well(160.0), 160.0, 80, 24)
     assert len(found) == 24
     assert without_dots(found) == [
-        " evpinn  learning: 3 of 4 updates adopted             352 V  -41.5 A  45.0 km/h",
-        "      meaning          value  1-sigma             bounds prior  told state",
+        " evpinn  learning: 3 of 4 updates accepted            352 V  -41.5 A  45.0 km/h",
+        "      meaning          value  1-sigma             bounds prior  data state",
         "eta   motor            0.912    0.046     0.456 .. 1.824  25 %  87 % valid",
         "mu    regeneration     0.640    0.032     0.320 .. 1.280  25 %     - -",
         "mass  all aboard     1847 kg    92 kg        924 .. 3694  25 %     - -",
@@ -53,7 +53,7 @@ def test_60_by_20_leaves_out_what_can_be_missed(well):
     assert len(found) == 19  # a row that both lines of power cannot share
     assert without_dots(found) == [
         " evpinn  learning: 3 of 4 updates 352 V  -41.5 A  45.0 km/h",
-        "          value  1-sigma prior  told state",
+        "          value  1-sigma prior  data state",
         "eta       0.912    0.046  25 %  87 % valid",
         "mu        0.640    0.032  25 %     - -",
         "mass    1847 kg    92 kg  25 %     - -",
@@ -73,7 +73,7 @@ def test_60_by_20_leaves_out_what_can_be_missed(well):
 def test_nothing_heard_is_a_screen_too():
     found = lines(LiveState(), 0.0, 80, 24)
     assert found[0] == f" evpinn  estimator silent{'- km/h':>54}"
-    assert found[-1] == "! nothing heard yet: are the nodes up, with this ROS_DOMAIN_ID?"
+    assert found[-1] == "! nothing received yet: are the nodes up, with this ROS_DOMAIN_ID?"
     assert "eta   motor                -        -                  -     -     - -" in found
 
 

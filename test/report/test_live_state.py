@@ -57,7 +57,7 @@ def test_silence_is_shown_and_named(well):
     assert math.isnan(state.fresh_speed(late)) and state.fresh_battery(late) is None
     assert math.isnan(state.power(topics.POWER_MEASURED, late).value)
     assert state.activity(late) == ""
-    assert state.problems(late) == [(Level.ERROR, "estimator: has said nothing for 3 s")]
+    assert state.problems(late) == [(Level.ERROR, "estimator: has sent nothing for 3 s")]
     assert state.parameters()[0].value == 0.912  # what was learned holds
 
 

@@ -9,7 +9,7 @@ from evpinn_ros.report.power_line import (
     DOT_ROWS,
     KEPT_BINS,
     STARTED_OVER_NS,
-    PowerLine,
+    PowerHistory,
     braille_line,
     power_axis,
 )
@@ -18,7 +18,7 @@ ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def test_a_bin_is_the_mean_of_its_half_second():
-    line = PowerLine()
+    line = PowerHistory()
     for stamp, power in ((0, 10.0), (BIN_NS - 1, 20.0), (2 * BIN_NS, 7.0)):
         line.add("measured", stamp, power)
     assert line.last("measured", 2) == pytest.approx([math.nan, 7.0], nan_ok=True)
@@ -26,7 +26,7 @@ def test_a_bin_is_the_mean_of_its_half_second():
 
 
 def test_kinds_lie_beside_each_other():
-    line = PowerLine()
+    line = PowerHistory()
     line.add("measured", 0, 1.0)
     line.add("predicted", BIN_NS, 2.0)
     assert line.last("measured", 2) == pytest.approx([1.0, math.nan], nan_ok=True)
@@ -35,7 +35,7 @@ def test_kinds_lie_beside_each_other():
 
 
 def test_a_bag_that_starts_over_starts_the_line_over_and_a_straggler_does_not():
-    line = PowerLine()
+    line = PowerHistory()
     line.add("measured", 20 * BIN_NS, 1.0)
     line.add("measured", 19 * BIN_NS, 2.0)
     assert line.last("measured", 2) == [2.0, 1.0]
@@ -45,7 +45,7 @@ def test_a_bag_that_starts_over_starts_the_line_over_and_a_straggler_does_not():
 
 
 def test_hours_are_not_kept():
-    line = PowerLine()
+    line = PowerHistory()
     for index in range(2 * KEPT_BINS):
         line.add("measured", index * BIN_NS, 1.0)
     kept = line.last("measured", 2 * KEPT_BINS)

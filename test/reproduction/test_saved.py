@@ -132,8 +132,8 @@ def test_tables_say_what_the_results_say(outcome: Outcome) -> None:
     assert found["power_losses"]["random"][-1]["validation"]["total"] == pytest.approx(
         float(last[1]), rel=1e-3
     )
-    null = next(s for s in found["scores"] if s["method"].startswith("null"))
-    assert null["split"] == "random 20 %" and null["r2"] > 0.9
+    baseline = next(s for s in found["scores"] if s["method"].startswith("baseline"))
+    assert baseline["split"] == "random 20 %" and baseline["r2"] > 0.9
 
 
 def test_finished_trainings_are_not_run_again(

@@ -64,7 +64,7 @@ def test_the_can_log_decodes_to_the_same_readings(urban, tmp_path):
     write(urban, tmp_path / "drive", tmp_path / "drive.log")
     decoder = Decoder(load_profile("tesla_model_3"))
     frames = LogFile(tmp_path / "drive.log").frames()
-    decoded = [reading for frame in frames for reading in decoder.push(frame)]
+    decoded = [reading for frame in frames for reading in decoder.decode(frame)]
     assert repr(decoded) == repr(list(urban.readings))
 
 

@@ -53,7 +53,7 @@ def test_optional_sensors_change_nothing_else():
 
 def test_readings_are_what_the_decoder_makes_of_the_frames(drive):
     decoder = Decoder(load_profile("tesla_model_3"))
-    decoded = [reading for frame in drive.frames for reading in decoder.push(frame)]
+    decoded = [reading for frame in drive.frames for reading in decoder.decode(frame)]
     assert repr(decoded) == repr(list(drive.readings)) and not decoder.dropped
 
 

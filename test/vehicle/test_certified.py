@@ -59,7 +59,7 @@ def test_every_certified_car_is_a_vehicle(key):
 
 
 def test_generic_is_the_population():
-    """So that the file tells what to believe, and the code why."""
+    """So that the file holds the priors, and the code why."""
     generic, whole = load_vehicle("generic"), population(CARS.values())
     start, sigma = generic.initial, np.sqrt(whole.covariance.diagonal())
     found = [start.mass, start.c_rr, start.c_d * generic.frontal_area]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 import math
 
@@ -23,7 +24,7 @@ LEAST_STEPS = 100  # before which least squares has nothing to say, and the prio
 RIDGE = 1e-6  # of the mean square of a term, so that one that never varied stays zero
 
 
-class StepMethod:
+class StepMethod(ABC):
     """Predicts each step first and learns from it once its power is known; heirs say how."""
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -46,10 +47,11 @@ class StepMethod:
         """Nothing is known of the car's parameters."""
         return {}
 
+    @abstractmethod
     def predict(self, step: Step) -> Prediction:
         """Power of a step."""
-        raise NotImplementedError
 
+    @abstractmethod
     def learn(self, step: Step) -> None:
         """Learn from a step whose power is known."""
 
@@ -62,6 +64,9 @@ class PriorAlone(StepMethod):
         super().__init__(vehicle)
         self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
         self._rotating_mass_factor = vehicle.rotating_mass_factor
+
+    def learn(self, step: Step) -> None:
+        """Keep the prior."""
 
     def predict(self, step: Step) -> Prediction:
         """Power of the prior car, W."""
@@ -93,19 +98,19 @@ class EnergyPerKilometre(PriorAlone):
         """Nothing driven."""
         super().__init__(vehicle)
         self._drives: list[tuple[float, float]] = []
-        self._now, self._silent = np.zeros(2), 0.0
+        self._now, self._unmeasured = np.zeros(2), 0.0
 
     def begin_next_drive(self) -> None:
         """Keep the drive's sum."""
         super().begin_next_drive()
         if self._now[1] > 0:
             self._drives.append((float(self._now[0]), float(self._now[1])))
-        self._now, self._silent = np.zeros(2), 0.0
+        self._now, self._unmeasured = np.zeros(2), 0.0
 
     def learn(self, step: Step) -> None:
         """Add energy and distance."""
         self._now += np.array((step.power, abs(step.speed))) * step.dt
-        self._silent = 0.0
+        self._unmeasured = 0.0
 
     def predict(self, step: Step) -> Prediction:
         """Consumption times speed, W."""
@@ -113,11 +118,11 @@ class EnergyPerKilometre(PriorAlone):
         energy, distance = sums.sum(axis=0)
         known = distance >= LEAST_DISTANCE
         power = energy / distance * abs(step.speed) if known else self.power(step)
-        self._silent += power * step.dt
+        self._unmeasured += power * step.dt
         shares = [e * distance / (d * energy) - 1 for e, d in self._drives if d > 0 and energy]
         squares = self.WEIGHT * self.START**2 + sum(each**2 for each in shares)
         share = math.sqrt(squares / (self.WEIGHT + len(shares)))
-        sigma = share * abs(self._silent)
+        sigma = share * abs(self._unmeasured)
         return Prediction(step.middle_ns, float(power), energy_sigma=sigma)
 
 
@@ -176,23 +181,23 @@ class FastKalman(StepMethod):
         """Start at the vehicle's priors."""
         super().__init__(vehicle)
         self._filter = FiveStateFilter(vehicle, pace=FAST)
-        self._silent = np.zeros(2)  # energy's 1-sigma by a lasting error, J, and its variance
+        self._unmeasured = np.zeros(2)  # energy's 1-sigma by a lasting error, J, and its variance
 
     def begin_next_drive(self) -> None:
         """The filter goes on."""
         super().begin_next_drive()
-        self._silent = np.zeros(2)
+        self._unmeasured = np.zeros(2)
 
     def learn(self, step: Step) -> None:
         """One step of the filter."""
         self._filter.observe(_sample(step), step.power)
-        self._silent = np.zeros(2)
+        self._unmeasured = np.zeros(2)
 
     def predict(self, step: Step) -> Prediction:
         """Power of the present state; its error is taken to last for the whole dropout."""
         power, sigma, *_ = self._filter.predict(_sample(step))
-        self._silent[0] += sigma * step.dt
-        return Prediction(step.middle_ns, power, sigma, energy_sigma=float(self._silent[0]))
+        self._unmeasured[0] += sigma * step.dt
+        return Prediction(step.middle_ns, power, sigma, energy_sigma=float(self._unmeasured[0]))
 
     def combinations(self) -> Mapping[str, Estimate]:
         """States of the filter."""

@@ -58,7 +58,7 @@ class Drive:
 
     @cached_property
     def spans(self) -> list[Span]:
-        """Where speed and battery are both known: what is scored, whatever a method says."""
+        """Spans in which speed and battery are both known: these are scored, for every method."""
         return common(self.power.spans(), self.speed.spans())
 
     @property
@@ -80,7 +80,7 @@ class Car:
         key: what `--cars` calls it.
         vehicle: all that a method knows of it.
         drives: in order of time.
-        truth: true combinations by the names of `truth.NAMES`, empty where nobody knows them.
+        truth: true combinations by the names of `truth.NAMES`, empty where they are unknown.
     """
 
     key: str
@@ -96,7 +96,7 @@ class Car:
 
 @dataclass(frozen=True)
 class Folder:
-    """Where the drives of a car lie, whose they are, and what of them is hidden."""
+    """Folder of a car's drives, with the vehicle file and what of them is hidden."""
 
     pattern: str
     vehicle: str

@@ -119,7 +119,7 @@ def speed_line(readings: Iterable[Reading], start_ns: int) -> Line:
 
 
 def common(some: Sequence[Span], others: Sequence[Span]) -> list[Span]:
-    """Where both are known."""
+    """Spans in which both are known."""
     both = [Span(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
     return [span for span in both if span.length > 0]
 

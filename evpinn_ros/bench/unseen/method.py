@@ -23,7 +23,7 @@ Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
 
 
 class Prediction(NamedTuple):
-    """What a method says of one moment, from readings before it and at most a little after.
+    """Prediction of one moment, from readings before it and at most a little after.
 
     Attributes:
         stamp_ns: the moment.
@@ -42,16 +42,16 @@ class Prediction(NamedTuple):
 
 
 class Method(Protocol):
-    """What is scored."""
+    """Method that is scored."""
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
         """Take one reading; give the predictions it completes, in order of time."""
 
     def begin_next_drive(self) -> None:
-        """What comes is another drive of the same car."""
+        """Begin another drive of the same car."""
 
     def combinations(self) -> Mapping[str, Estimate]:
-        """What is known of the car, by the names of `truth.NAMES`; empty if nothing is."""
+        """Estimates of the car, by the names of `truth.NAMES`; empty if there are none."""
 
 
 Factory: TypeAlias = Callable[[Vehicle], Method]
@@ -68,7 +68,7 @@ class OnlineChain:
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
         """The `power/smoothed` that the reading completes, each with the energy up to it."""
         smoothed: PowerEstimate | None = None
-        for output in self._chain.push(reading):
+        for output in self._chain.add_reading(reading):
             if isinstance(output, PowerEstimate) and output.kind is PowerKind.SMOOTHED:
                 smoothed = output
             elif isinstance(output, EnergyState) and smoothed is not None:

@@ -1,4 +1,4 @@
-"""How a method is scored without the battery: one pass over a car's drives.
+"""Scoring of a method without the battery: one pass over a car's drives.
 
 At the start of each drive a copy of the method predicts it whole without a battery reading
 ("carried"). The method itself then goes through the drive with the battery; at each cut a copy of
@@ -31,7 +31,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Cut:
-    """Where the battery is cut off, and for how long, s."""
+    """Cut of the battery: its begin and its length, s."""
 
     begin: float
     length: float
@@ -53,7 +53,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class CarRun:
-    """What a method gave on one car.
+    """Results of a method on one car.
 
     Attributes:
         carried: each drive whole, from what the drives before it taught.

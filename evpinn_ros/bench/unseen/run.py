@@ -25,7 +25,7 @@ from evpinn_ros.bench.unseen.truth import (
     truth_summary,
 )
 from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import one_thread
+from evpinn_ros.one_thread import limit_blas_threads
 
 CORE = "core"
 METHODS: Mapping[str, Factory] = {**BASELINES, CORE: OnlineChain}
@@ -41,7 +41,7 @@ class Task(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What a task gave, for the table and the JSON."""
+    """Result of a task, for the table and the JSON."""
 
     task: Task
     vehicle: str
@@ -72,7 +72,7 @@ def find_method(name: str) -> Factory:
 
 def run_task(task: Task) -> Result:
     """Score one method on one car."""
-    one_thread()
+    limit_blas_threads()
     factory = find_method(task.method)
     if task.car in KINDS:
         scores: dict[str, Any] = {"truth": run_truth(task.car, factory)}

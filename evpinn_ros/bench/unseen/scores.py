@@ -97,7 +97,7 @@ class PartScore:
 
     @property
     def valid(self) -> bool:
-        """Whether there is anything to score, and the method did predict it."""
+        """True if there is anything to score, and the method did predict it."""
         return self.covered >= LEAST_COVERED and self.gross > 0
 
     @property
@@ -107,7 +107,7 @@ class PartScore:
 
     @property
     def inside_90(self) -> bool:
-        """Whether the 90 % interval of energy holds the measured one."""
+        """True if the 90 % interval of energy holds the measured one."""
         return abs(self.error) <= QUANTILE_90 * self.sigma
 
 

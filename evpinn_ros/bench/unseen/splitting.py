@@ -1,6 +1,6 @@
 """A log that holds several drives, and charging between them, into its drives.
 
-A drive ends where nothing is told of speed for `LONGEST_PAUSE`, and where the car charges: it
+A drive ends where no speed comes for `LONGEST_PAUSE`, and where the car charges: it
 stands for `LEAST_CHARGING` or longer and takes on average more than `CHARGING_POWER`. What was
 logged while charging is left out. Pieces shorter than `LEAST_DISTANCE` are manoeuvres, left out
 too.

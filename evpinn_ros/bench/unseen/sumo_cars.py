@@ -58,7 +58,7 @@ GRAVITY, AIR = 9.81, 1.204  # of the model
 
 
 def sumo_is_there() -> bool:
-    """Whether SUMO and its library are installed."""
+    """True if SUMO and its library are installed."""
     return all(importlib.util.find_spec(name) is not None for name in ("sumo", "libsumo"))
 
 

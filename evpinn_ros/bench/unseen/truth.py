@@ -1,4 +1,4 @@
-"""What a method knows of a car against the truth of simulated cars.
+"""Estimates of a method against the truth of simulated cars.
 
 `mass_over_eta` kg, `regeneration` (eta mu), `rolling_over_eta` (C_rr m/eta, kg),
 `drag_area_over_eta` (A C_d/eta, m^2) by the definitions of `simulation.truth`; `p_aux` W is the

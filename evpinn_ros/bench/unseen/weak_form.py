@@ -81,7 +81,7 @@ class WeakFormLeastSquares:
     def _begin(self) -> None:
         count = self.mean.size
         self._energy = self._residual = 0.0
-        self._silent, self._interval, self._drive = np.zeros((3, count))
+        self._unmeasured, self._interval, self._drive = np.zeros((3, count))
         self._interval_s = self._interval_energy = self._variance = 0.0
         self._drive_energy = self._drive_variance = 0.0
         self._start = (self.mean.copy(), self.covariance.copy())
@@ -143,17 +143,19 @@ class WeakFormLeastSquares:
     def _predict(self, step: Step, row: np.ndarray) -> Prediction:
         power = float(row @ self.mean)
         noise = NOISE**2 + (NOISE_FORCE * step.speed) ** 2
-        self._silent += row * step.dt
+        self._unmeasured += row * step.dt
         self._residual += noise * MEMORY * step.dt
         scale, residual = self._scale[0] / self._scale[1], self._noise[0] / self._noise[1]
-        variance = self._silent @ self.covariance @ self._silent + residual * self._residual
+        variance = (
+            self._unmeasured @ self.covariance @ self._unmeasured + residual * self._residual
+        )
         middle = self._energy + power * step.dt / 2
         self._energy += power * step.dt
         sigma = math.sqrt(residual * noise)
         return Prediction(step.middle_ns, power, sigma, middle, math.sqrt(scale * variance))
 
     def _learn(self, step: Step, row: np.ndarray) -> None:
-        self._silent, self._residual = np.zeros(row.size), 0.0
+        self._unmeasured, self._residual = np.zeros(row.size), 0.0
         if step.begin_ns != self._last_ns:
             self._interval, self._interval_s = np.zeros(row.size), 0.0
             self._interval_energy = self._variance = 0.0

@@ -1,4 +1,4 @@
-"""Faults of the CAN bus: an adapter unplugged, another car, silence, noise, two bridges."""
+"""Faults of the CAN bus: an adapter unplugged, another car, a quiet bus, noise, two bridges."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.nodes import factory, topics
-from evpinn_ros.nodes.faults.chain import Chain, Process, running, start_node
+from evpinn_ros.nodes.faults.chain import NodeChain, Process, running, start_node
 from evpinn_ros.nodes.faults.drive import RATE, readings
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
-from evpinn_ros.nodes.faults.rig import SLACK, Rig, Said, Sent, nothing
+from evpinn_ros.nodes.faults.rig import SLACK, NodeStatus, Rig, Sent, nothing
 from evpinn_ros.nodes.parameter_table import Value
 
 PROFILE, OTHER_PROFILE = "tesla_model_3", "tesla_model_3_2019"
@@ -33,7 +33,7 @@ def bus_arguments() -> tuple[str, ...]:
     return (*fixed, "--bus-options", options, "--can-profile", PROFILE)
 
 
-def bus_faults(chain: Chain) -> Iterator[Fault]:
+def bus_faults(chain: NodeChain) -> Iterator[Fault]:
     """The faults of this module; one is done to a chain."""
     yield Fault("unplug", "the adapter is unplugged and plugged in", "meanwhile", _unplug)
     yield Fault("bus_silent", "no frame on the bus", "meanwhile", _silent)
@@ -83,7 +83,7 @@ class _Adapter:
     def drive(self, rig: Rig, seconds: float, until: str = "") -> float:
         """Send frames, until the bridge says a word; gives the seconds it took."""
         begin = number = time.monotonic()
-        while number - begin < seconds and not (until and rig.said("can_bridge", until, begin)):
+        while number - begin < seconds and not (until and rig.status("can_bridge", until, begin)):
             self.send_moment()
             number += 1 / RATE
             rig.spin_to(number)
@@ -95,12 +95,12 @@ def line(frame: CanFrame) -> bytes:
     return f"t{frame.can_id:03X}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
 
 
-class _Heard:
+class _SpeedArrivals:
     """Speeds that a bridge publishes."""
 
     def __init__(self, rig: Rig) -> None:
         self.times: list[float] = []
-        rig.hear(topics.SPEED, lambda _: self.times.append(time.monotonic()))
+        rig.subscribe(topics.SPEED, lambda _: self.times.append(time.monotonic()))
 
     def since(self, begin: float) -> float:
         """Seconds until the first after a time."""
@@ -112,53 +112,55 @@ def _bridge(rig: Rig, adapter: _Adapter, **parameters: Value) -> Process:
     return start_node(rig, "can_bridge", **{"can_profile": PROFILE, **fixed, **parameters})
 
 
-def _finding(heard: _Heard, end: float, lost: str, said: Said | None) -> Finding:
-    took = heard.since(end)
-    return Finding(lost, took < math.inf, took, None if said is None else said.text)
+def _finding(
+    arrivals: _SpeedArrivals, end: float, lost: str, status: NodeStatus | None
+) -> Finding:
+    took = arrivals.since(end)
+    return Finding(lost, took < math.inf, took, None if status is None else status.text)
 
 
-def _await_receiving(rig: Rig, adapter: _Adapter, heard: _Heard) -> None:
+def _await_receiving(rig: Rig, adapter: _Adapter, arrivals: _SpeedArrivals) -> None:
     begin = time.monotonic()
-    while time.monotonic() - begin < LONGEST and not heard.since(begin) < math.inf:
+    while time.monotonic() - begin < LONGEST and not arrivals.since(begin) < math.inf:
         adapter.drive(rig, 1.0)
 
 
-def _drive_again(rig: Rig, adapter: _Adapter, heard: _Heard) -> float:
-    """Plug the adapter in and drive until that is heard; gives when it was plugged in."""
+def _drive_again(rig: Rig, adapter: _Adapter, arrivals: _SpeedArrivals) -> float:
+    """Plug the adapter in and drive until that is received; gives when it was plugged in."""
     adapter.plug()
     end = time.monotonic()
-    while time.monotonic() - end < 2 * RECOVERY and not heard.since(end) < math.inf:
+    while time.monotonic() - end < 2 * RECOVERY and not arrivals.since(end) < math.inf:
         adapter.drive(rig, 0.2)
     adapter.unplug()
     return end
 
 
 def _unplug(rig: Rig) -> Finding:
-    adapter, heard = _Adapter(rig.folder), _Heard(rig)
+    adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
     adapter.plug()
     bridge = _bridge(rig, adapter)
     with running(bridge):
         bridge.await_ready(change=nothing)
-        _await_receiving(rig, adapter, heard)
+        _await_receiving(rig, adapter, arrivals)
         begin = time.monotonic()
         adapter.unplug()
         rig.rest(3.0)
-        said = rig.said("can_bridge", "plugged in", begin)
-        end = _drive_again(rig, adapter, heard)
-    return _finding(heard, end, "what was sent meanwhile", said)
+        status = rig.status("can_bridge", "plugged in", begin)
+        end = _drive_again(rig, adapter, arrivals)
+    return _finding(arrivals, end, "what was sent meanwhile", status)
 
 
 def _no_adapter(rig: Rig) -> Finding:
-    adapter, heard = _Adapter(rig.folder), _Heard(rig)
+    adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
     adapter.link.unlink(missing_ok=True)
     begin = time.monotonic()
     bridge = _bridge(rig, adapter)
     with running(bridge):
         bridge.await_ready(change=nothing)
         rig.rest(1.0)
-        said = rig.said("can_bridge", "plugged in", begin)
-        end = _drive_again(rig, adapter, heard)
-    return _finding(heard, end, "what was sent meanwhile", said)
+        status = rig.status("can_bridge", "plugged in", begin)
+        end = _drive_again(rig, adapter, arrivals)
+    return _finding(arrivals, end, "what was sent meanwhile", status)
 
 
 def _silent(rig: Rig) -> Finding:
@@ -188,27 +190,27 @@ def _noise(rig: Rig) -> Finding:
 
 def _while(rig: Rig, send: Callable[[_Adapter], None], *words: str) -> Finding:
     """A good bus, then something else on it until it is named, then a good bus."""
-    adapter, heard = _Adapter(rig.folder), _Heard(rig)
+    adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
     adapter.plug()
     bridge = _bridge(rig, adapter)
     with running(bridge):
         bridge.await_ready(change=nothing)
-        _await_receiving(rig, adapter, heard)
-        begin, said = time.monotonic(), None
-        while said is None and time.monotonic() - begin < LONGEST:
+        _await_receiving(rig, adapter, arrivals)
+        begin, status = time.monotonic(), None
+        while status is None and time.monotonic() - begin < LONGEST:
             send(adapter)
             rig.rest(1 / RATE)
-            said = next(filter(None, (rig.said("can_bridge", w, begin) for w in words)), None)
+            status = next(filter(None, (rig.status("can_bridge", w, begin) for w in words)), None)
         end = time.monotonic()
-        while time.monotonic() - end < 4 * RECOVERY and not heard.since(end) < math.inf:
+        while time.monotonic() - end < 4 * RECOVERY and not arrivals.since(end) < math.inf:
             adapter.drive(rig, 0.2)
         adapter.unplug()
-    return _finding(heard, end, "what was sent meanwhile", said)
+    return _finding(arrivals, end, "what was sent meanwhile", status)
 
 
 def _wrong_profile(rig: Rig) -> Finding:
     """A person who set another car's profile, reads why nothing comes, and sets the right one."""
-    adapter, heard = _Adapter(rig.folder), _Heard(rig)
+    adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
     adapter.plug()
     begin = time.monotonic()
     wrong = _bridge(rig, adapter, can_profile=OTHER_PROFILE)
@@ -216,15 +218,15 @@ def _wrong_profile(rig: Rig) -> Finding:
         wrong.await_ready(change=nothing)
         adapter.drive(rig, LONGEST, until="contradicts")
         adapter.drive(rig, 1.0)
-        said = rig.said("can_bridge", "contradicts", begin)
-    let_out = len(heard.times)
+        status = rig.status("can_bridge", "contradicts", begin)
+    let_out = len(arrivals.times)
     right = _bridge(rig, adapter)
     with running(right):
         right.await_ready(change=nothing)
         ready = time.monotonic()
-        _await_receiving(rig, adapter, heard)
+        _await_receiving(rig, adapter, arrivals)
         adapter.unplug()
-    finding = _finding(heard, ready, f"everything; {let_out} wrong readings let out", said)
+    finding = _finding(arrivals, ready, f"everything; {let_out} wrong readings let out", status)
     return finding if not let_out else replace(finding, kept=False)
 
 
@@ -232,7 +234,7 @@ def _wrong_profile(rig: Rig) -> Finding:
 class _Two:
     """A second driver of the same topic, as a bag played beside the car."""
 
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -246,12 +248,12 @@ class _Two:
                 yield topic, message
 
         word = "2 publishers"
-        rig.drive(LONGEST, doubled, until=lambda: bool(rig.said("estimator", word, begin)))
+        rig.drive(LONGEST, doubled, until=lambda: bool(rig.status("estimator", word, begin)))
         rig.node.destroy_publisher(second)
         end = time.monotonic()
         rig.drive(RECOVERY, until=lambda: rig.recovered(end) < math.inf)
-        said = rig.said("estimator", word, begin)
+        status = rig.status("estimator", word, begin)
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
         kept = missing <= SLACK and rig.faulty(begin) is None
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions"
-        return Finding(lost, kept, rig.recovered(end), None if said is None else said.text)
+        return Finding(lost, kept, rig.recovered(end), None if status is None else status.text)

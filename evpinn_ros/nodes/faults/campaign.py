@@ -11,7 +11,7 @@ import rclpy
 
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.faults.bus import bus_faults
-from evpinn_ros.nodes.faults.chain import Chain
+from evpinn_ros.nodes.faults.chain import NodeChain
 from evpinn_ros.nodes.faults.clocks import clock_faults
 from evpinn_ros.nodes.faults.fault import Fault, Finding, Result
 from evpinn_ros.nodes.faults.files import file_faults
@@ -36,7 +36,7 @@ def run_campaign(
         InputError: no fault of such a name.
     """
     with _rig() as rig:
-        chain = Chain(rig, rig.folder / "shared")
+        chain = NodeChain(rig, rig.folder / "shared")
         try:
             faults = [*_faults(chain, kills)]
             _refuse_unknown(only, faults)
@@ -50,7 +50,7 @@ def run_campaign(
             chain.stop()
 
 
-def _faults(chain: Chain, kills: int) -> Iterator[Fault]:
+def _faults(chain: NodeChain, kills: int) -> Iterator[Fault]:
     yield from input_faults(chain)
     yield from load_faults(chain)
     yield from bus_faults(chain)

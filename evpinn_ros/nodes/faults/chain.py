@@ -19,13 +19,13 @@ from evpinn_ros.nodes.faults.rig import SPIN, Change, Rig, unchanged
 from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.processes import START_TIMEOUT, STOP_TIMEOUT, node_command
 
-LAST_WORDS = 0.5  # s until what a node said before its end is heard
+LAST_WORDS = 0.5  # s until what a node status before its end is received
 LEADING = ("estimator", "energy")
 FILES = {"estimator": ("state_file", "car.json"), "energy": ("energy_file", "energy.json")}
 
 
 class Stopped(NamedTuple):
-    """How a process ended: exit code, and s that it took."""
+    """End of a process: exit code, and s that it took."""
 
     code: int
     seconds: float
@@ -64,7 +64,7 @@ class Process:
 
     @property
     def runs(self) -> bool:
-        """Whether it has not ended."""
+        """True if it has not ended."""
         return self._process.poll() is None
 
     def await_ready(self, node: str | None = None, change: Change = unchanged) -> float:
@@ -73,7 +73,7 @@ class Process:
         took = self._rig.drive(
             START_TIMEOUT,
             change,
-            until=lambda: self._rig.said(name, "", self.started) is not None or not self.runs,
+            until=lambda: self._rig.status(name, "", self.started) is not None or not self.runs,
         )
         if not self.runs or took >= START_TIMEOUT:
             raise InputError(f"the node '{name}' did not come up")
@@ -129,7 +129,7 @@ def running(*processes: Process) -> Iterator[None]:
             process.stop()
 
 
-class Chain:
+class NodeChain:
     """Estimator and energy with their files, which many faults share one after the other.
 
     Attributes:
@@ -171,7 +171,7 @@ class Chain:
             raise InputError(f"the chain is not well: {'; '.join(rig.complaints(since))}")
 
     def runs(self, name: str) -> bool:
-        """Whether a node is there."""
+        """True if a node is there."""
         return name in self.processes and self.processes[name].runs
 
     def start(self, name: str) -> Process:

@@ -15,7 +15,7 @@ import time
 
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.faults.chain import Chain
+from evpinn_ros.nodes.faults.chain import NodeChain
 from evpinn_ros.nodes.faults.drive import RATE
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.inputs import MOST_MOVED
@@ -25,7 +25,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 CLOCK = "rosgraph_msgs/msg/Clock"
 BEGIN_NS = 5000 * NANOSECONDS
 LONGEST = 15.0  # s in which a fault must be named
-DEAF = 2.0  # s for which a node may not hear when the system's clock is set; see docs/benchmarks
+DEAF = 2.0  # s without messages when the system's clock is set; see docs/benchmarks
 
 
 def clock_faults() -> Iterator[Fault]:
@@ -62,7 +62,7 @@ class _SimTime:
         self._offset_ns += round(seconds * NANOSECONDS)
 
     def __call__(self) -> int:
-        """The stamp of this moment, once /clock was told."""
+        """The stamp of this moment, once /clock was published."""
         now_ns = time.monotonic_ns() + self._offset_ns
         if self.ticks:
             message = new_message(CLOCK)
@@ -114,7 +114,7 @@ def _stamped_by(rig: Rig, clock: _SimTime | SystemClock) -> Iterator[None]:
 
 
 def _late(rig: Rig) -> Finding:
-    chain = Chain(rig, rig.folder / "late", use_sim_time=True)
+    chain = NodeChain(rig, rig.folder / "late", use_sim_time=True)
     clock = _SimTime(rig)
     with _stamped_by(rig, clock):
         clock.ticks = False
@@ -125,7 +125,7 @@ def _late(rig: Rig) -> Finding:
             for process in chain.processes.values():
                 process.await_ready()
             sent, since = rig.sent, time.monotonic()
-            rig.drive(LONGEST, until=lambda: rig.said("estimator", "/clock", begin) is not None)
+            rig.drive(LONGEST, until=lambda: rig.status("estimator", "/clock", begin) is not None)
             clock.ticks = True
             end = time.monotonic()
             rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
@@ -133,12 +133,12 @@ def _late(rig: Rig) -> Finding:
             missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, since)
         finally:
             chain.stop()
-    said, harm = rig.said("estimator", "/clock", begin), rig.faulty(begin)
+    status, harm = rig.status("estimator", "/clock", begin), rig.faulty(begin)
     return Finding(
         harm or f"{max(missing, 0)} of {rig.sent - sent} predictions",
         missing <= SLACK and harm is None,
         rig.recovered(end),
-        None if said is None else said.text,
+        None if status is None else status.text,
     )
 
 
@@ -153,7 +153,7 @@ class _Jump:
 
     def __call__(self, rig: Rig) -> Finding:
         clock = SystemClock(rig.folder) if self.system else _SimTime(rig)
-        chain = Chain(
+        chain = NodeChain(
             rig,
             rig.folder / f"jump_{self.seconds}_{self.policy}_{self.system}",
             clock.environment if isinstance(clock, SystemClock) else None,
@@ -170,7 +170,7 @@ class _Jump:
                     2 * RECOVERY,
                     until=lambda: (
                         rig.recovered(begin) < math.inf
-                        and rig.said("estimator", self.word, begin) is not None
+                        and rig.status("estimator", self.word, begin) is not None
                     ),
                 )
                 rig.drive(1.5)
@@ -179,10 +179,10 @@ class _Jump:
                 chain.stop()
         most = SLACK + (DEAF * RATE if self.system else 0)
         moved = abs(rig.learned() / learned - 1.0)
-        said, harm = rig.said("estimator", self.word, begin), rig.faulty(begin)
+        status, harm = rig.status("estimator", self.word, begin), rig.faulty(begin)
         return Finding(
             harm or f"{max(missing, 0)} predictions, mass/eta moved {moved:.1%}",
             missing <= most and harm is None and moved <= MOST_MOVED,
             rig.recovered(begin),
-            None if said is None else said.text,
+            None if status is None else status.text,
         )

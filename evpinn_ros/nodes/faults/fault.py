@@ -1,4 +1,4 @@
-"""What a fault is, and what was found when it was injected."""
+"""Faults, and the findings when they are injected."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ if TYPE_CHECKING:
     from evpinn_ros.nodes.faults.rig import Rig
 
 RECOVERY = 5.0  # s, the goal
-QUIET = ""  # instead of a word: nothing is to be said
+QUIET = ""  # instead of a word: no diagnosis is due
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a fault did to the chain.
+    """Effect of a fault on the chain.
 
     Attributes:
         lost: what was lost, in a few words.
         kept: that this is no more than the contract states.
         seconds: until all was as before, inf when it never was.
-        said: what the diagnostics said of it, None when they did not name it.
+        said: its diagnosis, None when they did not name it.
     """
 
     lost: str
@@ -53,7 +53,7 @@ class Fault:
 
     @property
     def is_shared(self) -> bool:
-        """Whether it is done to the chain that faults share; else to nodes of its own."""
+        """True if it is done to the chain that faults share; else to nodes of its own."""
         return hasattr(self.inject, "chain")
 
 

@@ -63,9 +63,9 @@ class _BadState:
         with running(estimator):
             ready = begin + estimator.await_ready()
             rig.drive(RECOVERY, until=lambda: rig.recovered(begin, OUTPUTS) < math.inf)
-            rig.drive(1.5, until=lambda: rig.said("estimator", self._word, begin) is not None)
+            rig.drive(1.5, until=lambda: rig.status("estimator", self._word, begin) is not None)
             took = max(begin + rig.recovered(begin, OUTPUTS) - ready, 0.0)
-            named = rig.said("estimator", self._word, begin)
+            named = rig.status("estimator", self._word, begin)
             code = estimator.stop().code
         refused = path.with_name(path.name + ".refused")
         kept = code == 0 and refused.is_file() and refused.read_bytes() == found
@@ -103,7 +103,7 @@ def _no_folder(rig: Rig) -> Finding:
         begin = time.monotonic()
         answer = rig.call("estimator/save")
         rig.drive(1.5)
-        named = rig.said("estimator", "not written", begin)
+        named = rig.status("estimator", "not written", begin)
         took = rig.recovered(begin, OUTPUTS)
         code = estimator.stop().code
     refused = answer is not None and not answer.success
@@ -123,7 +123,7 @@ def _state_disk_full(rig: Rig) -> Finding:
         answer = rig.call("estimator/save")
         rig.drive(1.5)
         whole = path.read_bytes() == before
-        named = rig.said("estimator", "not written", begin)
+        named = rig.status("estimator", "not written", begin)
         limit_files(estimator, None)
         end = time.monotonic()
         again = rig.call("estimator/save")
@@ -149,12 +149,13 @@ def _bag_full(rig: Rig) -> Finding:
         begin = time.monotonic()
         limit_files(run, file_of(folder).stat().st_size + 1000)
         rig.drive(
-            2 * RECOVERY, until=lambda: rig.said("recorder", "recording ended", begin) is not None
+            2 * RECOVERY,
+            until=lambda: rig.status("recorder", "recording ended", begin) is not None,
         )
         end = time.monotonic()
         rig.drive(RECOVERY, until=lambda: rig.recovered(end) < math.inf)
         took = rig.recovered(end)
-        named = rig.said("recorder", "recording ended", begin)
+        named = rig.status("recorder", "recording ended", begin)
         limit_files(run, None)
         code = run.stop(signal.SIGINT).code
     with BagReader(file_of(folder)) as bag:
@@ -183,16 +184,16 @@ def _bag_corrupt(rig: Rig) -> Finding:
     middle, some = len(data) // 2, len(data) // (2 * seconds)
     data[middle : middle + some] = bytes(byte ^ 0xFF for byte in data[middle : middle + some])
     file_of(folder).write_bytes(data)
-    heard: list[object] = []
-    rig.hear(topics.SPEED, heard.append)
+    received: list[object] = []
+    rig.subscribe(topics.SPEED, received.append)
     begin = time.monotonic()
     bridge = start_node(
         rig, "can_bridge", can_profile=PROFILE, log_file=str(folder), log_rate=10.0
     )
     with running(bridge):
-        rig.wait(lambda: rig.said("can_bridge", "damaged", begin) is not None, "the bag's end")
-        named = rig.said("can_bridge", "damaged", begin)
-    lost = 20 * seconds - len(heard)
+        rig.wait(lambda: rig.status("can_bridge", "damaged", begin) is not None, "the bag's end")
+        named = rig.status("can_bridge", "damaged", begin)
+    lost = 20 * seconds - len(received)
     kept = lost <= 20 * 2 and rig.faulty(begin) is None
     return Finding(
         f"{lost} of {20 * seconds} readings", kept, 0.0, None if named is None else named.text

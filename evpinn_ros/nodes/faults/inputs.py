@@ -1,4 +1,4 @@
-"""Faults of what the car tells: silence, wrong values, wrong stamps, on a chain that all share."""
+"""Faults of the car's signals: dropouts, wrong values, wrong stamps, on a chain that all share."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.faults.chain import Chain
+from evpinn_ros.nodes.faults.chain import NodeChain
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.rig import SLACK, Change, Rig, Sent, nothing, stamped
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -32,7 +32,7 @@ class Disturbance:
         forgets: whether what was learned may move.
     """
 
-    chain: Chain
+    chain: NodeChain
     change: Change
     word: str
     may_lose: float = 0.0
@@ -46,17 +46,17 @@ class Disturbance:
         rig.drive(
             LONGEST - SHORTEST,
             self.change,
-            until=lambda: rig.said("estimator", self.word, begin) is not None,
+            until=lambda: rig.status("estimator", self.word, begin) is not None,
         )
         end = time.monotonic()
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
-        rig.drive(1.5)  # until what was learned is told again
+        rig.drive(1.5)  # until what was learned is published again
         moved = abs(rig.learned() / learned - 1.0)
         harm = rig.faulty(begin)
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions, mass/eta moved {moved:.1%}"
         kept = missing <= self.may_lose * (rig.sent - sent) + SLACK
-        named = rig.said("estimator", self.word, begin)
+        named = rig.status("estimator", self.word, begin)
         return Finding(
             lost if harm is None else f"{lost}; {harm}",
             kept and harm is None and (self.forgets or moved <= MOST_MOVED),
@@ -166,7 +166,7 @@ def unstamped(messages: Iterable[Sent]) -> Iterator[Sent]:
     return ((topic, stamped(message, 0)) for topic, message in messages)
 
 
-def input_faults(chain: Chain) -> Iterator[Fault]:
+def input_faults(chain: NodeChain) -> Iterator[Fault]:
     """The faults of this module, done to a chain."""
 
     def fault(name: str, what: str, contract: str, *how: Any, **more: Any) -> Fault:
@@ -239,7 +239,7 @@ def input_faults(chain: Chain) -> Iterator[Fault]:
 class _SignFlip:
     """A wrong profile has the wrong sign from the first message on: a car nothing is known of."""
 
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -248,15 +248,15 @@ class _SignFlip:
         rig.drive(
             3 * LONGEST,
             flipped,
-            until=lambda: rig.said("estimator", "sign of current", begin) is not None,
+            until=lambda: rig.status("estimator", "sign of current", begin) is not None,
         )
-        named = rig.said("estimator", "sign of current", begin)
+        named = rig.status("estimator", "sign of current", begin)
         rig.call("estimator/reset")
         end = time.monotonic()
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
         harm = rig.faulty(begin)
         return Finding(
-            harm or f"learning, until told after {end - begin:.0f} s",
+            harm or f"learning, until reported after {end - begin:.0f} s",
             harm is None,
             rig.recovered(end),
             None if named is None else named.text,

@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from evpinn_ros.nodes import factory, topics
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.faults.chain import Chain, Process, running, start_node
+from evpinn_ros.nodes.faults.chain import NodeChain, Process, running, start_node
 from evpinn_ros.nodes.faults.drive import RATE, learned_state, vehicle
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.rig import OUTPUTS, SLACK, Rig
@@ -56,7 +56,7 @@ raise SystemExit(estimator.main())
 """
 
 
-def load_faults(chain: Chain) -> Iterator[Fault]:
+def load_faults(chain: NodeChain) -> Iterator[Fault]:
     """The faults of this module; most are done to a chain."""
     none, oldest = "nothing", "the oldest, counted"
     yield Fault("rate_1000", "speed and battery at 1000 Hz", oldest, _FullRate(chain))
@@ -81,23 +81,23 @@ def load_faults(chain: Chain) -> Iterator[Fault]:
 def _finding(rig: Rig, begin: float, end: float, lost: str, kept: bool, *words: str) -> Finding:
     """Drive until recovered, and look."""
     rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
-    rig.drive(1.5, until=lambda: any(rig.said("e", word, begin) for word in words))
-    said = next(filter(None, (rig.said("e", word, begin) for word in words)), None)
+    rig.drive(1.5, until=lambda: any(rig.status("e", word, begin) for word in words))
+    status = next(filter(None, (rig.status("e", word, begin) for word in words)), None)
     harm = rig.faulty(begin)
-    text = "" if said is None else said.text
+    text = "" if status is None else status.text
     return Finding(harm or lost, kept and harm is None, rig.recovered(end), text or None)
 
 
 @dataclass(frozen=True)
 class _FullRate:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
         begin, sent = time.monotonic(), rig.sent
         rig.drive(5.0, rate=FULL_RATE)
         end = time.monotonic()
-        newest = rig.heard[topics.POWER_PREDICTED][-1]
+        newest = rig.received[topics.POWER_PREDICTED][-1]
         age = (rig.clock() - stamp_ns(newest[1])) / NANOSECONDS
         rate = (rig.sent - sent) / (end - begin)
         rig.drive(1.5)
@@ -109,7 +109,7 @@ class _FullRate:
 
 @dataclass(frozen=True)
 class _Backlog:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -120,8 +120,8 @@ class _Backlog:
                 rig.send(*each)
         end = time.monotonic()
         rig.drive(2.0)
-        heard = rig.count(topics.POWER_PREDICTED, begin) - round(2.0 * RATE)
-        lost = f"{number - heard} of {number} readings"
+        received = rig.count(topics.POWER_PREDICTED, begin) - round(2.0 * RATE)
+        lost = f"{number - received} of {number} readings"
         return _finding(rig, begin, end, lost, True, "lost")
 
 
@@ -129,7 +129,7 @@ class _Backlog:
 class _Quiet:
     """Something that no node may notice."""
 
-    chain: Chain
+    chain: NodeChain
     during: Callable[[Rig], Any]
 
     def __call__(self, rig: Rig) -> Finding:
@@ -142,9 +142,9 @@ class _Quiet:
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
         wolf = rig.complaints(begin)
-        said = "rightly nothing" if not wolf else None
+        status = "rightly nothing" if not wolf else None
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions" + "; ".join(["", *wolf])
-        return Finding(lost, missing <= SLACK, rig.recovered(end), said)
+        return Finding(lost, missing <= SLACK, rig.recovered(end), status)
 
 
 @contextmanager
@@ -178,7 +178,7 @@ def _noise(domains_away: int) -> Callable[[Rig], Any]:
 
 @dataclass(frozen=True)
 class _BadPlans:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -215,17 +215,17 @@ def _qos_input(rig: Rig) -> Finding:
             rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end, OUTPUTS) < math.inf)
     finally:
         rig.replace_publisher(topics.SPEED, factory.qos_profile(topics.SPEED.publisher_qos))
-    said = rig.said("estimator", "QoS", begin)
+    status = rig.status("estimator", "QoS", begin)
     harm = rig.faulty(begin)
     took = rig.recovered(end, OUTPUTS)
     return Finding(
-        harm or "speed, until mended", harm is None, took, None if said is None else said.text
+        harm or "speed, until mended", harm is None, took, None if status is None else status.text
     )
 
 
 @dataclass(frozen=True)
 class _QosOutput:
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -234,7 +234,7 @@ class _QosOutput:
         topic = topics.POWER_PREDICTED
         kind = factory.message_class(topic.type_name)
         listener = rig.node.create_subscription(kind, topic.under(), lambda _: None, latched)
-        rig.drive(LONGEST, until=lambda: rig.said("estimator", "QoS", begin) is not None)
+        rig.drive(LONGEST, until=lambda: rig.status("estimator", "QoS", begin) is not None)
         rig.node.destroy_subscription(listener)
         end = time.monotonic()
         missing = rig.sent - sent - rig.count(topic, begin)
@@ -246,7 +246,7 @@ class _QosOutput:
 class _Stall:
     """As a computer that swaps, or a debugger."""
 
-    chain: Chain
+    chain: NodeChain
 
     def __call__(self, rig: Rig) -> Finding:
         self.chain.await_well()
@@ -270,12 +270,12 @@ def _overrun(rig: Rig) -> Finding:
     with running(estimator):
         estimator.await_ready()
         begin, sent = time.monotonic(), rig.sent
-        rig.drive(4 * LONGEST, until=lambda: bool(rig.said("estimator", "longer than", begin)))
+        rig.drive(4 * LONGEST, until=lambda: bool(rig.status("estimator", "longer than", begin)))
         rig.drive(0.5)
-        said = rig.said("estimator", "longer than", begin)
+        status = rig.status("estimator", "longer than", begin)
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
     lost = f"updates; {max(missing, 0)} of {rig.sent - sent} predictions"
-    return Finding(lost, missing <= SLACK, 0.0, None if said is None else said.text)
+    return Finding(lost, missing <= SLACK, 0.0, None if status is None else status.text)
 
 
 def _latency(rig: Rig) -> Finding:
@@ -287,7 +287,7 @@ def _latency(rig: Rig) -> Finding:
         rig.drive(WARM_UP, rate=LATENCY_RATE)
         begin, sent, cpu = time.time_ns(), rig.sent, processor_seconds(estimator.pid)
         arrived: list[tuple[int, int]] = []
-        listener = rig.hear(
+        listener = rig.subscribe(
             topics.POWER_PREDICTED, lambda m: arrived.append((stamp_ns(m), time.time_ns()))
         )
         rig.drive(LATENCY_SECONDS, rate=LATENCY_RATE)

@@ -16,7 +16,14 @@ from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.faults.bus import bus_arguments
-from evpinn_ros.nodes.faults.chain import LEADING, Chain, Process, running, start_all, start_node
+from evpinn_ros.nodes.faults.chain import (
+    LEADING,
+    NodeChain,
+    Process,
+    running,
+    start_all,
+    start_node,
+)
 from evpinn_ros.nodes.faults.drive import learned_state
 from evpinn_ros.nodes.faults.fault import RECOVERY, Fault, Finding
 from evpinn_ros.nodes.faults.files import file_of
@@ -27,10 +34,10 @@ STOP, WARM_START = 2.0, 1.0  # s, goals
 MOST_LOST = 1.0  # s of a recording
 LONGEST_LIFE = 3.0  # s of a process that is killed at random, from its first report on
 UNNAMED = "nothing to name"
-SILENCE = 3.0  # s without a report that tells that a node is gone, REP-107
+LIVENESS_TIMEOUT = 3.0  # s without a report, then a node is gone, REP-107
 
 
-def process_faults(chain: Chain, kills: int) -> Iterator[Fault]:
+def process_faults(chain: NodeChain, kills: int) -> Iterator[Fault]:
     """The faults of this module; restarts are done to a chain."""
     none = "nothing"
     for order in (LEADING, LEADING[::-1]):
@@ -76,15 +83,15 @@ class _Order:
             rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
         finally:
             codes = [process.stop().code for process in processes]
-        waiting = rig.said("", "waiting for", begin)
+        waiting = rig.status("", "waiting for", begin)
         harm = rig.faulty(begin)
         kept = not any(codes) and harm is None
-        said = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
-        return Finding(harm or "nothing", kept, rig.recovered(ready), said)
+        status = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
+        return Finding(harm or "nothing", kept, rig.recovered(ready), status)
 
 
-def _text(said: object) -> str | None:
-    return None if said is None else str(getattr(said, "text", said))
+def _text(status: object) -> str | None:
+    return None if status is None else str(getattr(status, "text", status))
 
 
 def _warm_start(rig: Rig) -> Finding:
@@ -99,7 +106,7 @@ def _warm_start(rig: Rig) -> Finding:
 
 @dataclass(frozen=True)
 class _Stop:
-    """All that `evpinn run` starts, told to end while it records."""
+    """Stop of all that `evpinn run` starts, while it records."""
 
     how: signal.Signals
 
@@ -150,7 +157,7 @@ def _stop_starting(rig: Rig) -> Finding:
 class _Restart:
     """One node of the chain gone, and come back, while the other goes on."""
 
-    chain: Chain
+    chain: NodeChain
     name: str
     killed: bool = False
 
@@ -163,8 +170,8 @@ class _Restart:
         else:
             process.stop()
         gone = time.monotonic()
-        rig.drive(SILENCE + 1.5)
-        silent = rig.said(self.name, "", gone + 0.5) is None
+        rig.drive(LIVENESS_TIMEOUT + 1.5)
+        silent = rig.status(self.name, "", gone + 0.5) is None
         fresh = self.chain.start(self.name)
         fresh.await_ready()
         ready = time.monotonic()
@@ -172,8 +179,10 @@ class _Restart:
         took = rig.recovered(ready)
         rig.drive(2.0)
         moved = abs(rig.learned() / before - 1.0)
-        said = rig.said("energy", "no power/smoothed", begin) if self.name == "estimator" else None
-        named = f"silence of {self.name}" if said is None and silent else _text(said)
+        status = (
+            rig.status("energy", "no power/smoothed", begin) if self.name == "estimator" else None
+        )
+        named = f"silence of {self.name}" if status is None and silent else _text(status)
         lost = f"{fresh.name} for {ready - begin:.1f} s; mass/eta moved {moved:.1%}"
         kept = moved < 0.05 and rig.faulty(begin) is None
         return Finding(lost, kept, took, named)
@@ -216,7 +225,7 @@ class _Kills:
 
 
 def _readable(path: Path) -> bool:
-    """Whether a state file is whole, or was never written."""
+    """True if a state file is whole, or was never written."""
     try:
         read_state(path)
     except InputError:

@@ -1,4 +1,4 @@
-"""The far end of every topic: drives the car, hears what the nodes say, and keeps the time."""
+"""Far end of every topic: drives the car, receives what nodes publish, keeps the time."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from evpinn_ros.nodes.topics import NAMESPACE, Topic
 from evpinn_ros.signals.readings import NANOSECONDS
 
 OUTPUTS = (topics.POWER_PREDICTED, topics.POWER_SMOOTHED, topics.POWER_MEASURED)
-HEARD = (*OUTPUTS, topics.ENERGY_STATE, topics.IDENTIFIABLE)
-MOST_HEARD = 50_000
+RECORDED = (*OUTPUTS, topics.ENERGY_STATE, topics.IDENTIFIABLE)
+MOST_KEPT = 50_000
 SPIN = 0.01  # s
 SLACK = 10  # predictions on their way when one looks
 ANSWER_TIMEOUT = 10.0  # s
 
 Sent: TypeAlias = tuple[Topic, Any]
 Change: TypeAlias = Callable[[Iterable[Sent]], Iterable[Sent]]
-"""What a fault makes of the messages of one moment."""
+"""Change by a fault to the messages of one moment."""
 
 
 def unchanged(messages: Iterable[Sent]) -> Iterable[Sent]:
@@ -43,15 +43,15 @@ def unchanged(messages: Iterable[Sent]) -> Iterable[Sent]:
 
 
 def nothing(_: Iterable[Sent]) -> Iterable[Sent]:
-    """The car tells nothing."""
+    """The car sends nothing."""
     return ()
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """One status of a node, and when it was heard, s of a clock that never jumps."""
+class NodeStatus:
+    """One status of a node, and its arrival, s of a monotonic clock."""
 
-    heard: float
+    arrived: float
     name: str
     level: int
     text: str
@@ -62,7 +62,7 @@ class Rig:
 
     Attributes:
         folder: for the files of the campaign.
-        heard: messages of each output, with the time they came, s of a clock that never jumps.
+        received: messages of each output, with the time they came, s of a monotonic clock.
         sent: messages of speed sent so far.
         clock: gives the stamps, ns; a fault may set another.
     """
@@ -70,8 +70,8 @@ class Rig:
     def __init__(self, folder: Path) -> None:
         """Come up; rclpy is initialised already."""
         self.folder = folder
-        self.heard: dict[Topic, deque[tuple[float, Any]]] = {
-            topic: deque(maxlen=MOST_HEARD) for topic in HEARD
+        self.received: dict[Topic, deque[tuple[float, Any]]] = {
+            topic: deque(maxlen=MOST_KEPT) for topic in RECORDED
         }
         self.sent = 0
         self.clock: Callable[[], int] = time.time_ns
@@ -79,8 +79,8 @@ class Rig:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._publishers: dict[Topic, Any] = {}
-        self._said: deque[Said] = deque(maxlen=MOST_HEARD)
-        for topic in HEARD:
+        self._statuses: deque[NodeStatus] = deque(maxlen=MOST_KEPT)
+        for topic in RECORDED:
             self._listen(topic)
         factory.subscribe(self.node, topics.DIAGNOSTICS, self._take_diagnostics)
         for topic in (topics.SPEED, topics.BATTERY):
@@ -91,36 +91,40 @@ class Rig:
         self._executor.shutdown()
         self.node.destroy_node()
 
-    # --- hearing -------------------------------------------------------------------------------
+    # --- receiving ------------------------------------------------------------------------------
 
-    def said(self, node: str, word: str, since: float) -> Said | None:
+    def status(self, node: str, word: str, since: float) -> NodeStatus | None:
         """The first status of a node since then whose text has the word."""
-        for each in self._said:
-            if each.heard > since and each.name.startswith(node) and word in each.text:
+        for each in self._statuses:
+            if each.arrived > since and each.name.startswith(node) and word in each.text:
                 return each
         return None
 
     def complaints(self, since: float) -> list[str]:
         """Texts of all that was not OK since then."""
-        return sorted({each.text for each in self._said if each.heard > since and each.level})
+        return sorted(
+            {each.text for each in self._statuses if each.arrived > since and each.level}
+        )
 
     def is_well(self, node: str, since: float) -> bool:
-        """Whether a node's newest status since then is OK."""
-        found = [each for each in self._said if each.heard > since and each.name.startswith(node)]
+        """True if a node's newest status since then is OK."""
+        found = [
+            each for each in self._statuses if each.arrived > since and each.name.startswith(node)
+        ]
         return bool(found) and not any(each.level for each in found[-1:])
 
     def count(self, topic: Topic, since: float) -> int:
-        """Messages heard since then."""
-        return sum(heard > since for heard, _ in self.heard[topic])
+        """Messages received since then."""
+        return sum(arrived > since for arrived, _ in self.received[topic])
 
     def faulty(self, since: float) -> str | None:
-        """An internal fault that a node told, or a number that is not finite in what it sent."""
-        fault = self.said("", "internal fault", since)
+        """Internal fault that a node reported, or a number that is not finite in what it sent."""
+        fault = self.status("", "internal fault", since)
         if fault is not None:
             return fault.text
-        for topic, messages in self.heard.items():
-            for heard, message in messages:
-                if heard > since and not all(map(math.isfinite, message.position)):
+        for topic, messages in self.received.items():
+            for arrived, message in messages:
+                if arrived > since and not all(map(math.isfinite, message.position)):
                     return f"{topic.name} is not finite"
         return None
 
@@ -129,15 +133,15 @@ class Rig:
     ) -> float:
         """Seconds after which the first of each output came, inf while one is missing."""
         firsts = (
-            next((heard for heard, _ in self.heard[topic] if heard > since), math.inf)
+            next((arrived for arrived, _ in self.received[topic] if arrived > since), math.inf)
             for topic in wanted
         )
         return max(firsts) - since
 
     def learned(self) -> float:
-        """Mass over eta as told last, kg; NaN before."""
-        heard = self.heard[topics.IDENTIFIABLE]
-        return read_named_vector(heard[-1][1]).values["mass_over_eta"] if heard else math.nan
+        """Mass over eta as published last, kg; NaN before."""
+        received = self.received[topics.IDENTIFIABLE]
+        return read_named_vector(received[-1][1]).values["mass_over_eta"] if received else math.nan
 
     # --- driving -------------------------------------------------------------------------------
 
@@ -183,19 +187,19 @@ class Rig:
         self._publishers[topic] = self.node.create_publisher(kind, topic.name, qos)
 
     def spin_to(self, due: float) -> None:
-        """Hear what comes until a time of the clock that never jumps."""
+        """Receive until a time of the monotonic clock."""
         self._executor.spin_once(timeout_sec=0.0)
         while (left := due - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=min(left, SPIN))
 
     def rest(self, seconds: float) -> None:
-        """Hear and say nothing."""
+        """Receive, and send nothing."""
         self.spin_to(time.monotonic() + seconds)
 
     def wait(
         self, condition: Callable[[], bool], what: str, seconds: float = START_TIMEOUT
     ) -> None:
-        """Hear until it is so; InputError when it does not come to pass."""
+        """Receive until it is so; InputError when it does not come to pass."""
         end = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > end:
@@ -203,7 +207,7 @@ class Rig:
             self._executor.spin_once(timeout_sec=SPIN)
 
     def call(self, service: str) -> Any:
-        """Call a Trigger; gives the response, None where nobody answers."""
+        """Call a Trigger; gives the response, None without an answer."""
         future = self.begin_call(service)
         end = time.monotonic() + ANSWER_TIMEOUT
         while future is not None and not future.done() and time.monotonic() < end:
@@ -211,27 +215,27 @@ class Rig:
         return future.result() if future is not None and future.done() else None
 
     def begin_call(self, service: str) -> Any:
-        """Call a Trigger without waiting for the answer; None where nobody would."""
+        """Call a Trigger without waiting for the answer; None without a server."""
         client = self.node.create_client(Trigger, service)
         end = time.monotonic() + ANSWER_TIMEOUT
         while not client.service_is_ready() and time.monotonic() < end:
             self.drive(0.1)
         return client.call_async(Trigger.Request()) if client.service_is_ready() else None
 
-    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> Any:
+    def subscribe(self, topic: Topic, callback: Callable[[Any], None]) -> Any:
         """Subscribe to one more topic."""
         return factory.subscribe(self.node, topic, callback)
 
     def _listen(self, topic: Topic) -> None:
-        heard = self.heard[topic]
-        self.hear(topic, lambda message: heard.append((time.monotonic(), message)))
+        received = self.received[topic]
+        self.subscribe(topic, lambda message: received.append((time.monotonic(), message)))
 
     def _take_diagnostics(self, message: Any) -> None:
         now = time.monotonic()
         for status in message.status:
             level = int.from_bytes(status.level, "little")
             name = status.name.rpartition("/")[2]  # all nodes are under one namespace here
-            self._said.append(Said(now, name, level, status.message))
+            self._statuses.append(NodeStatus(now, name, level, status.message))
 
 
 def stamped(message: Any, stamp_ns: int) -> Any:

@@ -122,7 +122,7 @@
     return [options, data];
   };
 
-  // A row for each parameter, its colour the share of prior belief at that time.
+  // A row for each parameter, its colour the share of the prior at that time.
   const strips = (spec, group) => {
     const rows = spec.series.length;
     const x = Array.from({ length: spec.count }, (_, i) => spec.start + i * spec.step);
