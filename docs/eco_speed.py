@@ -57,7 +57,7 @@ def drive_messages() -> Iterator[tuple[Topic, Any]]:
     estimator = OnlineEstimator(load_vehicle(VEHICLE), EstimatorSettings(), worker)
     with BagReader(share_directory() / "bags" / DRIVE) as bag:
         for reading in BagReadings(bag):
-            for output in estimator.push(reading):
+            for output in estimator.add_reading(reading):
                 for topic, message in output_messages(new_message, output):
                     if topic in HEARD:
                         yield topic, message

@@ -58,7 +58,7 @@ class CarriedBenchmark:
             history.add_reading(reading)
             if isinstance(reading, BatteryReading):
                 continue
-            for output in estimator.push(reading):
+            for output in estimator.add_reading(reading):
                 if isinstance(output, PowerEstimate) and output.kind is PowerKind.SMOOTHED:
                     stamp_ns = output.stamp_ns
                     lag = (reading.stamp_ns - stamp_ns) / NANOSECONDS
@@ -77,7 +77,7 @@ class CarriedBenchmark:
     def _learn(self, readings: Iterable[Reading]) -> None:
         estimator = self._estimator()
         for reading in readings:
-            for _ in estimator.push(reading):
+            for _ in estimator.add_reading(reading):
                 pass
         self._learned = estimator.export()
 

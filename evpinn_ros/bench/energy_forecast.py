@@ -89,7 +89,7 @@ class ForecastBenchmark:
         thermometer = next((r for r in drive if isinstance(r, TemperatureReading)), None)
         if thermometer is not None:
             celsius = thermometer.celsius
-            list(self._estimator.push(thermometer))
+            list(self._estimator.add_reading(thermometer))
         known, linear = self._estimator.parameters(), self._estimator.linear_power()
         combinations = combined_model(
             known.identifiable, known.identifiable_std, self._vehicle, FIRST_RESIDUAL
@@ -99,7 +99,7 @@ class ForecastBenchmark:
         found = forecast_plan(plan, model, density)
         simple = forecast_plan(plan, combinations, density)
         for reading in drive:
-            for _ in self._estimator.push(reading):
+            for _ in self._estimator.add_reading(reading):
                 pass
         distance = float(plan.distance[-1])
         energy, sigma = float(found.energy[-1]), float(found.sigma[-1])

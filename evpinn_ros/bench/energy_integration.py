@@ -256,7 +256,7 @@ def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[s
             if second == used_s or not measures[second]:
                 continue
             used_s = second
-        for output in estimator.push(reading):
+        for output in estimator.add_reading(reading):
             if not isinstance(output, PowerEstimate) or output.kind is PowerKind.PREDICTED:
                 continue
             for meter in meters.values():

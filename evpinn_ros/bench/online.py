@@ -96,13 +96,13 @@ class OnlineBenchmark:
         """Take one reading; returns s since the first."""
         self._history.add_reading(reading)
         begin = self._clock()
-        events = list(self._stream.push(reading))
+        events = list(self._stream.add_reading(reading))
         self._stream_s += self._clock() - begin
         for event in events:
             self._handle(event, reading.stamp_ns)
         for name, estimator in self._estimators.items():
             begin = self._clock()
-            outputs = list(estimator.push(reading))
+            outputs = list(estimator.add_reading(reading))
             self._predictions[name].seconds += self._clock() - begin
             for output in outputs:
                 if isinstance(output, PowerEstimate) and output.kind is not PowerKind.MEASURED:

@@ -54,7 +54,7 @@ class CarChain:
 
     def add_reading(self, reading: Reading) -> None:
         """Take one reading."""
-        for event in self._stream.push(reading):
+        for event in self._stream.add_reading(reading):
             if isinstance(event, Interval):
                 self.car.learn(event)
                 steps = event.steps

@@ -99,7 +99,9 @@ def read_car(data: str, key: str) -> RecordedCar:
     drives = []
     for drive in car.drives:
         stream = SampleStream(StreamSettings(), car.vehicle.air_density, car.vehicle.motor_ratio)
-        found = [e for r in drive.readings for e in stream.push(r) if isinstance(e, Interval)]
+        found = [
+            e for r in drive.readings for e in stream.add_reading(r) if isinstance(e, Interval)
+        ]
         drives.append([e for e in found if not math.isnan(e.energy) and gate_interval(e) is None])
     return RecordedCar(key, car.vehicle, [drive for drive in drives if drive])
 

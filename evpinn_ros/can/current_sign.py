@@ -63,12 +63,12 @@ class CurrentSign:
             self._speed, self._speed_ns = reading.speed, reading.stamp_ns
         elif isinstance(reading, BatteryReading):
             self._add_battery(reading, newest)
-        for event in self._stream.push(reading):
+        for event in self._stream.add_reading(reading):
             if isinstance(event, MeasuredSample):
                 sample = event.sample
                 step = _step(sample.stamp_ns, self._sampled_ns)
                 self._sampled_ns = sample.stamp_ns
-                self._driving.push(sample, event.power, step)
+                self._driving.update(sample, event.power, step)
 
     def _add_battery(self, reading: BatteryReading, before_ns: int | None) -> None:
         if before_ns is None or math.isnan(reading.power):
@@ -76,7 +76,7 @@ class CurrentSign:
         age_ns = abs(reading.stamp_ns - self._speed_ns)
         speed = self._speed if age_ns < LONGEST_STEP * NANOSECONDS else math.nan
         step = _step(reading.stamp_ns, before_ns)
-        self._charging.push(reading.power, reading.state_of_charge, speed, step)
+        self._charging.update(reading.power, reading.state_of_charge, speed, step)
 
 
 def _step(stamp_ns: int, before_ns: int) -> float:

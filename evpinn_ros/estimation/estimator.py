@@ -182,13 +182,13 @@ class OnlineEstimator:
             kind: deque(maxlen=2000) for kind in self._bands
         }
 
-    def push(self, reading: Reading) -> Iterator[Output]:
+    def add_reading(self, reading: Reading) -> Iterator[Output]:
         """Take one reading; give the predictions and parameters it leads to, in order."""
         before = self._stream.dropped.total()
-        events = list(self._stream.push(reading))
+        events = list(self._stream.add_reading(reading))
         taken = self._stream.dropped.total() == before
         if taken:
-            self._stuck.push(reading)
+            self._stuck.add_reading(reading)
         usable = taken and self._stuck.suspected != BATTERY_STUCK
         if isinstance(reading, BatteryReading) and usable:
             power = self._stream.measured_power(reading)
@@ -214,7 +214,7 @@ class OnlineEstimator:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
         return self._learner.evidence()
 
-    def noticed(self) -> LearnerReport:
+    def detections(self) -> LearnerReport:
         """Changes of payload and suspicions."""
         return self._learner.report()
 

@@ -98,7 +98,7 @@ def identifiable_shares(source: Published) -> Identifiable:
 
 
 class StateHysteresis:
-    """States that do not flicker: what holds goes on holding a little beyond where it began."""
+    """Hysteresis of states: one that holds goes on holding a little beyond where it began."""
 
     def __init__(self) -> None:
         """Nothing judged yet."""

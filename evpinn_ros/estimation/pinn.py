@@ -97,7 +97,7 @@ class LearnedCar:
     def learn(self, interval: Interval) -> None:
         """Take one more interval, its battery measured or not."""
         conditions = interval.conditions
-        self.loads.push(conditions.load, conditions.celsius, interval.duration)
+        self.loads.add(conditions.load, conditions.celsius, interval.duration)
         reason = gate_interval(interval)
         if reason is not None:
             self.gated[reason] += 1
@@ -196,7 +196,7 @@ class PinnLearner:
         self._seen_ns: int | None = None  # of what was predicted
         self._debt = EnergyDebt()
         self.gated: Counter[str] = Counter()
-        self._adopt(LearnedCar(vehicle))
+        self._use(LearnedCar(vehicle))
 
     def advance(self, sample: Sample) -> None:
         """Let time pass up to a smoothed sample.
@@ -236,7 +236,7 @@ class PinnLearner:
         if reason is not None:
             self.gated[reason] += 1
             return
-        self._suspicion.push(sample, power, step)
+        self._suspicion.update(sample, power, step)
         if self._suspicion.suspected:
             self.gated[CURRENT_SIGN] += 1
             return
@@ -263,7 +263,7 @@ class PinnLearner:
         if candidate.stretches != self._car.stretches:
             return "outdated"
         self.gated.update(candidate.gated)
-        self._adopt(candidate)
+        self._use(candidate)
         if candidate.measured:
             self._debt.settle(candidate.end_ns)
         else:
@@ -296,13 +296,13 @@ class PinnLearner:
         self._network.advance(PARKED)
         self._car.forget_road()
         self._debt = EnergyDebt()
-        self._adopt(self._car)
+        self._use(self._car)
 
     def end_drive(self) -> None:
         """Begin another drive."""
         self.forget_window()
         self._car.begin_drive()
-        self._adopt(self._car)
+        self._use(self._car)
 
     def export(self) -> Mapping[str, Any]:
         """State to save."""
@@ -333,9 +333,9 @@ class PinnLearner:
         if seen_ns is not None and not 0 <= int(seen_ns) < 2**63:
             raise ValueError("the saved stamp is out of range")
         self._seen_ns = None if seen_ns is None else int(seen_ns)
-        self._adopt(car)
+        self._use(car)
 
-    def _adopt(self, car: LearnedCar) -> None:
+    def _use(self, car: LearnedCar) -> None:
         """Use this car from now on; its mixture is what samples are predicted by."""
         self._car = car
         self._mixture = car.filter.mixture()

@@ -54,7 +54,7 @@ class ReportedLoads:
         """True once the car has reported a load."""
         return self._reported
 
-    def push(self, load: float, celsius: float | None, step: float) -> None:
+    def add(self, load: float, celsius: float | None, step: float) -> None:
         """Take a load, W, that stands for `step` seconds at an ambient temperature."""
         self._reported = self._reported or load > 0.0
         self._features += step * _features(celsius, self._seconds)

@@ -162,7 +162,7 @@ class EnergyNode(GuardedNode):
         power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
         energy_sigma = vector.sigmas.get(UNMEASURED_ENERGY, math.nan)
         item = topic, vector.stamp_ns, power, sigma, energy_sigma
-        for passed in self._guard.push(topic, vector.stamp_ns, item, jump_rule(self.values)):
+        for passed in self._guard.admit(topic, vector.stamp_ns, item, jump_rule(self.values)):
             if isinstance(passed, Jump):
                 self._on_jump(passed)
             else:
@@ -217,7 +217,7 @@ class EnergyNode(GuardedNode):
     def _take_reading(self, topic: Topic, reading: SpeedReading | BatteryReading) -> None:
         """Readings have a guard of their own: in a fast replay they are seconds ahead of power."""
         rule = jump_rule(self.values)
-        for passed in self._reading_guard.push(topic, reading.stamp_ns, reading, rule):
+        for passed in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
             if isinstance(passed, Jump):
                 self.account.begin_readings_anew()
             elif isinstance(passed, SpeedReading):

@@ -145,14 +145,14 @@ class EstimatorNode(GuardedNode):
             if wrong is not None:
                 self.notice("stamps", f"{topic.name}: {wrong}")
         rule = jump_rule(self.values)
-        for item in self._guard.push(topic, reading.stamp_ns, reading, rule):
+        for item in self._guard.admit(topic, reading.stamp_ns, reading, rule):
             if isinstance(item, Jump):
                 self._on_jump(item)
             else:
                 self._learn(item)
 
     def _learn(self, reading: Reading) -> None:
-        for output in self.estimator.push(reading):
+        for output in self.estimator.add_reading(reading):
             self.publish(output_messages(new_message, output))
 
     def _on_jump(self, jump: Jump) -> None:

@@ -78,7 +78,7 @@ class Chain:
             self.account.add_speed(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
             self.account.add_battery(reading)
-        for output in self.estimator.push(reading):
+        for output in self.estimator.add_reading(reading):
             yield output
             if not isinstance(output, PowerEstimate):
                 continue

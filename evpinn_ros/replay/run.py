@@ -84,7 +84,7 @@ def replay(
     """
     history = History()
     # What earlier drives left is no event of this one.
-    history.add_detections(chain.estimator.noticed())
+    history.add_detections(chain.estimator.detections())
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
     whole = takewhile(lambda _: not stopped(), source.readings())
@@ -162,7 +162,7 @@ def _outputs(
     for output in outputs:
         history.add_output(output)
         if isinstance(output, ParameterSet):
-            history.add_detections(chain.estimator.noticed())
+            history.add_detections(chain.estimator.detections())
     return outputs
 
 

@@ -123,7 +123,7 @@ def _read(
         for item in guard.follow(reading):
             if isinstance(item, Jump):
                 raise InputError(f"{path}: time goes back within the log; cut it there")
-            for event in stream.push(_earlier(item, earlier_ns)):
+            for event in stream.add_reading(_earlier(item, earlier_ns)):
                 if isinstance(event, MeasuredSample):
                     sample = event.sample
                     rows.append((sample.stamp_ns, sample.speed, sample.acceleration, event.power))

@@ -3,7 +3,7 @@
 - `SpeedTrack.smoothed`: a local quadratic (Savitzky-Golay for uneven steps) around a past moment,
   using speed up to `smoothing_lag` after it.
 - `CausalDifferentiator`: acceleration at the newest moment, which has no future to smooth over. It
-  learns, from speed alone, the linear combination of past speed differences that best foretells
+  learns, from speed alone, the linear combination of past speed differences that best predicts
   the output of the smoother once later readings are in.
 """
 

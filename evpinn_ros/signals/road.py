@@ -133,7 +133,7 @@ class Road:
         self._altitudes = SignalTrack(STALE_AFTER)
         self._begin_heights()
 
-    def push(self, reading: RoadReading) -> None:
+    def add_reading(self, reading: RoadReading) -> None:
         """Take one reading."""
         match reading:
             case TemperatureReading():

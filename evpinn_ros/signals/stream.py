@@ -142,22 +142,22 @@ class SampleStream:
         voltage = self._battery.latest_voltage(reading.stamp_ns)
         return None if voltage is None else -voltage * reading.current
 
-    def push(self, reading: Reading) -> Iterator[StreamEvent]:
+    def add_reading(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""
         match reading:
             case SpeedReading():
-                yield from self._push_speed(reading)
+                yield from self._add_speed(reading)
             case BatteryReading():
-                self._push_battery(reading)
+                self._add_battery(reading)
             case _:
-                self._push_road(reading)
+                self._add_road(reading)
         if self._last_moment_ns is not None:
             yield from self._match_power(self._last_moment_ns)
         if len(self._speed):
             self._drop_hopeless()
             yield from self._intervals.intervals()
 
-    def _push_speed(self, reading: SpeedReading) -> Iterator[StreamEvent]:
+    def _add_speed(self, reading: SpeedReading) -> Iterator[StreamEvent]:
         if not abs(reading.speed) <= MAX_SPEED:
             self.dropped["speed_out_of_range"] += 1
             return
@@ -236,7 +236,7 @@ class SampleStream:
             newest=newest,
         )
 
-    def _push_battery(self, reading: BatteryReading) -> None:
+    def _add_battery(self, reading: BatteryReading) -> None:
         reason = _why_unusable(reading)
         if reason is not None:
             self.dropped[reason] += 1
@@ -268,12 +268,12 @@ class SampleStream:
                 return
             self._unmeasured.popleft()
 
-    def _push_road(self, reading: RoadReading) -> None:
+    def _add_road(self, reading: RoadReading) -> None:
         reason = why_impossible(reading)
         if reason is not None:
             self.dropped[reason] += 1
         elif not isinstance(reading, MotorReading):
-            self._road.push(reading)
+            self._road.add_reading(reading)
         elif len(self._speed):
             self._motor.add(reading, self._speed.newest)
 

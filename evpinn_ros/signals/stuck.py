@@ -37,16 +37,16 @@ class StuckSuspicion:
         self._spoilt: deque[tuple[str, int, int]] = deque(maxlen=SPOILT_KEPT)
         self._step = math.inf  # smallest change of speed seen, m/s
 
-    def push(self, reading: Reading) -> None:
+    def add_reading(self, reading: Reading) -> None:
         """Learn from a reading of any kind."""
         if isinstance(reading, SpeedReading):
             before = self._speed.value
             if isinstance(before, float) and reading.speed != before:
                 self._step = min(self._step, abs(reading.speed - before))
-            self._speed.push(reading.stamp_ns, reading.speed, self._speed_limits[0])
+            self._speed.add(reading.stamp_ns, reading.speed, self._speed_limits[0])
             self._battery.witness(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
-            self._battery.push(reading.stamp_ns, (reading.voltage, reading.current), LONG)
+            self._battery.add(reading.stamp_ns, (reading.voltage, reading.current), LONG)
             self._speed.witness(reading.stamp_ns, reading.power)
         self._note()
 
@@ -124,7 +124,7 @@ class _Repeats:
         """Of the other value in the present window."""
         return self._high - self._low
 
-    def push(self, stamp_ns: int, value: Hashable, long: float) -> None:
+    def add(self, stamp_ns: int, value: Hashable, long: float) -> None:
         if value != self.value or stamp_ns < self.since_ns:
             self.value = value
             self._begin(stamp_ns)

@@ -39,7 +39,7 @@ class SignSuspicion:
         self.suspected = self.judged = False
         self._with = self._size = self._seconds = 0.0
 
-    def push(self, sample: Sample, power: float, step: float) -> None:
+    def update(self, sample: Sample, power: float, step: float) -> None:
         """Learn from measured power, W, that stands for `step` seconds."""
         if abs(sample.acceleration) < HARD or sample.speed < MOVING:
             return
@@ -85,7 +85,7 @@ class ChargeSuspicion:
         self._charge = math.nan
         self._drawn = self._at_rest = 0.0
 
-    def push(self, power: float, charge: float, speed: float, step: float) -> None:
+    def update(self, power: float, charge: float, speed: float, step: float) -> None:
         """Learn from the readings of `step` seconds.
 
         Args:

@@ -116,10 +116,10 @@ class StampGuard:
         return len(self._held)
 
     def follow(self, reading: Reading, rule: JumpRule = DEFAULT_RULE) -> Iterator[Reading | Jump]:
-        """`push` for readings, each kind of which is a source."""
-        return self.push(type(reading), reading.stamp_ns, reading, rule)
+        """`admit` for readings, each kind of which is a source."""
+        return self.admit(type(reading), reading.stamp_ns, reading, rule)
 
-    def push(
+    def admit(
         self, source: object, stamp_ns: int, item: Any, rule: JumpRule = DEFAULT_RULE
     ) -> Iterator[Any | Jump]:
         """Take one item; give it, or nothing while in doubt, or a jump and all that was held.

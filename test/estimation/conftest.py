@@ -160,7 +160,7 @@ def powers() -> Callable[..., list[PowerEstimate]]:
 @pytest.fixture
 def play() -> Callable[..., list]:
     """Everything an estimator says of readings."""
-    return lambda estimator, readings: [o for r in readings for o in estimator.push(r)]
+    return lambda estimator, readings: [o for r in readings for o in estimator.add_reading(r)]
 
 
 @pytest.fixture

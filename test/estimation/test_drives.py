@@ -29,7 +29,7 @@ class Replayed:
     def __init__(self, readings) -> None:
         vehicle = load_vehicle("tesla_model_3_lr")
         estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-        outputs = [output for reading in readings for output in estimator.push(reading)]
+        outputs = [output for reading in readings for output in estimator.add_reading(reading)]
         self.powers = [o for o in outputs if isinstance(o, PowerEstimate)]
         self.parameters = [o for o in outputs if isinstance(o, ParameterSet)]
         measured = self._columns(PowerKind.MEASURED)

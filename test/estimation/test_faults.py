@@ -72,7 +72,7 @@ FAULTS = (dropouts, jumps, reverse, slip, flipped, shuffled)
 def test_faults_of_a_window_end_in_nothing_that_is_not_finite(new_estimator, drive, fault):
     rng = np.random.default_rng(0)
     estimator = new_estimator()
-    outputs = [o for r in fault(drive(3, 60.0).readings, rng) for o in estimator.push(r)]
+    outputs = [o for r in fault(drive(3, 60.0).readings, rng) for o in estimator.add_reading(r)]
     assert any(isinstance(o, ParameterSet) for o in outputs)
     for output in outputs:
         if isinstance(output, ParameterSet):

@@ -73,7 +73,7 @@ def test_both_are_saved_and_what_does_not_fit_is_refused(hills):
     current = SignSuspicion()
     for k in range(300):
         moment = Sample(k * NANOSECONDS, 10.0, 1.0 if k % 2 else -1.0, 0.0, 1.17, 0.0)
-        current.push(moment, -2e4 if k % 2 else 2e4, 1.0)
+        current.update(moment, -2e4 if k % 2 else 2e4, 1.0)
     assert current.suspected
     for suspicion in (hills.car.grade, current):
         saved = json.loads(json.dumps(suspicion.export()))
@@ -90,14 +90,14 @@ def test_a_hair_around_the_limit_does_not_flicker():
     """Suspected below -0.5 of the share of power that goes with inertia, cleared above 0."""
     current = SignSuspicion()
 
-    def push(wrong: float, seconds: int) -> bool:
+    def feed(wrong: float, seconds: int) -> bool:
         """Of a share of power against the acceleration."""
         for k in range(seconds):
             sign = 1.0 if k % 10 < round(10 * (1 - wrong)) else -1.0
-            current.push(Sample(0, 10.0, 1.0, 0.0, 1.17, 0.0), sign * 1e4, 1.0)
+            current.update(Sample(0, 10.0, 1.0, 0.0, 1.17, 0.0), sign * 1e4, 1.0)
         return current.suspected
 
-    assert not push(0.7, 400)
-    assert push(0.9, 400)
-    assert push(0.7, 400)
-    assert not push(0.2, 400)
+    assert not feed(0.7, 400)
+    assert feed(0.9, 400)
+    assert feed(0.7, 400)
+    assert not feed(0.2, 400)

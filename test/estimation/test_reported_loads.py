@@ -24,7 +24,7 @@ from evpinn_ros.signals.readings import (
 def driven(loads, watts, celsius, seconds):
     """`watts` at each second since the start of the drive."""
     for second in range(seconds):
-        loads.push(watts(second), celsius, 1.0)
+        loads.add(watts(second), celsius, 1.0)
     return loads
 
 
@@ -32,14 +32,14 @@ def test_of_a_car_that_reports_none_none_is_expected():
     loads = driven(ReportedLoads(), lambda _: 0.0, -10.0, 1000)
     loads.end_drive()
     assert loads.expected(-10.0) == (0.0, 0.0, 0.0)
-    loads.push(1.0, None, 1.0)
+    loads.add(1.0, None, 1.0)
     assert loads.expected(-10.0).settled > 1000.0
 
 
 @given(st.floats(-40.0, 50.0))
 def test_the_first_drive_is_expected_as_in_other_cars(celsius):
     loads = ReportedLoads()
-    loads.push(1e-9, None, 1e-9)
+    loads.add(1e-9, None, 1e-9)
     loads.end_drive()
     settled, sigma, excess = loads.expected(celsius)
     cold, warm = max(0.0, 20.0 - celsius), max(0.0, celsius - 20.0)
@@ -65,7 +65,7 @@ def test_what_is_learned_of_cold_days_holds_for_cold_days():
 
 def test_in_a_drive_the_present_load_passes_to_what_the_drive_has_shown():
     loads = driven(ReportedLoads(), lambda _: 3000.0, 20.0, 60)
-    loads.push(5000.0, 20.0, 1.0)
+    loads.add(5000.0, 20.0, 1.0)
     soon = loads.expected(20.0)
     assert soon.settled + soon.excess == 5000.0
     later = driven(loads, lambda _: 3000.0, 20.0, 7200).expected(20.0)
@@ -93,9 +93,9 @@ def test_the_next_drive_of_a_replay_is_another_wherever_its_stamps_lie(vehicle):
     estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
     for k in range(100):
         stamp_ns = k * NANOSECONDS // 2
-        list(estimator.push(AuxiliaryReading(stamp_ns, 1500.0, 0.0)))
-        list(estimator.push(BatteryReading(stamp_ns, 350.0, -30.0)))
-        list(estimator.push(SpeedReading(stamp_ns, 10.0)))
+        list(estimator.add_reading(AuxiliaryReading(stamp_ns, 1500.0, 0.0)))
+        list(estimator.add_reading(BatteryReading(stamp_ns, 350.0, -30.0)))
+        list(estimator.add_reading(SpeedReading(stamp_ns, 10.0)))
     assert estimator.export()["learner"]["loads"]["drive"][0] > 30.0
     estimator.begin_next_drive()
     assert estimator.export()["learner"]["loads"]["drive"][0] == 0.0

@@ -29,7 +29,7 @@ def learned(drive, new_of):
         estimator = new_of(mode)
         for reading in readings:
             if reading.stamp_ns < cut:
-                for _ in estimator.push(reading):
+                for _ in estimator.add_reading(reading):
                     pass
         found[mode] = estimator
     return found
@@ -150,7 +150,7 @@ def test_whatever_a_state_holds(learned, new_of, drive, data):
         return
     readings = drive(1, 240.0).readings[1200:1240]
     for reading in readings:
-        for output in estimator.push(reading):
+        for output in estimator.add_reading(reading):
             if hasattr(output, "power"):
                 assert math.isfinite(output.power)
     assert all(math.isfinite(p.std) for p in estimator.parameters().parameters.values())

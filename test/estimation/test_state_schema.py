@@ -129,7 +129,7 @@ def test_the_ends_of_a_range_are_refused_or_good_for_finite_predictions(new, sta
             except ValueError:
                 continue
             for reading in readings:
-                for output in estimator.push(reading):
+                for output in estimator.add_reading(reading):
                     if hasattr(output, "power"):
                         assert math.isfinite(output.power) and math.isfinite(output.sigma)
             again = new(mode)

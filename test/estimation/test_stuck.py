@@ -32,7 +32,7 @@ def test_a_stuck_sensor_teaches_nothing(stuck):
             current = -40.0 if stuck == BATTERY_STUCK else current
         stamp_ns = NANOSECONDS + round(now * NANOSECONDS)
         for reading in (BatteryReading(stamp_ns, 350.0, current), SpeedReading(stamp_ns, speed)):
-            outputs = estimator.push(reading)
+            outputs = estimator.add_reading(reading)
             kinds += [(now, o.kind) for o in outputs if isinstance(o, PowerEstimate)]
     status = estimator.status()
     assert status.stuck == stuck and status.gated[stuck] > 20
@@ -73,7 +73,7 @@ def test_a_speed_that_hangs_for_seconds_moves_next_to_nothing(begin, value, most
             if disturbed and hangs and isinstance(reading, SpeedReading):
                 held = reading.speed if held is None else held
                 reading = replace(reading, speed=held)
-            for _ in estimator.push(reading):
+            for _ in estimator.add_reading(reading):
                 pass
         estimators.append(estimator)
     silent, hung = map(mass_over_eta, estimators)
@@ -100,7 +100,7 @@ def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(mon
                 continue
             if isinstance(reading, SpeedReading) and 60.0 < now < 68.0:
                 reading = replace(reading, speed=12.0)
-            for _ in estimator.push(reading):
+            for _ in estimator.add_reading(reading):
                 pass
         energies.append(estimator._learner._unmeasured[0])
     assert energies[0] == energies[1] > 1e5

@@ -63,7 +63,7 @@ def test_estimator_starts_from_the_state(outcome: Outcome, tmp_path: Path) -> No
     outputs = [
         output
         for index in range(20)
-        for output in estimator.push(
+        for output in estimator.add_reading(
             SpeedReading((1000 + index) * 100_000_000, 10.0, float("nan"))
         )
     ]

@@ -24,4 +24,6 @@ def new_stream() -> Callable[..., SampleStream]:
 @pytest.fixture
 def play() -> Callable[[SampleStream, Iterable[Reading]], list[StreamEvent]]:
     """Everything a stream makes of readings."""
-    return lambda stream, readings: [e for reading in readings for e in stream.push(reading)]
+    return lambda stream, readings: [
+        e for reading in readings for e in stream.add_reading(reading)
+    ]

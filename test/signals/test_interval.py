@@ -157,7 +157,7 @@ def test_a_silent_battery_is_not_waited_for(new_stream, journey, at):
     """An interval without energy is given within seconds of its end, not after `WAIT_NS`."""
     stream, waits = new_stream(), []
     for reading in journey(90.0, silent_from=30.0, altitude_step=None):
-        for interval in of(stream.push(reading)):
+        for interval in of(stream.add_reading(reading)):
             if math.isnan(interval.energy):
                 waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
     assert len(waits) >= 8 and max(waits) < 5.0 < WAIT_NS / NANOSECONDS
@@ -167,7 +167,7 @@ def test_a_standing_car_waits_for_no_road(new_stream, journey):
     """Heights around it never come: after a minute it is given as it is."""
     stream, waits = new_stream(), []
     for reading in journey(150.0, speed=lambda t: 10.0 if t < 20.0 else 0.0):
-        for interval in of(stream.push(reading)):
+        for interval in of(stream.add_reading(reading)):
             waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
     assert len(waits) >= 13 and max(waits) <= WAIT_NS / NANOSECONDS + 1.0
 

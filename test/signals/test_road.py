@@ -25,7 +25,7 @@ def at(seconds: float) -> int:
 def climb(road: Road, slope: float, seconds: int = 20, speed: float = 10.0) -> int:
     """Drive with one altitude a second on a road that rises `slope` m each m of road."""
     for second in range(seconds):
-        road.push(AltitudeReading(at(second), 100.0 + slope * speed * second))
+        road.add_reading(AltitudeReading(at(second), 100.0 + slope * speed * second))
         road.travel(speed)
     return at(seconds - 1)
 
@@ -42,7 +42,7 @@ def test_a_noisy_barometer_makes_no_hills():
     rng = np.random.default_rng(0)
     road, grades = Road(GradeSource.FIX, 1.2), []
     for second in range(600):
-        road.push(AltitudeReading(at(second), 100.0 + 0.7 * rng.standard_normal()))
+        road.add_reading(AltitudeReading(at(second), 100.0 + 0.7 * rng.standard_normal()))
         road.travel(10.0)
         grades.append(road.grade(at(second)))
     assert 0.0 < np.std(grades) < 0.006
@@ -67,7 +67,7 @@ def test_a_parked_car_piles_up_no_altitudes():
     """Ten hours at 10 Hz on one spot, then off: still quick, and the grade of the new road."""
     road = Road(GradeSource.FIX, 1.2)
     for tick in range(360_000):
-        road.push(AltitudeReading(at(tick / 10), 100.0))
+        road.add_reading(AltitudeReading(at(tick / 10), 100.0))
     assert road.grade(at(36_000)) == 0.0
     road.travel(1.0)
     now = climb(road, 0.05, seconds=200)
@@ -77,7 +77,7 @@ def test_a_parked_car_piles_up_no_altitudes():
 def test_grade_from_the_imu_is_a_mean_over_a_second():
     road = Road(GradeSource.IMU, 1.2)
     for tick, grade in enumerate([0.3, 0.3, *[0.02, 0.04] * 5, 0.03]):
-        road.push(GradeReading(at(tick / 10), grade))
+        road.add_reading(GradeReading(at(tick / 10), grade))
     # 0.02 to 1.2 s: the readings of the last second, 0.2 to 1.2 s, five pairs and 0.03
     assert road.grade(at(1.2)) == pytest.approx((5 * 0.06 + 0.03) / 11)
     assert road.grade(at(12.0)) == 0.0
@@ -85,10 +85,10 @@ def test_grade_from_the_imu_is_a_mean_over_a_second():
 
 def test_a_stray_stamp_does_not_keep_an_old_grade():
     road = Road(GradeSource.IMU, 1.2)
-    road.push(GradeReading(2**62, 0.2))
+    road.add_reading(GradeReading(2**62, 0.2))
     assert road.grade(at(0)) == 0.0
     for tick in range(11):
-        road.push(GradeReading(at(tick / 10), 0.01))
+        road.add_reading(GradeReading(at(tick / 10), 0.01))
     assert road.grade(at(1.0)) == pytest.approx(0.01)
 
 
@@ -96,7 +96,7 @@ def test_sources():
     both = {source: Road(source, 1.2) for source in GradeSource}
     for road in both.values():
         now = climb(road, 0.05, seconds=200)
-        road.push(GradeReading(now, 0.01))
+        road.add_reading(GradeReading(now, 0.01))
     grades = {source.value: road.grade(now) for source, road in both.items()}
     fix = pytest.approx(math.atan(0.05), abs=1e-4)
     assert grades == {"none": 0.0, "imu": 0.01, "fix": fix, "auto": 0.01}
@@ -106,9 +106,9 @@ def test_sources():
 def test_air_density_follows_temperature():
     road = Road(GradeSource.NONE, 1.2)
     assert road.air_density() == 1.2
-    road.push(TemperatureReading(at(0), 20.0))
+    road.add_reading(TemperatureReading(at(0), 20.0))
     assert road.air_density() == pytest.approx(1.2)
-    road.push(TemperatureReading(at(1), 0.0))
+    road.add_reading(TemperatureReading(at(1), 0.0))
     assert road.air_density() == pytest.approx(1.2 * 293.15 / 273.15)
     road.forget()
     assert road.air_density() == pytest.approx(1.2 * 293.15 / 273.15)
@@ -117,10 +117,10 @@ def test_air_density_follows_temperature():
 def test_known_loads_count_while_they_are_fresh():
     road = Road(GradeSource.NONE, 1.2)
     assert road.known_auxiliary(at(0)) == 0.0
-    road.push(AuxiliaryReading(at(0), 1500.0))
+    road.add_reading(AuxiliaryReading(at(0), 1500.0))
     assert road.known_auxiliary(at(10)) == 1500.0
     assert road.known_auxiliary(at(10.1)) == 0.0
-    road.push(AuxiliaryReading(2**62, 900.0))
+    road.add_reading(AuxiliaryReading(2**62, 900.0))
     assert road.known_auxiliary(at(0)) == 0.0
 
 
@@ -130,24 +130,24 @@ def test_known_loads_count_while_they_are_fresh():
 def test_a_heater_is_not_believed_on_a_warm_day(celsius, known):
     road = Road(GradeSource.NONE, 1.2)
     if celsius is not None:
-        road.push(TemperatureReading(at(0), celsius))
-    road.push(AuxiliaryReading(at(0), 1500.0, 250.0))
+        road.add_reading(TemperatureReading(at(0), celsius))
+    road.add_reading(AuxiliaryReading(at(0), 1500.0, 250.0))
     assert road.known_auxiliary(at(1)) == known
 
 
 def test_density_from_pressure_and_temperature():
     """The standard atmosphere (ISO 2533): 1.2250 kg/m^3 at 15 degrees and 101325 Pa."""
     road = Road(GradeSource.NONE, 1.16)
-    road.push(PressureReading(at(0), 101_325.0))
+    road.add_reading(PressureReading(at(0), 101_325.0))
     assert road.air_density() == pytest.approx(101_325.0 / (287.05 * 293.15))
-    road.push(TemperatureReading(at(0), 15.0))
+    road.add_reading(TemperatureReading(at(0), 15.0))
     assert road.air_density() == pytest.approx(1.2250, abs=1e-4)
 
 
 def test_wind_holds_for_ten_minutes():
     road = Road(GradeSource.NONE, 1.2)
     assert road.head_wind(at(0)) == 0.0
-    road.push(WindReading(at(0), 6.0))
+    road.add_reading(WindReading(at(0), 6.0))
     assert road.head_wind(at(600)) == 6.0
     assert road.head_wind(at(601)) == 0.0
 
@@ -160,7 +160,7 @@ def test_what_no_input_tells_is_named():
         PressureReading(at(0), 1e5),
         AuxiliaryReading(at(0), 500.0),
     ):
-        road.push(reading)
+        road.add_reading(reading)
     assert road.unknown(at(1)) == ("temperature", "wind")
 
 

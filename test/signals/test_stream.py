@@ -74,7 +74,7 @@ def test_a_smoothed_sample_comes_with_the_first_speed_a_lag_later(new_stream, ra
     newest = None
     for reading in ramp(rate, 0.0, 12.0):
         before, newest = newest, reading.stamp_ns
-        for stamp in stamps(stream.push(reading), SmoothedSample):
+        for stamp in stamps(stream.add_reading(reading), SmoothedSample):
             needed = stamp + int(LAG * NANOSECONDS) - LAG_TOLERANCE_NS
             early = stamp <= before and before >= needed  # it could have come before
             # The first moments wait for enough speeds to fit a quadratic.
@@ -122,7 +122,7 @@ def test_a_measured_sample_waits_for_the_predictions_up_to_its_readings(
     stream, used_ns = new_stream(), 0
     smoothed = measured = 0
     for reading in readings:
-        for event in stream.push(reading):
+        for event in stream.add_reading(reading):
             if isinstance(event, MeasuredSample):
                 second = (event.sample.stamp_ns - at(0)) / NANOSECONDS
                 used_ns = max(used_ns, at(math.ceil(second - 1e-9)))

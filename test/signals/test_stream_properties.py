@@ -51,7 +51,7 @@ def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
         events = [
             e
             for *_, reading in sorted(arrivals, key=lambda a: a[:2])
-            for e in stream.push(reading)
+            for e in stream.add_reading(reading)
         ]
         assert not stream.dropped
         kept = [event for event in events if isinstance(event, (MeasuredSample, Interval))]
@@ -110,7 +110,7 @@ def nonsense(draw):
 def test_nonsense_makes_no_exception_and_nothing_that_is_not_finite(readings, smoothed_after):
     stream = SampleStream(StreamSettings(smoothing_lag=0.1 * smoothed_after), 1.2)
     for reading in readings:
-        for event in stream.push(reading):
+        for event in stream.add_reading(reading):
             if isinstance(event, Gap):
                 continue
             if isinstance(event, Interval):
@@ -133,7 +133,7 @@ def test_samples_of_a_kind_are_in_order(readings):
     stream = SampleStream(StreamSettings(), 1.2)
     last: dict[type, int] = {}
     for reading in readings:
-        for event in stream.push(reading):
+        for event in stream.add_reading(reading):
             if isinstance(event, (NewestSample, SmoothedSample, MeasuredSample)):
                 kind = type(event)
                 assert event.sample.stamp_ns > last.get(kind, -(2**64))
@@ -146,20 +146,20 @@ def test_after_any_nonsense_a_good_drive_is_heard(readings):
     """Four seconds of good speed and battery after anything, and samples come."""
     stream, guard = SampleStream(StreamSettings(), 1.2), StampGuard(SpeedReading)
 
-    def push(reading):
+    def feed(reading):
         for item in guard.follow(reading):
             if isinstance(item, Jump):
                 stream.reset()
             else:
-                yield from stream.push(item)
+                yield from stream.add_reading(item)
 
     for reading in readings:
-        for _ in push(reading):
+        for _ in feed(reading):
             pass
     begin = START + 500 * NANOSECONDS
     kinds_seen = set()
     for tick in range(40):
         stamp = begin + tick * 100_000_000
         for reading in (SpeedReading(stamp, 5.0), BatteryReading(stamp, 350.0, -10.0)):
-            kinds_seen |= {type(event) for event in push(reading)}
+            kinds_seen |= {type(event) for event in feed(reading)}
     assert {NewestSample, SmoothedSample, MeasuredSample} <= kinds_seen

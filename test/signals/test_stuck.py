@@ -16,8 +16,8 @@ def judge(seconds, speed, current, suspicion=None, begin=0.0):
     for step in range(round(10 * seconds)):
         now = begin + step / 10
         stamp_ns = round(now * NANOSECONDS)
-        suspicion.push(BatteryReading(stamp_ns, 350.0, current(now)))
-        suspicion.push(SpeedReading(stamp_ns, speed(now)))
+        suspicion.add_reading(BatteryReading(stamp_ns, 350.0, current(now)))
+        suspicion.add_reading(SpeedReading(stamp_ns, speed(now)))
     return suspicion.suspected
 
 
@@ -110,5 +110,5 @@ def test_any_readings_are_survived(items):
     suspicion = StuckSuspicion()
     for stamp_ns, first, second, battery in items:
         reading = BatteryReading(stamp_ns, first, second) if battery else None
-        suspicion.push(reading or SpeedReading(stamp_ns, first))
+        suspicion.add_reading(reading or SpeedReading(stamp_ns, first))
     assert suspicion.suspected in (None, SPEED_STUCK, BATTERY_STUCK)

@@ -10,7 +10,7 @@ from evpinn_ros.signals.suspicion import ChargeSuspicion
 def fed(power, charges, *, speed=math.nan, step=1.0):
     suspicion = ChargeSuspicion()
     for charge in charges:
-        suspicion.push(power, charge, speed, step)
+        suspicion.update(power, charge, speed, step)
     return suspicion
 
 
@@ -65,5 +65,5 @@ def test_a_moment_of_much_is_no_charging():
 def test_the_verdict_is_withdrawn():
     found = fed(11_000.0, RISING)
     for charge in (RISING[-1] - 0.0001 * second for second in range(600)):
-        found.push(11_000.0, charge, math.nan, 1.0)
+        found.update(11_000.0, charge, math.nan, 1.0)
     assert found.judged and not found.suspected

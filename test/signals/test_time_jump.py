@@ -18,7 +18,7 @@ def passed(guard, items, rule=DEFAULT_RULE):
     found = []
     for source, seconds in items:
         stamp = START + round(seconds * S)
-        found += guard.push(source, stamp, (source, seconds), rule)
+        found += guard.admit(source, stamp, (source, seconds), rule)
     return found
 
 

@@ -92,7 +92,7 @@ class StepStream:
             self._amperes.add(reading.stamp_ns, reading.current)
             yield from self._measured()
         elif why_impossible(reading) is None:
-            self._road.push(reading)
+            self._road.add_reading(reading)
 
     def _add_speed(self, reading: SpeedReading) -> Iterator[Step]:
         newest = self._speeds[-1][0] if self._speeds else -math.inf

@@ -56,7 +56,7 @@ def learned_state(folder: Path) -> Path:
     estimator = OnlineEstimator(vehicle(), EstimatorSettings(), InlineWorker(lambda: 0.0))
     for step in range(round(LEARNED * 10)):
         for reading in readings(NANOSECONDS + step * NANOSECONDS // 10):
-            for _ in estimator.push(reading):
+            for _ in estimator.add_reading(reading):
                 pass
     path = folder / "learned.json"
     write_state(path, estimator.export())
