@@ -79,11 +79,7 @@ def test_live_works_records_and_ends_well(ros2, bench, car, tmp_path):
     assert json.loads((tmp_path / "urban.json").read_text())["vehicle"] == "tesla_model_3_lr"
 
 
-def test_the_eco_planner_starts_with_the_line_of_the_readme(ros2, bench):
-    line = re.search(r"^ros2 (launch .*eco_speed.*)$", (ROOT / "README.md").read_text(), re.M)[1]
-    assert "deadline:=" in line
-    with ros2.running(*line.split()) as launch:
-        bench.pump(lambda: "<- picked" in launch.output, 60.0)
+def test_the_eco_planner_takes_a_deadline(ros2, bench):
     with ros2.running(*LAUNCH, "eco_speed_planner.launch.py", "deadline:=1") as launch:
         bench.pump(lambda: "nothing is in time: 1 s" in launch.output, 60.0)
 
