@@ -57,7 +57,7 @@ class Bench:
         self._publishers: dict[Topic, Any] = {}
 
     def start(self, make: Callable[..., GuardedNode], **parameters: Any) -> Any:
-        """Make a node under test; drives reach it faster than real time, so updates are awaited."""
+        """Make a node under test; drives come faster than in life, so updates are awaited."""
         values = {"vehicle": VEHICLE, **parameters}
         if make is EstimatorNode:
             values.setdefault("wait_for_update", True)
@@ -114,7 +114,7 @@ class Bench:
             for status in statuses
         }
 
-    def pump(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    def pump(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, "timed out"
