@@ -70,6 +70,20 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="session")
+def loads_without() -> Callable[..., None]:
+    """Asserts that a Python that has run some code has loaded none of these modules."""
+
+    def check(code: str, *modules: str) -> None:
+        code = f"import sys; {code}\nassert not {set(modules)} & {{*sys.modules}}, sys.modules"
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+
+    return check
+
+
+@pytest.fixture(scope="session")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy to build from, so that no build leaves anything behind in the checkout."""
     copy = tmp_path_factory.mktemp("source") / "evpinn_ros"
