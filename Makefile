@@ -22,6 +22,8 @@ endif
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
+# Else each process that a test starts compiles the package again, for seconds.
+unexport PYTHONDONTWRITEBYTECODE
 
 # The real `launch` and `ros2`, where they lie and no ROS 2 is sourced, in a folder of their own:
 # among the other packages their plugins would change pytest. Tests of launch files use them.

@@ -23,7 +23,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message
 from evpinn_ros.bags.writer import BagWriter, Split
-from evpinn_ros.bench.recovery import STORAGES, campaign, messages_of, write_bag
+from evpinn_ros.bench.recovery import FAULTS, STORAGES, campaign, messages_of, write_bag
 from evpinn_ros.cli.main import app
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes.messages import scalar
@@ -57,8 +57,16 @@ def saved(folder: Path, data: bytes):
     return report, found
 
 
-@pytest.mark.parametrize(("storage", "fault", "tally"), list(campaign(60, 40_000)))
-def test_every_message_of_undamaged_chunks_comes_back(storage, fault, tally):
+@pytest.fixture(scope="module")
+def tallies():
+    """What became of five bags of each kind: by storage and fault."""
+    return {(storage, fault): tally for storage, fault, tally in campaign(60, 40_000)}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("storage", STORAGES)
+def test_every_message_of_undamaged_chunks_comes_back(tallies, storage, fault):
+    tally = tallies[storage, fault]
     assert tally.cases == 5 and tally.messages > 0
     assert (tally.missing, tally.miscounted, tally.unread) == (0, 0, 0)
     if (storage, fault) == ("loose", "bit flipped"):
