@@ -13,8 +13,8 @@ from evpinn_ros.cli.console import results
 from evpinn_ros.cli.main import main
 
 
-def run_here(*arguments: object, cwd: Path) -> CompletedProcess[str]:
-    """What `evpinn` does in a folder: its exit code, and what it writes."""
+def run_here(*arguments: object, cwd: Path, columns: int = 100) -> CompletedProcess[str]:
+    """What `evpinn` does in a folder: its exit code, and what it writes for so many columns."""
     out, err = StringIO(), StringIO()
     with (
         pytest.MonkeyPatch.context() as patch,
@@ -23,9 +23,9 @@ def run_here(*arguments: object, cwd: Path) -> CompletedProcess[str]:
         pytest.raises(SystemExit) as ended,
     ):
         patch.chdir(cwd)
-        patch.setenv("COLUMNS", "100")
+        patch.setenv("COLUMNS", str(columns))
         patch.setattr(sys, "argv", ["evpinn", *map(str, arguments)])
-        patch.setattr(results, "_width", 100)
+        patch.setattr(results, "_width", columns)
         patch.setattr(results, "stderr", False)
         main()
     return CompletedProcess(arguments, ended.value.code or 0, out.getvalue(), err.getvalue())

@@ -88,7 +88,7 @@ def test_the_eco_planner_takes_a_deadline(ros2, bench):
 def test_a_replay_plays_inputs_and_ends_with_the_bag(ros2, bench, monkeypatch):
     monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "40")
     measured, powers = hear(bench, topics.POWER_MEASURED), hear(bench, topics.POWER_SMOOTHED)
-    given = (f"bag:={ROOT / 'bags/urban'}", "vehicle:=tesla_model_3_lr", "rate:=8")
+    given = (f"bag:={ROOT / 'bags/urban'}", "vehicle:=tesla_model_3_lr", "rate:=4")
     with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
         bench.pump(lambda: launch.process.poll() is not None, 90.0)
     assert len(measured) > 350 and len(powers) > 350, launch.output
