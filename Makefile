@@ -2,7 +2,9 @@
 PYTHON ?= python3
 PYTHON312 ?= python3.12
 CONSTRAINTS ?= constraints.txt
-JOBS ?= 2
+# More than cores: tests of nodes and buses wait most of the time.
+JOBS ?= 3
+IN_PARALLEL := -n $(JOBS) --dist loadfile --no-loadscope-reorder
 VENV := .venv
 BIN := $(VENV)/bin
 EVPINN := $(BIN)/evpinn
@@ -20,6 +22,8 @@ endif
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := 86
 export OMP_NUM_THREADS := 1
+# Else each process that a test starts compiles the package again, for seconds.
+unexport PYTHONDONTWRITEBYTECODE
 
 # The real `launch` and `ros2`, where they lie and no ROS 2 is sourced, in a folder of their own:
 # among the other packages their plugins would change pytest. Tests of launch files use them.
@@ -42,12 +46,12 @@ demo: $(INSTALLED)
 	@$(EVPINN) demo
 
 test: lint $(ROS2_INSTALLED) $(MSGS_INSTALLED)
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=ci
+	@$(BIN)/python -m pytest $(IN_PARALLEL) --hypothesis-profile=ci
 
 # What finds most mistakes within a minute: no DDS, no browser, no colcon.
 quick: $(INSTALLED)
 	@$(BIN)/ruff check
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --hypothesis-profile=quick --quick
+	@$(BIN)/python -m pytest $(IN_PARALLEL) --hypothesis-profile=quick --quick
 
 # Both distributions that rclpy comes as wheels of: Kilted as `make test` has it, and Jazzy.
 # PyTorch for Python 3.12 is a download of gigabytes.

@@ -52,12 +52,35 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out single tests that are marked `slow`."""
+    """Begin with the long ones, and leave out those marked `slow` where `--quick` is."""
     if config.getoption("quick"):
         items[:] = [item for item in items if item.get_closest_marker("slow") is None]
 
+    def turn(item: pytest.Item) -> int:
+        folders = item.path.relative_to(ROOT / "test").parts
+        return next((at for at, name in enumerate(LONG) if name in folders), len(LONG))
+
+    items.sort(key=turn)
+
+
+LONG = ("launch", "nodes", "cli", "bench", "estimation", "replay", "fleet", "reproduction")
+"""Folders of long files: begun first, they leave no worker alone with one in the end."""
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def loads_without() -> Callable[..., None]:
+    """Asserts that a Python that has run some code has loaded none of these modules."""
+
+    def check(code: str, *modules: str) -> None:
+        code = f"import sys; {code}\nassert not {set(modules)} & {{*sys.modules}}, sys.modules"
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+
+    return check
 
 
 @pytest.fixture(scope="session")

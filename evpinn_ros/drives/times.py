@@ -119,7 +119,7 @@ class Clock:
         if self.kind == "number":
             values = to_floats(cells[0], self.style)
             whole = np.floor(values)
-            bad = ~np.isfinite(values) | (np.abs(values) * _NS[self.unit] > 9e18)
+            bad = ~np.isfinite(values) | (np.abs(values) > 9e18 / _NS[self.unit])
             whole[bad] = 0.0
             values = np.where(bad, 0.0, values)
             factor = _NS[self.unit]

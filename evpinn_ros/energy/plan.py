@@ -108,11 +108,15 @@ def plan_from_path(
     if stamps is not None:
         points["stamps"] = _array(stamps)
     _check_arrays(points)
-    legs = np.sqrt(sum(np.diff(points[axis]) ** 2 for axis in "xyz"))
-    distance = np.concatenate(([0.0], np.cumsum(legs)))
+    with np.errstate(over="ignore"):  # an infinite leg is too long as well
+        legs = np.sqrt(sum(np.diff(points[axis]) ** 2 for axis in "xyz"))
     time = points.get("stamps")
-    if time is None or np.ptp(time) == 0:
-        _refuse(legs > MAX_LEG, f"jumps farther than {MAX_LEG / 1e3:g} km")
+    if time is not None and np.ptp(time) == 0:
+        time = None
+    farthest = MAX_LEG if time is None else MAX_SPEED * LONGEST
+    _refuse(legs > farthest, f"jumps farther than {farthest / 1e3:g} km")
+    distance = np.concatenate(([0.0], np.cumsum(legs)))
+    if time is None:
         return _nominal_plan(distance, points, nominal_speed, acceleration)
     duration = np.diff(time)
     _refuse(duration < 0, "time goes back")
@@ -177,7 +181,8 @@ def _nominal_plan(
     ramp = min(nominal_speed**2 / (2 * acceleration), length / 2)
     # The ends of both ramps become points, so that every leg has one constant acceleration.
     steps = np.linspace(0.0, length, 2 + min(int(length / NOMINAL_STEP), MAX_POINTS))
-    s = np.unique(np.concatenate((distance, steps, [ramp, length - ramp])))
+    s = np.concatenate((distance, steps, [ramp, length - ramp]))
+    s = np.unique(s.round(6))  # no leg is as short as rounding
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2
     squared[[0, -1]] = 0.0
     # As fast as braking for what comes, and accelerating from what was, allow.

@@ -8,6 +8,8 @@ from enum import Enum
 import math
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
 from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import (
@@ -111,7 +113,9 @@ class Forecaster:
         Raises:
             ValueError: there is no such car; what was received before stays.
         """
-        if not car_is_possible(combined_model(combined, sigmas, self._vehicle, 0.0).linear):
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not possible
+            told = combined_model(combined, sigmas, self._vehicle, 0.0).linear
+        if not car_is_possible(told):
             raise ValueError("out_of_range")
         self._combined, self._sigmas = combined, sigmas
         if self._model is None:

@@ -1,4 +1,3 @@
-from pathlib import Path
 import time
 
 import pytest
@@ -7,11 +6,14 @@ from evpinn_ros.bench import energy_integration
 from evpinn_ros.bench.energy_integration import integration_rows
 from evpinn_ros.bench.logs import find_logs
 from evpinn_ros.energy.meter import Integrator
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.output import write
+from evpinn_ros.simulation.simulate import simulate
+from evpinn_ros.vehicle.files import load_vehicle
 
-URBAN = Path(__file__).parents[2] / "bags" / "urban"
 
-
-def test_figures_that_need_no_data():
+def test_figures_that_need_no_data(monkeypatch):
+    monkeypatch.setattr(energy_integration, "DAY", 3600)  # a whole one: test_quadrature.py
     drift, quadrature, *gaps = integration_rows([], time.thread_time)
     assert drift.name.startswith("drift") and drift.figure <= 1e-6
     assert quadrature.name.startswith("quadrature") and 0.0 < quadrature.figure <= 1e-4
@@ -27,13 +29,15 @@ def test_a_drive_without_a_battery_gives_no_figures_of_a_car(tmp_path, monkeypat
     assert only.name.startswith("drift")
 
 
-def test_a_bundled_drive_gives_every_figure_of_a_car(monkeypatch):
+def test_a_drive_gives_every_figure_of_a_car(tmp_path, monkeypatch):
     monkeypatch.setattr(energy_integration, "DAY", 60)
-    monkeypatch.setattr(energy_integration, "STRIDE", 100.0)
-    monkeypatch.setattr(energy_integration, "SILENCE", 60.0)
-    logs = find_logs(str(URBAN), "tesla_model_3_lr")
+    monkeypatch.setattr(energy_integration, "STRIDE", 40.0)
+    monkeypatch.setattr(energy_integration, "SILENCE", 40.0)
+    vehicle = load_vehicle("tesla_model_3_lr")
+    write(simulate(DriveKind.URBAN, vehicle, 120.0, 1), tmp_path / "drive")
+    logs = find_logs(str(tmp_path / "drive"), vehicle.key)
     rows = {row.name: row for row in integration_rows([logs], time.thread_time)}
-    silent = "tesla_model_3_lr, battery silent for 60 s"
+    silent = "tesla_model_3_lr, battery silent for 40 s"
     assert rows[f"{silent}: median"].cases >= 2
     assert 0.0 < rows[f"{silent}: median"].figure <= rows[f"{silent}: worst"].figure < 50.0
     assert 0.0 <= rows[f"{silent}: in the 90 % band"].figure <= 100.0

@@ -2,17 +2,21 @@
 
 from collections.abc import Callable, Iterator
 from functools import cache
+from pathlib import Path
 
 import pytest
 
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import CanProfile, bundled_profiles
+from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
+from evpinn_ros.errors import InputError
+from evpinn_ros.share import share_directory
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
 
+CONFIG = share_directory() / "config" / "can"
 PROFILES = {profile.key: profile for profile in bundled_profiles() if profile.messages}
 SECONDS = 120.0
 
@@ -44,3 +48,22 @@ def encoded(profile: CanProfile, readings: tuple[Reading, ...]) -> Iterator[CanF
 def bus() -> Callable[[str], list[CanFrame]]:
     """The frames of the same drive in the car of a profile."""
     return cache(lambda name: list(encoded(PROFILES[name], readings())))
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Callable[[str, str, str], str]:
+    """Writes a profile with one change; gives the error of loading it, which is one line."""
+
+    def load(old: str, new: str, name: str) -> str:
+        text = (CONFIG / f"{name}.yaml").read_text()
+        assert old in text
+        (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
+        for dbc in CONFIG.glob(f"{name}.dbc"):
+            (tmp_path / dbc.name).write_bytes(dbc.read_bytes())
+        with pytest.raises(InputError) as error:
+            load_profile(tmp_path / "mine.yaml")
+        path, line, _ = str(error.value).split(":", 2)
+        assert Path(path).name == "mine.yaml" and int(line) > 0 and "\n" not in str(error.value)
+        return str(error.value)
+
+    return load

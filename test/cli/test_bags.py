@@ -16,21 +16,16 @@ ROOT = Path(__file__).parents[2]
 URBAN = ROOT / "bags" / "urban"
 
 
-def evpinn(*arguments, cwd: Path, largest_file: int = -1) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
-
-    def limit() -> None:
-        if largest_file > 0:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
-
+def on_a_full_disk(*arguments, cwd: Path) -> subprocess.CompletedProcess:
+    """A process of its own: a limit of the size of a file stands for the end of the disk."""
     return subprocess.run(
-        command,
+        [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
         cwd=cwd,
         env={"PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         timeout=150,
-        preexec_fn=limit,  # as a full disk fails, in a write of the system's
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
     )
 
 
@@ -58,7 +53,7 @@ def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> 
         assert word in line
 
 
-def test_a_strangers_csv_in_two_commands(folder):
+def test_a_strangers_csv_in_two_commands(evpinn, folder):
     done = evpinn("convert", "my.csv", "my", "--vehicle", "bmw_i3", cwd=folder)
     assert done.returncode == 0 and done.stdout.strip() == "my"
     for told in ("km/h, by its name", "negative while it discharges", "not used: Radio"):
@@ -72,7 +67,7 @@ def test_a_strangers_csv_in_two_commands(folder):
     assert first["energy"]["measured_j"] == pytest.approx(360 * 30 * 100, rel=0.02)
 
 
-def test_told_columns_reach_both_commands(folder):
+def test_told_columns_reach_both_commands(evpinn, folder):
     (folder / "odd.csv").write_text("a,b,c\n" + "".join(f"{i},{i},{i}\n" for i in range(20)))
     failed = evpinn("convert", "odd.csv", "odd", cwd=folder)
     assert_fails_in_one_line(failed, "no column of time and speed", "--column time=NAME")
@@ -85,7 +80,7 @@ def test_told_columns_reach_both_commands(folder):
     )
 
 
-def test_start_duration_and_loop(folder):
+def test_start_duration_and_loop(evpinn, folder):
     done = evpinn(
         *("replay", "my.csv", "--vehicle", "bmw_i3", "--start", 20, "--duration", 30),
         *("--loop", 2, "--metrics", "part.json", "--warm-up", 5, "--out", "parts"),
@@ -102,7 +97,7 @@ def test_start_duration_and_loop(folder):
     assert_fails_in_one_line(done, "my.csv", "in that span")
 
 
-def test_info_of_everything_and_of_one_that_is_bad(folder):
+def test_info_of_everything_and_of_one_that_is_bad(evpinn, folder):
     done = evpinn("info", URBAN, "nowhere", "my.csv", "broken.mcap", "--json", cwd=folder)
     assert done.returncode == 1 and "nowhere: no such file" in done.stderr
     bag, table, broken = json.loads(done.stdout)
@@ -113,7 +108,7 @@ def test_info_of_everything_and_of_one_that_is_bad(folder):
     assert "can be used" in shown.stdout and shown.returncode == 0
 
 
-def test_recover_then_replay(folder):
+def test_recover_then_replay(evpinn, folder):
     done = evpinn("recover", "broken.mcap", "saved", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert "messages saved" in done.stdout and "a chunk, bytes" in done.stdout
@@ -131,19 +126,16 @@ def test_recover_then_replay(folder):
 
 
 def test_a_full_disk_is_one_line(folder):
-    done = evpinn("convert", URBAN, "full_1", cwd=folder, largest_file=50_000)
-    assert_fails_in_one_line(done, "full_1", "File too large")
-    done = evpinn("recover", "broken.mcap", "full_2", cwd=folder, largest_file=50_000)
-    assert_fails_in_one_line(done, "full_2", "File too large")
-    done = evpinn("replay", "my.csv", "--out", "full_3", cwd=folder, largest_file=50_000)
-    assert_fails_in_one_line(done, "full_3", "File too large")
-    done = evpinn(
-        "convert", URBAN, "full_4", "--storage", "sqlite3", cwd=folder, largest_file=50_000
-    )
-    assert_fails_in_one_line(done, "full_4")
+    for arguments, *words in (
+        (("convert", URBAN, "full_1"), "full_1", "File too large"),
+        (("recover", "broken.mcap", "full_2"), "full_2", "File too large"),
+        (("replay", "my.csv", "--out", "full_3"), "full_3", "File too large"),
+        (("convert", URBAN, "full_4", "--storage", "sqlite3"), "full_4"),
+    ):
+        assert_fails_in_one_line(on_a_full_disk(*arguments, cwd=folder), *words)
 
 
-def test_a_bag_of_several_files_is_replayed(folder):
+def test_a_bag_of_several_files_is_replayed(evpinn, folder):
     with BagWriter(folder / "split", split=Split(seconds=20.0)) as writer, Reader(URBAN) as reader:
         for connection, log_time_ns, data in reader.messages():
             writer.write_raw(connection.topic, connection.msgtype, bytes(data), log_time_ns)
@@ -152,12 +144,12 @@ def test_a_bag_of_several_files_is_replayed(folder):
     assert found[0]["topics"] == found[1]["topics"]
 
 
-def test_splitting_needs_a_recording(folder):
+def test_splitting_needs_a_recording(evpinn, folder):
     done = evpinn("run", "--vehicle", "generic", "--split-time", 60, cwd=folder)
     assert done.returncode == 2 and "need --record" in done.stderr
 
 
-def test_bench_recover(folder):
+def test_bench_recover(evpinn, folder):
     done = evpinn(
         *("bench", "recover", "--cases", 12, "--megabytes", 1, "--json", "b.json"), cwd=folder
     )
@@ -168,7 +160,7 @@ def test_bench_recover(folder):
     assert [each["storage"] for each in found["speed"]] == ["zstd", "lz4", "chunks", "loose"]
 
 
-def test_a_csv_without_one_usable_time_makes_no_bag(folder):
+def test_a_csv_without_one_usable_time_makes_no_bag(evpinn, folder):
     rows = "".join(f"some day,{i},{i}\n" for i in range(20))
     (folder / "days.csv").write_text("time,speed_mps,power_w\n" + rows)
     done = evpinn("convert", "days.csv", "days", cwd=folder)

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from evpinn_ros.bench import energy_integration, integrators
 from evpinn_ros.cli.main import app
 from evpinn_ros.share import share_directory
+from evpinn_ros.simulation.drive import DriveKind
 
 
 def write_drive(path, seconds=60):
@@ -68,8 +69,9 @@ def test_integrators_alone(tmp_path, monkeypatch):
 
 
 def test_counting_alone(tmp_path, monkeypatch):
-    """In this process, so that a day and the silences can be shorter."""
+    """In this process, so that a day, the silences and the simulated drives can be less."""
     monkeypatch.setattr(energy_integration, "DAY", 60)
+    monkeypatch.setattr(energy_integration, "DriveKind", [DriveKind.URBAN])
     monkeypatch.setattr(energy_integration, "STRIDE", 20.0)
     monkeypatch.setattr(energy_integration, "SILENCE", 20.0)
     write_drive(tmp_path / "drive.csv")

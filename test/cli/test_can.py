@@ -29,13 +29,6 @@ GROUP = "239.74.163.91"
 CONFIG = share_directory() / "config" / "can"
 
 
-def evpinn(*arguments, cwd):
-    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
-    return subprocess.run(
-        command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=150
-    )
-
-
 def frames(profile, seconds=12.0):
     encoder = Encoder(load_profile(profile))
     for index in range(int(100 * seconds)):
@@ -53,13 +46,13 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_help_has_an_example(folder):
+def test_help_has_an_example(evpinn, folder):
     done = evpinn("can", "inspect", "--help", cwd=folder)
     assert done.returncode == 0 and "Example: evpinn can inspect" in done.stdout
 
 
-def test_a_log_for_people(folder):
-    done = evpinn("can", "inspect", "tesla_model_3.log", cwd=folder)
+def test_a_log_for_people(evpinn, folder):
+    done = evpinn("can", "inspect", "tesla_model_3.log", cwd=folder, columns=80)
     assert done.returncode == 0, done.stderr
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert done.stdout.rstrip().splitlines()[-2:] == [
@@ -71,7 +64,7 @@ def test_a_log_for_people(folder):
     assert "contradicted" in done.stdout
 
 
-def test_a_log_for_scripts(folder):
+def test_a_log_for_scripts(evpinn, folder):
     done = evpinn("can", "inspect", "tesla_model_3.log", "--json", "--seconds", 2, cwd=folder)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -87,7 +80,7 @@ def test_a_log_for_scripts(folder):
     assert first["current_sign"] == {"told": False, "suspicion": None}
 
 
-def test_a_bag_of_raw_frames(folder):
+def test_a_bag_of_raw_frames(evpinn, folder):
     with BagWriter(folder / "raw") as writer:
         for frame in frames("tesla_model_3", 2.0):
             writer.write_raw("/ev/can/frames", FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
@@ -95,7 +88,7 @@ def test_a_bag_of_raw_frames(folder):
     assert done.returncode == 0 and "Fits: tesla_model_3" in done.stdout, done.stderr
 
 
-def test_a_profile_of_ones_own_is_ranked(folder):
+def test_a_profile_of_ones_own_is_ranked(evpinn, folder):
     for suffix in (".yaml", ".dbc"):
         text = (CONFIG / f"tesla_model_3{suffix}").read_bytes()
         (folder / f"my_car{suffix}").write_bytes(text)
@@ -109,7 +102,7 @@ def test_a_profile_of_ones_own_is_ranked(folder):
     assert {"my_car", "tesla_model_3"} == {each["profile"] for each in profiles[:2]}
 
 
-def test_a_damaged_log_shows_what_it_holds_and_fails(folder):
+def test_a_damaged_log_shows_what_it_holds_and_fails(evpinn, folder):
     whole = (folder / "tesla_model_3.log").read_text()
     (folder / "cut.log").write_text(whole[: len(whole) // 2])
     done = evpinn("can", "inspect", "cut.log", cwd=folder)
@@ -117,7 +110,7 @@ def test_a_damaged_log_shows_what_it_holds_and_fails(folder):
     assert "Fits: tesla_model_3" in done.stdout and "cut.log: cut off" in done.stderr
 
 
-def test_frames_left_out_are_told(folder):
+def test_frames_left_out_are_told(evpinn, folder):
     lines = (folder / "tesla_model_3.log").read_text().splitlines(keepends=True)
     both = "".join(line + line.replace("can0", "can1") for line in lines)
     (folder / "both.log").write_text(both)
@@ -138,7 +131,7 @@ def test_frames_left_out_are_told(folder):
         (("tesla_model_3.log", "--seconds", "nan"), 2, "--seconds must be above 0"),
     ],
 )
-def test_what_cannot_be_looked_at(folder, arguments, code, text):
+def test_what_cannot_be_looked_at(evpinn, folder, arguments, code, text):
     done = evpinn("can", "inspect", *arguments, cwd=folder)
     assert done.returncode == code and text in done.stderr and "Traceback" not in done.stderr
 
@@ -172,7 +165,7 @@ def test_a_live_bus(folder):
     assert found["source"] == f"udp_multicast {GROUP}"
 
 
-def test_a_live_bus_without_a_frame(folder):
+def test_a_live_bus_without_a_frame(evpinn, folder):
     done = evpinn(
         *("can", "inspect", "--interface", "virtual", "--channel", "x", "--seconds", 1.5),
         cwd=folder,
@@ -205,7 +198,7 @@ def test_run_hands_options_to_the_adapter(folder):
 
 
 @pytest.mark.parametrize("command", [("convert",), ("replay", "--out")])
-def test_a_wrong_profile_is_refused_by_name(folder, command):
+def test_a_wrong_profile_is_refused_by_name(evpinn, folder, command):
     name, *out = command
     arguments = (name, "tesla_model_3_2019.log", *out, "refused", "--can-profile", "tesla_model_3")
     done = evpinn(*arguments, cwd=folder)
@@ -216,7 +209,7 @@ def test_a_wrong_profile_is_refused_by_name(folder, command):
     assert not (folder / "refused").exists() or name == "replay"
 
 
-def test_a_wrong_profile_can_be_insisted_on(folder):
+def test_a_wrong_profile_can_be_insisted_on(evpinn, folder):
     done = evpinn(
         *("convert", "tesla_model_3_2019.log", "trusted", "--can-profile", "tesla_model_3"),
         "--trust-profile",
@@ -226,7 +219,7 @@ def test_a_wrong_profile_can_be_insisted_on(folder):
     assert "out_of_range" in done.stderr
 
 
-def test_check_params_checks_the_profile_of_a_vehicle_file_too(tmp_path):
+def test_check_params_checks_the_profile_of_a_vehicle_file_too(evpinn, tmp_path):
     text = (CONFIG.parent / "vehicles" / "nissan_leaf.yaml").read_text()
     assert "can_profile: nissan_leaf" in text
     own = text.replace("can_profile: nissan_leaf", "can_profile: nowhere.yaml")
@@ -245,7 +238,7 @@ def test_check_params_checks_the_profile_of_a_vehicle_file_too(tmp_path):
         ("counter: Counter", "counter: Speed", "'Speed' and 'Speed' overlap in 'WheelSpeed'"),
     ],
 )
-def test_check_params_tells_what_is_wrong_with_a_profile(tmp_path, old, new, reason):
+def test_check_params_tells_what_is_wrong_with_a_profile(evpinn, tmp_path, old, new, reason):
     text = (CONFIG / "nissan_leaf.yaml").read_text()
     (tmp_path / "my.yaml").write_text(text.replace(old, new, 1))
     (tmp_path / "nissan_leaf.dbc").write_bytes((CONFIG / "nissan_leaf.dbc").read_bytes())

@@ -20,15 +20,8 @@ METRIC_KEYS = {
 }
 
 
-def evpinn(*arguments, cwd: Path) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
-    return subprocess.run(
-        command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=150
-    )
-
-
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(evpinn, tmp_path_factory) -> Path:
     """A simulated drive of 45 s as bag and as CAN log, and the same drive without a battery."""
     folder = tmp_path_factory.mktemp("cli")
     done = evpinn(
@@ -52,18 +45,18 @@ def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> 
 @pytest.mark.parametrize(
     "name", ["replay", "run", "watch", "convert", "simulate", "demo", "check-params"]
 )
-def test_help_has_an_example(name, tmp_path):
+def test_help_has_an_example(evpinn, name, tmp_path):
     done = evpinn(name, "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert f"Example: evpinn {name}" in done.stdout
 
 
-def test_wrong_usage_is_exit_code_2(tmp_path):
+def test_wrong_usage_is_exit_code_2(evpinn, tmp_path):
     assert evpinn("replay", "--no-such-option", cwd=tmp_path).returncode == 2
     assert evpinn("replay", "bag", "--mode", "psychic", cwd=tmp_path).returncode == 2
 
 
-def test_replay_metrics_keep_the_contract(folder):
+def test_replay_metrics_keep_the_contract(evpinn, folder):
     done = evpinn(
         *("replay", "drive", "--vehicle", "tesla_model_3_lr", "--metrics", "found.json"),
         *("--warm-up", 10, "--withhold-battery-after", 30, "--out", "learned"),
@@ -86,7 +79,7 @@ def test_replay_metrics_keep_the_contract(folder):
     assert json.loads((folder / "state.json").read_text())["vehicle"] == "tesla_model_3_lr"
 
 
-def test_can_log_and_bag_of_one_drive_give_the_same_scores(folder):
+def test_can_log_and_bag_of_one_drive_give_the_same_scores(evpinn, folder):
     done = evpinn(
         *("replay", "drive", "drive.log", "--vehicle", "tesla_model_3_lr", "--warm-up", 10),
         *("--metrics", "both.json"),
@@ -99,7 +92,7 @@ def test_can_log_and_bag_of_one_drive_give_the_same_scores(folder):
     assert log["power"]["rmse_w"] < bag["power"]["rmse_w"]
 
 
-def test_state_is_taken_up_and_another_car_refuses_it(folder):
+def test_state_is_taken_up_and_another_car_refuses_it(evpinn, folder):
     replay = ("replay", "drive", "--state", "kept.json", "--metrics", "m.json", "--warm-up", 5)
     first = evpinn(*replay, "--vehicle", "tesla_model_3_lr", cwd=folder)
     assert first.returncode == 0, first.stderr
@@ -111,7 +104,7 @@ def test_state_is_taken_up_and_another_car_refuses_it(folder):
     assert_fails_in_one_line(other, "kept.json", "nissan_leaf")
 
 
-def test_convert_csv_says_what_it_assumed(folder):
+def test_convert_csv_says_what_it_assumed(evpinn, folder):
     (folder / "power.csv").write_text("t_s,speed_mps,power_w,note\n0,1,700,x\n0.1,1,1400,y\n")
     done = evpinn("convert", "power.csv", "bag_of_power", "--vehicle", "bmw_i3", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -133,13 +126,13 @@ def test_convert_on_a_full_disk_is_one_line(folder):
     assert_fails_in_one_line(done, "small: File too large; the bag is cut there")
 
 
-def test_convert_can_log_needs_a_vehicle(folder):
+def test_convert_can_log_needs_a_vehicle(evpinn, folder):
     assert_fails_in_one_line(evpinn("convert", "drive.log", "x", cwd=folder), "--vehicle")
     done = evpinn("convert", "drive.log", "from_log", "--vehicle", "tesla_model_3_lr", cwd=folder)
     assert done.returncode == 0, done.stderr
 
 
-def test_no_battery_is_said_and_predictions_go_on(folder):
+def test_no_battery_is_said_and_predictions_go_on(evpinn, folder):
     done = evpinn("replay", "speed.csv", "--metrics", "speed.json", cwd=folder)
     assert done.returncode == 0
     (line,) = done.stderr.strip().splitlines()
@@ -148,7 +141,7 @@ def test_no_battery_is_said_and_predictions_go_on(folder):
     assert found["energy"]["predicted_j"] > 0 and found["power"]["rmse_w"] is None
 
 
-def test_bad_inputs_fail_in_one_line(folder):
+def test_bad_inputs_fail_in_one_line(evpinn, folder):
     (folder / "empty_folder").mkdir(exist_ok=True)
     (folder / "empty.mcap").write_bytes(b"")
     assert_fails_in_one_line(evpinn("replay", "nowhere", cwd=folder), "nowhere", "no such file")
@@ -158,12 +151,12 @@ def test_bad_inputs_fail_in_one_line(folder):
     assert_fails_in_one_line(done, "teapot", "tesla_model_3_lr")
 
 
-def test_battery_alone_is_an_error(folder):
+def test_battery_alone_is_an_error(evpinn, folder):
     (folder / "battery.csv").write_text("t_s,speed_mps,power_w\n0,,700\n0.1,,800\n")
     assert_fails_in_one_line(evpinn("replay", "battery.csv", cwd=folder), "no speed")
 
 
-def test_truncated_bag_is_replayed_as_far_as_it_goes(folder):
+def test_truncated_bag_is_replayed_as_far_as_it_goes(evpinn, folder):
     (bag,) = (folder / "drive").glob("*.mcap")
     data = bag.read_bytes()
     (folder / "cut.mcap").write_bytes(data[: len(data) * 6 // 10])
@@ -174,14 +167,14 @@ def test_truncated_bag_is_replayed_as_far_as_it_goes(folder):
     assert found["power"]["rmse_w"] > 0
 
 
-def test_results_before_a_bad_input_are_kept(folder):
+def test_results_before_a_bad_input_are_kept(evpinn, folder):
     (folder / "wrong.csv").write_text("t_s,speed_mps,power_w\n0,,700\n")
     done = evpinn("replay", "drive", "wrong.csv", "--metrics", "kept_metrics.json", cwd=folder)
     assert_fails_in_one_line(done, "wrong.csv")
     assert json.loads((folder / "kept_metrics.json").read_text())["input"]["path"] == "drive"
 
 
-def test_one_output_that_cannot_be_written_does_not_cost_the_others(folder):
+def test_one_output_that_cannot_be_written_does_not_cost_the_others(evpinn, folder):
     (folder / "a_file").write_text("")
     done = evpinn(
         *("replay", "speed.csv", "--metrics", "a_file/m.json", "--state", "saved.json"), cwd=folder
@@ -192,14 +185,14 @@ def test_one_output_that_cannot_be_written_does_not_cost_the_others(folder):
     assert (folder / "saved.json").is_file()
 
 
-def test_output_is_never_overwritten(folder):
+def test_output_is_never_overwritten(evpinn, folder):
     evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
     done = evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
     assert done.returncode == 1
     assert "once" in done.stderr.strip().splitlines()[-1]
 
 
-def test_check_params_knows_the_three_kinds(tmp_path):
+def test_check_params_knows_the_three_kinds(evpinn, tmp_path):
     for path, kind in (
         (ROOT / "config" / "evpinn.param.yaml", "parameter file"),
         (ROOT / "config" / "vehicles" / "generic.yaml", "vehicle file"),
@@ -213,7 +206,7 @@ def test_check_params_knows_the_three_kinds(tmp_path):
     assert_fails_in_one_line(evpinn("check-params", wrong, cwd=tmp_path), "wrong.yaml:3", "lag")
 
 
-def test_parameter_file_reaches_the_cores(folder):
+def test_parameter_file_reaches_the_cores(evpinn, folder):
     (folder / "paper.yaml").write_text("/**/estimator:\n  ros__parameters:\n    mode: paper\n")
     done = evpinn(
         "replay", "speed.csv", "--params", "paper.yaml", "--metrics", "p.json", cwd=folder
@@ -222,7 +215,7 @@ def test_parameter_file_reaches_the_cores(folder):
     assert json.loads((folder / "p.json").read_text())["mode"] == "paper"
 
 
-def test_the_paper_s_mode_has_a_floor_and_a_choice_of_optimizer(folder):
+def test_the_paper_s_mode_has_a_floor_and_a_choice_of_optimizer(evpinn, folder):
     options = ("--mode", "paper", "--optimizer", "gauss_newton", "--metrics", "g.json")
     done = evpinn("replay", "speed.csv", *options, cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -232,7 +225,7 @@ def test_the_paper_s_mode_has_a_floor_and_a_choice_of_optimizer(folder):
     assert_fails_in_one_line(done, "--optimizer", "--mode paper")
 
 
-def test_vehicles_are_listed_found_and_shown(folder):
+def test_vehicles_are_listed_found_and_shown(evpinn, folder):
     done = evpinn("vehicles", "search", "model", "3", "--json", cwd=folder)
     found = {line["vehicle"]: line for line in json.loads(done.stdout)}
     assert found["tesla_model_3_lr"]["from"] == "file"

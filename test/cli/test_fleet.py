@@ -80,7 +80,7 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
 def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path):
     data, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(recorded, data)
-    write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 3600.0, 9), data / "cy" / "long")
+    write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 1200.0, 9), data / "cy" / "long")
     arguments = [data, "--vehicle", "nissan_leaf", "--out", out, "--workers", "1"]
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)],

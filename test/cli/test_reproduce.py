@@ -1,10 +1,7 @@
 """`evpinn reproduce` on a short drive, as a person runs it."""
 
 import json
-import os
 from pathlib import Path
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -17,7 +14,6 @@ from evpinn_ros.reproduction.optimizers import OptimizerName
 from evpinn_ros.vehicle.files import load_vehicle
 
 VEHICLE = "tesla_model_3_lr"
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -90,15 +86,10 @@ def test_state_is_a_start_for_replay(
         (("drive.csv", "--vehicle", VEHICLE, "--out", "drive.csv"), "drive.csv"),
     ],
 )
-def test_wrong_input_is_one_line(arguments: tuple[str, ...], reason: str, drive: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "evpinn_ros", "reproduce", *arguments, "--epochs", "1"],
-        cwd=drive.parent,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+def test_wrong_input_is_one_line(
+    evpinn, arguments: tuple[str, ...], reason: str, drive: Path
+) -> None:
+    done = evpinn("reproduce", *arguments, "--epochs", 1, cwd=drive.parent)
     assert done.returncode == 1
     assert reason in done.stderr and done.stderr.count("\n") == 1
     assert not done.stdout

@@ -47,10 +47,8 @@ def bash(script: str, evpinn: Path, home: Path) -> str:
 def test_completion_is_installed_and_completes_in_a_real_bash(evpinn, tmp_path):
     completions = {
         "evpinn re": {"replay", "reproduce", "recover"},
-        "evpinn bench t": {"training", "truth"},
-        "evpinn can ": {"inspect"},
+        "evpinn can i": {"inspect"},
         "evpinn replay --withhold": {"--withhold-battery-after"},
-        "evpinn replay bag --vehicle bmw_i3": {"bmw_i3"},
         "evpinn replay bag --vehicle rivian": {"rivian_r1s_2022", "rivian_r1t_2022"},
         "evpinn replay bag --mode ": {"hybrid", "paper"},
         "evpinn convert in out --can-profile renault": {"renault_zoe_ph1", "renault_zoe_ph2"},
@@ -106,7 +104,7 @@ def on_terminal(*arguments: object, cwd: Path, **environment: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("bench", "--help"), ("simulate", "out", "--duration", 60), ("info", URBAN)]
+    "arguments", [("can", "--help"), ("simulate", "out", "--duration", 60), ("info", URBAN)]
 )
 def test_no_color_is_honoured(arguments, tmp_path):
     (tmp_path / "a").mkdir()

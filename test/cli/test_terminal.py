@@ -18,7 +18,7 @@ ESCAPES = "\x1b[2J\x1b]0;owned\x07\r\b\x9b1m\u202e"
 MARKUP = "[/bold][red]:smile:[/]"
 
 
-def evpinn(*arguments, out=subprocess.PIPE, **environment) -> subprocess.CompletedProcess:
+def process(*arguments, out=subprocess.PIPE, **environment) -> subprocess.CompletedProcess:
     return subprocess.run(
         [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
         env={"PYTHONPATH": str(ROOT), "COLUMNS": "300", "OMP_NUM_THREADS": "1", **environment},
@@ -49,14 +49,14 @@ def assert_harmless(text: bytes) -> None:
 
 
 def test_foreign_names_are_shown_as_they_are(hostile):
-    done = evpinn("info", hostile)
+    done = process("info", hostile)
     assert done.returncode == 0, done.stderr
     assert MARKUP in done.stdout.decode()
     assert_harmless(done.stdout)
     assert_harmless(done.stderr)
 
 
-def test_foreign_names_in_errors_and_recovery(hostile, tmp_path):
+def test_foreign_names_in_errors_and_recovery(evpinn, hostile, tmp_path):
     (tmp_path / f"{MARKUP[7:]}{ESCAPES}.csv".replace("/", "")).write_text("a,b\n1,2\n")
     (column_file,) = tmp_path.glob("*.csv")
     for arguments in (
@@ -66,9 +66,9 @@ def test_foreign_names_in_errors_and_recovery(hostile, tmp_path):
         ("can", "inspect", hostile),
         ("convert", hostile, tmp_path / f"{ESCAPES}out", "--vehicle", "nissan_leaf"),
     ):
-        done = evpinn(*arguments)
-        assert b"Traceback" not in done.stderr, arguments
-        assert_harmless(done.stdout + done.stderr)
+        done = evpinn(*arguments, cwd=tmp_path)
+        assert "Traceback" not in done.stderr, arguments
+        assert_harmless((done.stdout + done.stderr).encode())
 
 
 def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
@@ -78,7 +78,7 @@ def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
         rows = csv.writer(file)
         rows.writerow(("t_s", "speed_mps", "voltage_v", "current_a"))
         rows.writerows((second, 1e308, 1e308, 1e308) for second in range(100))
-    done = evpinn("info", "--json", tmp_path / "huge.csv")
+    done = process("info", "--json", tmp_path / "huge.csv")
     assert b"Traceback" not in done.stderr and isinstance(json.loads(done.stdout), list)
 
 
@@ -87,28 +87,28 @@ def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
 def test_a_full_device_is_said_in_one_line(arguments):
     bag = () if "--help" in arguments else (ROOT / "bags" / "urban",)
     with Path("/dev/full").open("wb") as full:
-        done = evpinn(*arguments, *bag, out=full)
+        done = process(*arguments, *bag, out=full)
     assert done.returncode == 1
     assert done.stderr.decode().splitlines() == ["evpinn: the output: No space left on device"]
 
 
 def test_a_terminal_without_all_letters_gets_those_that_it_has(hostile):
-    done = evpinn("info", hostile, PYTHONIOENCODING="ascii", LC_ALL="C")
+    done = process("info", hostile, PYTHONIOENCODING="ascii", LC_ALL="C")
     assert done.returncode == 0 and b"Traceback" not in done.stderr
 
 
 def test_a_name_that_is_no_text_is_shown(tmp_path):
     path = os.fsencode(tmp_path) + b"/\xff\xfe.csv"
     Path(os.fsdecode(path)).write_text("a,b\n1,2\n")
-    done = evpinn("info", os.fsdecode(path))
+    done = process("info", os.fsdecode(path))
     assert done.returncode == 1 and b"Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("number", ["1" + ":01" * 30_000, "!!int 1:30", "!!float 1:30.5"])
-def test_numbers_of_base_60_are_none(tmp_path, number):
+def test_numbers_of_base_60_are_none(evpinn, tmp_path, number):
     (tmp_path / "mine.yaml").write_text(
         f"estimator:\n  ros__parameters:\n    update_period: {number}\n"
     )
-    done = evpinn("check-params", tmp_path / "mine.yaml")
-    assert done.returncode == 1 and b"Traceback" not in done.stderr
-    assert len(done.stderr.decode().splitlines()) == 1
+    done = evpinn("check-params", "mine.yaml", cwd=tmp_path)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1

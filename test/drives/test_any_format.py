@@ -84,7 +84,7 @@ def columns_of(style):
     }
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=FOLDER)
+@settings(max_examples=60, deadline=None, suppress_health_check=FOLDER)
 @given(style=styles())
 def test_a_drive_in_any_format_reads_back_the_same(tmp_path, style):
     source = open_drive(write(tmp_path, ROWS, style))
@@ -126,7 +126,7 @@ def assert_honest(path):
         assert values and all(map(math.isfinite, values)), reading
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=FOLDER)
+@settings(max_examples=80, deadline=None, suppress_health_check=FOLDER)
 @given(style=styles(), seed=st.integers(0, 2**32), changes=st.integers(1, 40))
 def test_a_damaged_table_never_lies(tmp_path, style, seed, changes):
     chance = random.Random(seed)
@@ -151,7 +151,7 @@ def test_a_damaged_table_never_lies(tmp_path, style, seed, changes):
     assert_honest(path)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=FOLDER)
+@settings(max_examples=80, deadline=None, suppress_health_check=FOLDER)
 @given(data=st.text(alphabet="time,speedvoltagcurn;\n\t 0123456789.-:+/\"'[]()", max_size=400))
 def test_any_text_is_refused_or_read(tmp_path, data):
     path = tmp_path / "drive.csv"

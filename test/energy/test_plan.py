@@ -1,6 +1,6 @@
 import math
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -105,6 +105,8 @@ def test_speed_profile_counts_from_its_first_point():
         (LINE, [0.0, 10.0], "arrays differ in shape"),
         (np.zeros(1_000_000), None, "1000000 points are more than 50000"),
         ([0.0, 10.0, 20e3, 21e3], None, "jumps farther than 10 km at point 1"),
+        ([0.0, 1e200, -1e200, 0.0], None, "jumps farther than 10 km at point 0"),
+        ([0.0, 1e200, -1e200, 0.0], LINE, "jumps farther than 120960 km at point 0"),
     ],
 )
 def test_a_path_that_is_no_trip(x, stamps, reason):
@@ -152,6 +154,7 @@ def around_a_corner(angle, leg=300.0):
     return np.array([0.0, leg, turned[0]]), np.array([0.0, 0.0, turned[1]])
 
 
+@example(0.287009838009571, 5.0, 0.5)  # two points of the profile are apart by rounding
 @given(st.floats(0.0, math.pi), st.floats(5.0, 35.0), st.floats(0.5, 3.0))
 def test_a_nominal_profile_is_comfortable(angle, nominal, acceleration):
     x, y = around_a_corner(angle)

@@ -114,7 +114,7 @@ class Bench:
             for status in statuses
         }
 
-    def pump(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    def pump(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, "timed out"

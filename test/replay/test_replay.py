@@ -1,6 +1,7 @@
 """The chain over recorded drives: L0 of the replay tests."""
 
 from collections import Counter
+from copy import deepcopy
 from dataclasses import replace
 import hashlib
 import json
@@ -58,6 +59,29 @@ def without_timing(metrics) -> str:
     return json.dumps(found)
 
 
+@pytest.fixture(scope="module")
+def withheld(readings, vehicle, tmp_path_factory):
+    """The drive without a battery after a minute: what replay gives, and the folder of its bag."""
+    folder = tmp_path_factory.mktemp("withheld")
+    with BagWriter(folder / "bag") as writer:
+        result = run(readings, vehicle, folder, writer=writer, withhold_battery_after=60.0)
+    return result, folder / "bag"
+
+
+@pytest.fixture(scope="module")
+def whole(readings, vehicle, tmp_path_factory):
+    """The drive as it is: what replay gives, and the chain at its end, to be copied."""
+    used = chain(vehicle)
+    return run(readings, vehicle, tmp_path_factory.mktemp("whole"), used=used), used
+
+
+@pytest.fixture(scope="module")
+def once(readings, vehicle, tmp_path_factory):
+    """The first 45 s of it: the readings, what replay gives, and the chain at their end."""
+    first, used = readings[:900], chain(vehicle)
+    return first, run(first, vehicle, tmp_path_factory.mktemp("once"), used=used), used
+
+
 def test_same_readings_give_the_same_bytes(readings, vehicle, tmp_path):
     digests, found = [], []
     for name in ("first", "second"):
@@ -70,12 +94,11 @@ def test_same_readings_give_the_same_bytes(readings, vehicle, tmp_path):
     assert found[0] == found[1]
 
 
-def test_a_drive_that_starts_over_is_reset_as_the_nodes_do(readings, vehicle, tmp_path):
+def test_a_drive_that_starts_over_is_reset_as_the_nodes_do(once, vehicle, tmp_path):
     """Its second turn gives the numbers of the first; its bag is read in the order it had."""
-    once, folder = readings[:900], tmp_path / "bag"
+    (once, single, _), folder = once, tmp_path / "bag"
     with BagWriter(folder) as writer:
         looped = run([*once, *once], vehicle, tmp_path, writer=writer)
-    single = run(once, vehicle, tmp_path)
     both, one = looped.drive, single.drive
     half = len(both.smoothed.time) // 2
     for column, alone in zip(both.smoothed[1:3], one.smoothed[1:3], strict=True):
@@ -100,12 +123,10 @@ def test_a_drive_that_starts_over_is_reset_as_the_nodes_do(readings, vehicle, tm
     assert stamps == [*speeds, *speeds]
 
 
-def test_to_hold_keeps_what_was_learned_and_counted(readings, vehicle, tmp_path):
-    once, rule = readings[:900], JumpRule(JumpPolicy.HOLD)
+def test_to_hold_keeps_what_was_learned_and_counted(once, vehicle, tmp_path):
+    (once, _, single), rule = once, JumpRule(JumpPolicy.HOLD)
     used = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter), rule)
     run([*once, *once], vehicle, tmp_path, used=used)
-    single = chain(vehicle)
-    run(once, vehicle, tmp_path, used=single)
     counted, alone = (each.account.since_reset().distance for each in (used, single))
     assert counted == pytest.approx(2 * alone, rel=0.01)
     stds = [e.estimator.parameters().parameters["eta"].std for e in (used, single)]
@@ -132,10 +153,8 @@ def test_a_stray_stamp_stops_nothing(readings, vehicle):
     assert used.dropped == {"stamp_leaps": 4}
 
 
-def test_output_bag_holds_the_contract_topics(readings, vehicle, tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        run(readings[:600], vehicle, tmp_path, writer=writer)
-    with BagReader(tmp_path / "bag") as bag:
+def test_output_bag_holds_the_contract_topics(withheld):
+    with BagReader(withheld[1]) as bag:
         names = {topic_of(name).name for name in bag.topics}
     assert {
         "vehicle/speed",
@@ -152,7 +171,7 @@ def test_output_bag_holds_the_contract_topics(readings, vehicle, tmp_path):
     } <= names
 
 
-def test_predictions_are_made_before_the_battery_is_heard(readings, vehicle, tmp_path):
+def test_predictions_are_made_before_the_battery_is_heard(readings, vehicle, whole, tmp_path):
     """Whatever the battery says from some moment on, nothing before that moment may change."""
     turn = readings[len(readings) // 2].stamp_ns
     liar = [
@@ -161,7 +180,7 @@ def test_predictions_are_made_before_the_battery_is_heard(readings, vehicle, tmp
         else r
         for r in readings
     ]
-    honest, lied = (run(each, vehicle, tmp_path).drive for each in (readings, liar))
+    honest, lied = whole[0].drive, run(liar, vehicle, tmp_path).drive
     begin = (turn - readings[0].stamp_ns) / 1e9
     for series in ("smoothed", "newest"):
         a, b = getattr(honest, series), getattr(lied, series)
@@ -171,15 +190,15 @@ def test_predictions_are_made_before_the_battery_is_heard(readings, vehicle, tmp
         assert not np.array_equal(a.power[~before], b.power[~before])
 
 
-def test_withheld_battery_gives_finite_predictions_to_the_end(readings, vehicle, tmp_path):
-    result = run(readings, vehicle, tmp_path, withhold_battery_after=60.0)
+def test_withheld_battery_gives_finite_predictions_to_the_end(withheld):
+    result, _ = withheld
     drive = result.drive
     assert drive.smoothed.time[-1] > drive.duration - 1.0
     assert np.isfinite(drive.smoothed.power).all() and np.isfinite(drive.newest.power).all()
-    withheld = result.metrics["withheld"]
-    assert withheld["from_s"] == 60.0
-    assert withheld["power"]["rmse_w"] > 0
-    assert withheld["energy"]["measured_j"] is not None
+    found = result.metrics["withheld"]
+    assert found["from_s"] == 60.0
+    assert found["power"]["rmse_w"] > 0
+    assert found["energy"]["measured_j"] is not None
     # What was withheld was not learned: what the data determine stays as it was.
     rows = drive.combinations["mass_over_eta"]
     silent = rows[rows[:, 0] > 66.0]
@@ -203,9 +222,8 @@ def test_no_speed_is_an_error(readings, vehicle, tmp_path):
         run(battery, vehicle, tmp_path)
 
 
-def test_what_was_learned_is_carried_to_the_next_drive(readings, vehicle, tmp_path):
-    used = chain(vehicle)
-    first = run(readings, vehicle, tmp_path, used=used)
+def test_what_was_learned_is_carried_to_the_next_drive(readings, vehicle, whole, tmp_path):
+    first, used = whole[0], deepcopy(whole[1])
     used.begin_next_drive()
     later = [replace(r, stamp_ns=r.stamp_ns + 10**13) for r in readings[:100]]
     second = run(later, vehicle, tmp_path, used=used)
@@ -216,7 +234,7 @@ def test_what_was_learned_is_carried_to_the_next_drive(readings, vehicle, tmp_pa
 
 
 def test_paper_mode_runs_and_learns(readings, vehicle, tmp_path):
-    result = run(readings[:900], vehicle, tmp_path, mode=Mode.PAPER)
+    result = run(readings[:500], vehicle, tmp_path, mode=Mode.PAPER)
     assert np.isfinite(result.drive.smoothed.power).all()
     assert result.metrics["updates"]["accepted"] > 10
     assert result.metrics["parameters"]["mass"]["value"] != vehicle.initial.mass
@@ -232,10 +250,8 @@ def test_each_of_several_drives_has_a_folder(tmp_path):
     assert output_folders(None, paths) == [None, None]
 
 
-def test_energy_state_carries_sigma_that_grows_while_withheld(readings, vehicle, tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        run(readings, vehicle, tmp_path, writer=writer, withhold_battery_after=60.0)
-    with BagReader(tmp_path / "bag") as bag:
+def test_energy_state_carries_sigma_that_grows_while_withheld(withheld):
+    with BagReader(withheld[1]) as bag:
         states = [r.message for r in bag.records(["/ev/energy/state"])]
     assert all(len(state.effort) == len(state.name) for state in states[1:])
     index = list(states[-1].name).index("predicted")

@@ -44,3 +44,4 @@ def _type(full_name):
 
 def test_the_readme_has_such_lines():
     assert len(LINES) >= 5
+    assert any("eco_speed" in line and "deadline:=" in line for line in LINES)
