@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import itertools
 import json
+from operator import itemgetter
 import os
 from pathlib import Path
 import re
@@ -45,6 +47,17 @@ def updates(status):
     return next((pair.value for pair in status.values if pair.key == "updates"), None)
 
 
+def ask(bench, service):
+    """Call a service, again where a server that was killed seemed alive: for seconds it does."""
+    client, end = bench.node.create_client(Trigger, service), time.monotonic() + 60.0
+    while time.monotonic() < end:
+        future, soon = client.call_async(Trigger.Request()), time.monotonic() + 2.0
+        bench.pump(lambda: future.done() or time.monotonic() > soon)
+        if future.done():
+            return future.result()
+    raise AssertionError(f"{service}: no answer")
+
+
 def numbers(message):
     return dict(zip(message.name, message.position, strict=True))
 
@@ -80,7 +93,7 @@ def test_live_works_records_and_ends_well(ros2, bench, car, tmp_path):
     drive = tmp_path / "drive"
     given = ("vehicle:=tesla_model_3_lr", f"params_file:={car()}", f"record:={drive}")
     with ros2.running(*LAUNCH, "evpinn.launch.py", *given) as launch:
-        bench.pump(lambda: len(powers) > 200, 60.0)
+        bench.pump(lambda: len(powers) > 200, 90.0)
         assert launch.process.poll() is None
     assert max(m.twist.twist.linear.x for m in speeds) > 5.0
     assert numbers(energies[-1])["predicted"] > 1e4
@@ -98,12 +111,12 @@ def test_the_eco_planner_says_that_nothing_is_in_time(ros2, bench):
 
 
 def test_a_replay_plays_inputs_and_ends_with_the_bag(ros2, bench, monkeypatch):
-    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "40")
+    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "25")
     measured, powers = hear(bench, topics.POWER_MEASURED), hear(bench, topics.POWER_SMOOTHED)
     given = (f"bag:={ROOT / 'bags/urban'}", "vehicle:=tesla_model_3_lr", "rate:=8")
     with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
         bench.pump(lambda: launch.process.poll() is not None, 90.0)
-    assert len(measured) > 350 and len(powers) > 350, launch.output
+    assert len(measured) > 200 and len(powers) > 200, launch.output
     assert powers[0].header.stamp.sec > 10**9
 
 
@@ -119,34 +132,39 @@ def two_cars(ros2, tmp_path, *given) -> Iterator:
 def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
     ros2, bench, car, tmp_path
 ):
-    seconds = float(os.environ.get("EVPINN_TWO_CARS_SECONDS", "12"))
-    car("urban", 4 * seconds)
-    car("highway", 4 * seconds)
+    seconds = float(os.environ.get("EVPINN_TWO_CARS_SECONDS", "0"))  # more than until all is said
+    for bag in ("urban", "highway"):
+        car(bag, max(SECONDS, 4 * seconds), rate=4.0)
     names = ("/robot1/ev", "/robot2/ev")
     speeds = {name: hear(bench, topics.SPEED, name) for name in names}
     learned = {name: hear(bench, topics.IDENTIFIABLE, name) for name in names}
     said = hear(bench, topics.DIAGNOSTICS)
+    cars = {
+        (f"{name}/{node}", f"{vehicle} {name}")
+        for name, vehicle in zip(names, ("tesla_model_3_lr", "generic"), strict=True)
+        for node in ("can_bridge", "estimator", "energy")
+    }
+
+    def those_who_spoke():
+        return {(s.name.partition(":")[0], s.hardware_id) for m in said for s in m.status}
+
+    def all_is_said():
+        return all(len(each) > 5 for each in learned.values()) and those_who_spoke() >= cars
+
     given = ("first:=urban.yaml", "second:=highway.yaml")
     with two_cars(ros2, tmp_path, *(g.replace(":=", f":={tmp_path}/") for g in given)):
-        bench.pump(lambda: all(map(len, learned.values())), 60.0)
         end = time.monotonic() + seconds
-        bench.pump(lambda: time.monotonic() > end, seconds + 20.0)
+        bench.pump(lambda: all_is_said() and time.monotonic() > end, seconds + 90.0)
         graph = {f"{space}/{name}".replace("//", "/")
                  for name, space in bench.node.get_node_names_and_namespaces()}  # fmt: skip
         topic_names = {name for name, _ in bench.node.get_topic_names_and_types()}
-    nodes = {f"{name}/{node}" for name in names for node in ("can_bridge", "estimator", "energy")}
-    assert nodes <= graph
+    assert {node for node, _ in cars} <= graph
     assert not [name for name in topic_names if name.startswith("/ev/power")]
     fastest = [max(m.twist.twist.linear.x for m in speeds[name]) for name in names]
     assert fastest[0] != pytest.approx(fastest[1], abs=0.1)
     last = [numbers(learned[name][-1]) for name in names]
     assert last[0] != last[1]
-    cars = {(s.name.partition(":")[0], s.hardware_id) for m in said for s in m.status}
-    assert cars == {
-        (f"{name}/{node}", f"{vehicle} {name}")
-        for name, vehicle in zip(names, ("tesla_model_3_lr", "generic"), strict=True)
-        for node in ("can_bridge", "estimator", "energy")
-    }
+    assert those_who_spoke() == cars
 
 
 def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path):
@@ -205,7 +223,7 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
 
     def saved():
         for node in ("estimator", "energy"):
-            assert bench.call(Trigger, f"/ev/{node}/save").success
+            assert ask(bench, f"/ev/{node}/save").success
         return [json.loads((tmp_path / f"urban{end}").read_text()) for end in STATES]
 
     def counted():
@@ -224,13 +242,13 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
         bench.pump(lambda: launch.output.count("continues from") == 2, 60.0)
         assert saved() == states  # to the last bit
         known = len(list(bundled("urban", SECONDS)))
-        for topic, _, message in list(bundled("urban", SECONDS + 5.0))[known:]:
-            bench.send(topic, message)
-            bench.executor.spin_once(timeout_sec=0.01)
-        bench.pump(lambda: learned and totals)
+        rest = itertools.islice(bundled("urban", 4 * SECONDS), known, None)
+        bench.pump(lambda: (learned and totals) or bench.send(*itemgetter(0, 2)(next(rest))), 60.0)
     for name, sigma in zip(learned[0].name, learned[0].effort, strict=True):
         assert numbers(learned[0])[name] == pytest.approx(parameters[name], abs=sigma / 2)
-    assert all(counted()[name] >= value > 0 for name, value in total.items())
+    assert total["lifetime_drawn"] > 1e4 and total.keys() == counted().keys()
+    for name in ("lifetime_drawn", "lifetime_regenerated"):
+        assert total[name] <= counted()[name] < total[name] + 1e6
 
 
 def test_parameters_over_the_command_line(ros2, bench):
