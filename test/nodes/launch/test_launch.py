@@ -52,7 +52,7 @@ def ask(bench, service):
     client, end = bench.node.create_client(Trigger, service), time.monotonic() + 60.0
     while time.monotonic() < end:
         future, soon = client.call_async(Trigger.Request()), time.monotonic() + 2.0
-        bench.pump(lambda: future.done() or time.monotonic() > soon)
+        bench.pump(lambda f=future, end=soon: f.done() or time.monotonic() > end)
         if future.done():
             return future.result()
     raise AssertionError(f"{service}: no answer")
