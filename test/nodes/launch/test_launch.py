@@ -12,6 +12,7 @@ import signal
 import time
 
 import pytest
+import rclpy
 from std_srvs.srv import Trigger
 
 from evpinn_ros.bags.reader import BagReader
@@ -165,6 +166,34 @@ def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
     last = [numbers(learned[name][-1]) for name in names]
     assert last[0] != last[1]
     assert those_who_spoke() == cars
+    assert_each_is_in_one_group_of_its_car({s.name for m in said for s in m.status})
+
+
+def assert_each_is_in_one_group_of_its_car(names):
+    """By the rules of diagnostic_aggregator, which is C++ and no wheel.
+
+    Its README (ros/diagnostics, diagnostic_aggregator) has the keys, and that what nobody matches
+    goes to `Other`; GenericAnalyzer::match that `startswith` compares the name from its first
+    letter. The file is read by the parser of ROS into a node called `analyzers`, as there.
+    """
+    words = ["--ros-args", "--params-file", str(ROOT / "config/diagnostics/two_cars.yaml")]
+    node = rclpy.create_node(
+        "analyzers", cli_args=words, automatically_declare_parameters_from_overrides=True,
+        use_global_arguments=False,
+    )  # fmt: skip
+    values = {name: each.value for name, each in node.get_parameters_by_prefix("").items()}
+    node.destroy_node()
+    groups = {name.removesuffix(".startswith"): value for name, value in values.items()
+              if name.endswith(".startswith")}  # fmt: skip
+    assert {values[f"{group}.type"] for group in groups} == {
+        "diagnostic_aggregator/GenericAnalyzer"
+    }
+    assert {values[f"{car}.type"] for car in ("robot1", "robot2")} == {
+        "diagnostic_aggregator/AnalyzerGroup"
+    }
+    for name in names:
+        found = [group for group, starts in groups.items() if name.startswith(tuple(starts))]
+        assert len(found) == 1 and found[0].startswith(name.split("/")[1] + ".analyzers."), name
 
 
 def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path):
