@@ -12,6 +12,7 @@ import socket
 
 PATIENCE = 0.1  # s for a systemd that does not read: it must not hold up the callbacks
 
+
 def tell(state: str) -> None:
     """Send one state, `READY=1`, `WATCHDOG=1` or `STOPPING=1`; who does not listen is ignored."""
     path = os.environ.get("NOTIFY_SOCKET", "")
