@@ -11,6 +11,9 @@ touch "$environment/COLCON_IGNORE"
 constraints=$environment/constraints.txt
 grep -v -e '^numpy' -e '^ros-' "$here/constraints.txt" >"$constraints"
 python3 -c 'import numpy; print(f"numpy=={numpy.__version__}")' >>"$constraints"
+# ROS's colcon where it is, else one here.
+colcon=()
+python3 -c 'import colcon_ros, colcon_package_selection' 2>/dev/null || colcon=(colcon-common-extensions)
 # The package itself is colcon's to build: here it only says what it needs.
-"$environment/bin/python" -m pip install --disable-pip-version-check -c "$constraints" "$here"
+"$environment/bin/python" -m pip install --disable-pip-version-check -c "$constraints" "$here" "${colcon[@]}"
 "$environment/bin/python" -m pip uninstall -qq -y evpinn_ros

@@ -13,7 +13,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.errors import InputError
 from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.messages import BadMessage, scalar
-from evpinn_ros.nodes.reading_messages import reading_message, to_reading
+from evpinn_ros.nodes.reading_messages import Rotation, reading_message, to_reading
 from evpinn_ros.nodes.topics import NAMESPACE, Topic
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -100,18 +100,21 @@ class BagReadings:
         dropped: messages without a usable reading, by reason; complete once iterated.
     """
 
-    def __init__(self, reader: BagReader, namespace: str | None = None) -> None:
+    def __init__(
+        self, reader: BagReader, namespace: str | None = None, mounting: Rotation | None = None
+    ) -> None:
         """Find the topics by name and type.
 
         Args:
             reader: an open bag.
             namespace: of the car; None when the bag holds one car only.
+            mounting: of its IMU, see `grade_reading`.
 
         Raises:
             InputError: none of the topics is there, or the bag holds several cars.
         """
         self.dropped: Counter[str] = Counter()
-        self._reader = reader
+        self._reader, self._mounting = reader, mounting
         speed = _named(reader, topics.SPEED, namespace)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
         found = [speed or _named(reader, topics.ODOMETRY, namespace)]
@@ -125,7 +128,7 @@ class BagReadings:
         self.dropped.clear()
         for record in self._reader.records(self.topics):
             try:
-                yield to_reading(record.type_name, record.message)
+                yield to_reading(record.type_name, record.message, self._mounting)
             except BadMessage as error:
                 self.dropped[error.reason] += 1
         self.dropped.update(self._reader.dropped)

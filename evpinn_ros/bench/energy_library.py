@@ -14,6 +14,7 @@ import numpy as np
 from evpinn_ros.bench.fastsim_peer import AIR_DENSITY, fastsim_combined, run_fastsim
 from evpinn_ros.energy.forecast import Profiles, forecast
 from evpinn_ros.energy.power_model import PowerModel, combined_model
+from evpinn_ros.energy.quadrature import trapezoid
 from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.vehicle.files import Vehicle
@@ -103,7 +104,7 @@ def compare_cycles(folder: Path, vehicle: Vehicle) -> Iterator[CycleRow]:
         ours_ms = _quickest_ms(partial(forecast, many, vehicle, learned))
         yield CycleRow(
             cycle=name,
-            distance_m=float(np.trapezoid(speed, time_s)),
+            distance_m=trapezoid(speed, time_s),
             fastsim_j=peer.energy_j,
             same_car_j=float(forecast(one, vehicle, same, air_density=AIR_DENSITY).energy[0]),
             vehicle_file_j=float(forecast(one, vehicle).energy[0]),

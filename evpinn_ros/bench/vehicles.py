@@ -12,6 +12,7 @@ import numpy as np
 from evpinn_ros.bench.energy_library import read_cycle
 from evpinn_ros.energy.forecast import Profiles, forecast
 from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.energy.quadrature import trapezoid
 from evpinn_ros.estimation.car_state import prior_of
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.vehicle.certified import (
@@ -166,5 +167,5 @@ def cycle_energies(folder: Path, car: CertifiedCar, vehicle: Vehicle) -> Iterato
         time_s, speed = read_cycle(folder / f"{name}.csv")
         profile = Profiles(time_s, speed[None])
         energy = forecast(profile, vehicle, model, air_density=AIR_DENSITY).energy[0]
-        each = float(energy) / float(np.trapezoid(speed, time_s)) / JOULES_PER_WH_KM
+        each = float(energy) / trapezoid(speed, time_s) / JOULES_PER_WH_KM
         yield CycleEnergy(vehicle.key, name, certified, each / (1.0 - CHARGING_LOSS))

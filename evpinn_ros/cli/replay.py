@@ -28,7 +28,7 @@ from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.parameter_file import read_parameter_file
 from evpinn_ros.nodes.parameter_table import TABLES, Value
-from evpinn_ros.nodes.settings import estimator_settings, jump_rule
+from evpinn_ros.nodes.settings import estimator_settings, imu_mounting, jump_rule
 from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import (
@@ -113,6 +113,7 @@ def replay(
         can_profile=can_profile,
         trust_profile=trust_profile,
         columns=column or (),
+        mounting=imu_mounting(values),
     )
     first = [open_input(path) for path in inputs]
     for source in first:

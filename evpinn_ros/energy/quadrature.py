@@ -11,6 +11,8 @@ from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from evpinn_ros.energy.plausible import ROUNDING
 from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -19,6 +21,11 @@ from evpinn_ros.signals.track import Cadence
 MAX_GAP = 2.0  # s
 MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
 SAVED = ("drawn", "regenerated", "covered_s", "gaps", "gap_s", "out_of_order", "not_finite")
+
+
+def trapezoid(values: np.ndarray, at: np.ndarray) -> float:
+    """The integral of samples, both of shape (n,); numpy calls it by another name before 2.0."""
+    return float((np.diff(at) * (values[1:] + values[:-1]) / 2.0).sum())
 
 
 class CompensatedSum:

@@ -22,10 +22,9 @@ from evpinn_ros.nodes.estimator_diagnosis import (
 )
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.model_messages import model_message
-from evpinn_ros.nodes.parameter_table import roll_pitch_yaw
-from evpinn_ros.nodes.reading_messages import grade_reading, rotation, to_reading
+from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.settings import estimator_settings, jump_rule
+from evpinn_ros.nodes.settings import estimator_settings, imu_mounting, jump_rule
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
 from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.one_thread import limit_blas_threads
@@ -66,8 +65,7 @@ class EstimatorNode(GuardedNode):
         self.estimator = OnlineEstimator(
             self._vehicle, estimator_settings(self.values), self._worker
         )
-        mounting = roll_pitch_yaw(self.values["imu_rotation_rpy"])
-        self._mounting = None if mounting is None else rotation(*mounting)
+        self._mounting = imu_mounting(self.values)
         self._guard = StampGuard(topics.SPEED)
         self._stamps = StampWatch()
         self._state_file = StateFile(state_path(self.values["state_file"]), self.estimator)
@@ -135,10 +133,7 @@ class EstimatorNode(GuardedNode):
             )
 
     def _take(self, topic: Topic, message: Any) -> None:
-        if topic is topics.IMU:
-            reading: Reading = grade_reading(message, self._mounting)
-        else:
-            reading = to_reading(topic.type_name, message)
+        reading = to_reading(topic.type_name, message, self._mounting)
         topic = self.stream(topic)
         if topic is topics.SPEED:
             wrong = self._stamps.check(reading.stamp_ns, self.now_ns(), self.steady_s())

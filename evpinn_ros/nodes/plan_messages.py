@@ -177,6 +177,7 @@ def _points(
 
 def _seconds(reader: CdrReader, offsets: np.ndarray) -> np.ndarray:
     """Seconds since the first time; exact, where seconds since 1970 would be 240 ns coarse."""
-    whole = reader.numbers(offsets, "i4") * np.int64(NANOSECONDS)
+    # Widened first: before numpy 2 a scalar does not widen an array, and seconds overflow.
+    whole = reader.numbers(offsets, "i4").astype(np.int64) * NANOSECONDS
     whole += reader.numbers(offsets + 4, "u4")
     return (whole - whole[:1]) / NANOSECONDS

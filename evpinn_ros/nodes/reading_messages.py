@@ -138,12 +138,19 @@ def reading_message(new: NewMessage, reading: Reading) -> Any:
             return motor_message(new, reading)
 
 
-def to_reading(type_name: str, message: Any) -> Reading:
+def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
     """The reading in a message of one of the input types.
+
+    Args:
+        type_name: of the message.
+        message: of rclpy or of a bag.
+        mounting: of an Imu, see `grade_reading`.
 
     Raises:
         BadMessage: no usable value, no stamp, or no input type; `reason` says which.
     """
+    if type_name == topics.IMU_TYPE:
+        return grade_reading(message, mounting)
     try:
         reader = _READERS[type_name]
     except KeyError:
@@ -262,7 +269,6 @@ _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.SPEED_TYPE: speed_reading,
     topics.ODOMETRY_TYPE: speed_reading,  # its twist is in the frame of the car by definition
     topics.BATTERY_TYPE: battery_reading,
-    topics.IMU_TYPE: grade_reading,
     topics.FIX_TYPE: altitude_reading,
     topics.TEMPERATURE_TYPE: temperature_reading,
     topics.PRESSURE_TYPE: pressure_reading,

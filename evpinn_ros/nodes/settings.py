@@ -7,6 +7,8 @@ from typing import Any
 
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.nodes.parameter_table import roll_pitch_yaw
+from evpinn_ros.nodes.reading_messages import Rotation, rotation
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.stream import StreamSettings
 from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
@@ -27,6 +29,12 @@ def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
             grade_source=GradeSource(values["grade_source"]),
         ),
     )
+
+
+def imu_mounting(values: Mapping[str, Any]) -> Rotation | None:
+    """How the IMU is mounted, from all parameters of the estimator; None: not told."""
+    angles = roll_pitch_yaw(values["imu_rotation_rpy"])
+    return None if angles is None else rotation(*angles)
 
 
 def jump_rule(values: Mapping[str, Any]) -> JumpRule:

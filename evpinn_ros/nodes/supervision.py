@@ -10,6 +10,8 @@ from contextlib import suppress
 import os
 import socket
 
+PATIENCE = 0.1  # s for a systemd that does not read: it must not hold up the callbacks
+
 
 def tell(state: str) -> None:
     """Send one state, `READY=1`, `WATCHDOG=1` or `STOPPING=1`; who does not listen is ignored."""
@@ -18,6 +20,7 @@ def tell(state: str) -> None:
         return
     address = "\0" + path[1:] if path.startswith("@") else path  # of the abstract namespace
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as outlet:
+        outlet.settimeout(PATIENCE)
         outlet.sendto(state.encode(), address)
 
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.energy.quadrature import trapezoid
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorStatus, Mode
 from evpinn_ros.replay.history import Drive, PowerSeries
@@ -261,7 +262,7 @@ def measured_energy(drive: Drive, stretches: list[Span]) -> float:
     for begin, end in stretches:
         inner = time[(time > begin) & (time < end)]
         nodes = np.concatenate(([begin], inner, [end]))
-        total += float(np.trapezoid(np.interp(nodes, time, power), nodes))
+        total += trapezoid(np.interp(nodes, time, power), nodes)
     return total
 
 

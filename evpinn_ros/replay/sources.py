@@ -20,6 +20,7 @@ from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.formats import MEASUREMENT_SUFFIX, is_table, suffix_of
 from evpinn_ros.drives.measurement import holds_signals
 from evpinn_ros.errors import InputError
+from evpinn_ros.nodes.reading_messages import Rotation
 from evpinn_ros.plain_file import open_file
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.unpacking import open_gzipped
@@ -50,11 +51,11 @@ class Source(Protocol):
 class BagSource:
     """A rosbag2 folder, a bare `.mcap` or `.db3`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, mounting: Rotation | None = None) -> None:
         """Open the bag; InputError when it is none or has none of our topics."""
         self.path = path
         self._reader = BagReader(path)
-        self._readings = BagReadings(self._reader)
+        self._readings = BagReadings(self._reader, mounting=mounting)
         self.dropped = self._readings.dropped
 
     @property
@@ -116,6 +117,7 @@ def open_source(
     *,
     trust_profile: bool = False,
     columns: Sequence[str] = (),
+    mounting: Rotation | None = None,
 ) -> Source:
     """Open a recorded drive of any kind.
 
@@ -125,6 +127,7 @@ def open_source(
         can_profile: of a CAN log, the vehicle's when None.
         trust_profile: read a CAN log also where it contradicts the profile.
         columns: of a CSV file that are given, see `evpinn_ros.drives.column.columns_by_name`.
+        mounting: of the IMU in a bag, see `grade_reading`.
 
     Raises:
         InputError: no such file, no kind known, or a CAN log without a profile.
@@ -132,7 +135,7 @@ def open_source(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_bag(path):
-        return _open_bag(path, vehicle, can_profile, trust_profile)
+        return _open_bag(path, vehicle, can_profile, trust_profile, mounting)
     if is_drive_table(path):
         return open_drive(path, vehicle.nominal_voltage, columns)
     if suffix_of(path) in LOG_SUFFIXES:
@@ -141,12 +144,16 @@ def open_source(
 
 
 def _open_bag(
-    path: Path, vehicle: Vehicle, can_profile: str | None, trust_profile: bool
+    path: Path,
+    vehicle: Vehicle,
+    can_profile: str | None,
+    trust_profile: bool,
+    mounting: Rotation | None,
 ) -> Source:
     """Recorded topics of ours; raw frames when asked by a profile, or if all there is."""
     if can_profile is None or not holds_frames(path):
         try:
-            return BagSource(path)
+            return BagSource(path, mounting)
         except InputError:
             if not holds_frames(path):
                 raise

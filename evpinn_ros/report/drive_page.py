@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.energy.quadrature import trapezoid
 from evpinn_ros.replay.events import Event, EventKind, drive_events
 from evpinn_ros.replay.foretold import ForecastOutcome, forecast_outcomes
 from evpinn_ros.replay.history import Drive
@@ -281,7 +282,7 @@ def _events(events: Sequence[Event]) -> str:
 def _distance(drive: Drive) -> float:
     """Distance driven, km."""
     time, speed = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")].T
-    return float(np.trapezoid(np.abs(speed), time)) / 1000
+    return trapezoid(np.abs(speed), time) / 1000
 
 
 def _date(stamp_ns: int) -> str:

@@ -1,6 +1,8 @@
 """Speed and attitude as others publish them: odometry, and IMUs in frames of their own."""
 
 import math
+import subprocess
+import sys
 
 import pytest
 
@@ -12,10 +14,18 @@ from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import Level, battery_message, header, speed_message
+from evpinn_ros.nodes.messages import (
+    Level,
+    battery_message,
+    header,
+    read_named_vector,
+    speed_message,
+    stamp_ns,
+)
 from evpinn_ros.nodes.reading_messages import rotation
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
+VEHICLE = "tesla_model_3_lr"
 START = 1_700_000_000 * NANOSECONDS
 
 
@@ -90,6 +100,58 @@ def test_an_imu_of_known_mounting_gives_the_grade(bench):
     drive(bench, node, range(30), frame="camera_imu", pitch=0.35)
     _, text, values = bench.diagnosis(node)["estimate"]
     assert "imu" not in text and "grade" not in values["not_told"]
+
+
+def test_a_replay_takes_the_mounting_of_the_imu_as_the_node_does(bench, bundled, tmp_path):
+    """Node and `evpinn replay` of the bag it hears, bit for bit; without it, a flat road."""
+    node = bench.start(EstimatorNode, imu_rotation_rpy="0.1 0.4 1.5")
+    bench.listen(topics.POWER_PREDICTED)
+    with BagWriter(tmp_path / "drive") as bag:
+        for index, (topic, message, sent) in enumerate(bundled("urban", 40.0)):
+            if topic is topics.SPEED:
+                attitude = mounted(index, stamp_ns(message))
+                bag.write("/ev/vehicle/imu", attitude(bag_message), stamp_ns(message))
+                bench.deliver(node, topics.IMU, attitude(new_message))
+            bag.write(topic.under(), message, stamp_ns(message))
+            bench.deliver(node, topic, sent)
+    bench.settle()
+    params = tmp_path / "node.yaml"
+    params.write_text('/**/estimator:\n  ros__parameters: {imu_rotation_rpy: "0.1 0.4 1.5"}\n')
+    told = [read_named_vector(m).values["power"] for m in bench.heard[topics.POWER_PREDICTED]]
+    assert len(told) > 300
+    assert powers(tmp_path, "--params", params) == told
+    assert powers(tmp_path) != told
+
+
+def mounted(index, stamp):
+    """Makes the Imu of a car on hills; its frame is turned by 0.1, 0.4, 1.5 rad in the car's."""
+    pitch, roll = 0.05 * math.sin(index / 50), 0.02 * math.sin(index / 20)
+    car, frame = rotation(roll, pitch, 0.7), rotation(0.1, 0.4, 1.5)
+    turned = {
+        "x": car.w * frame.x + car.x * frame.w + car.y * frame.z - car.z * frame.y,
+        "y": car.w * frame.y - car.x * frame.z + car.y * frame.w + car.z * frame.x,
+        "z": car.w * frame.z + car.x * frame.y - car.y * frame.x + car.z * frame.w,
+        "w": car.w * frame.w - car.x * frame.x - car.y * frame.y - car.z * frame.z,
+    }
+    return lambda new: new(
+        topics.IMU_TYPE,
+        header=header(new, stamp, "camera_imu"),
+        orientation=new("geometry_msgs/msg/Quaternion", **turned),
+    )
+
+
+def powers(folder, *options):
+    """What `evpinn replay` of the bag predicts."""
+    out = folder / f"out{len(options)}"
+    words = ("replay", folder / "drive", "--vehicle", VEHICLE, "--out", out, *options)
+    done = subprocess.run(
+        [sys.executable, "-m", "evpinn_ros", *map(str, words)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert ("frame 'camera_imu' is not base_link" in done.stdout) == (not options)
+    with BagReader(out) as bag:
+        found = bag.records(["/ev/power/predicted"])
+        return [read_named_vector(record.message).values["power"] for record in found]
 
 
 def test_a_bag_with_odometry_alone_has_a_speed(tmp_path):

@@ -1,7 +1,9 @@
 """Units for systemd: they are valid, and the process keeps what they expect of it."""
 
+import json
 import os
 from pathlib import Path
+import shlex
 import shutil
 import signal
 import socket
@@ -10,8 +12,17 @@ import sys
 
 import pytest
 
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.nodes import topics
+from evpinn_ros.nodes.reading_messages import to_reading
+from evpinn_ros.signals.readings import SpeedReading
+
 ROOT = Path(__file__).resolve().parents[2]
 UNITS = ROOT / "config" / "systemd"
+VEHICLE = "tesla_model_3"
+STATES = (".json", ".energy.json")
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
@@ -70,6 +81,103 @@ def test_a_process_that_hangs_says_nothing_more(bench, systemd):
     finally:
         process.kill()
         process.wait()
+
+
+def entry(unit, key):
+    """What a unit says; of several, all in one."""
+    lines = (UNITS / unit).read_text().splitlines()
+    return " ".join(line.partition("=")[2] for line in lines if line.startswith(f"{key}="))
+
+
+def test_what_the_unit_starts_keeps_its_promises(bench, bundled, systemd, tmp_path):
+    """ExecStart as written, with what systemd and the guide's evpinn.env set, and a drive."""
+    inlet, environment = systemd
+    params, activate = tmp_path / "evpinn.param.yaml", tmp_path / "activate"
+    values = {"log_file": drive(bundled, tmp_path), "log_rate": 8.0, "log_delay": 4.0}
+    params.write_text(json.dumps({"/**/can_bridge": {"ros__parameters": values}}))
+    activate.write_text(f"PATH={Path(sys.executable).parent}:$PATH\n")
+    assert entry("evpinn.service", "StateDirectory") == "evpinn"
+    environment |= dict(
+        pair.split("=", 1) for pair in entry("evpinn.service", "Environment").split()
+    )
+    environment |= {
+        "STATE_DIRECTORY": str(tmp_path),  # of which systemd makes /var/lib/evpinn
+        "VEHICLE": f"{VEHICLE}_lr",
+        "SETUP": str(activate),
+        "OPTIONS": f"--params {params}",
+    }
+    command = shlex.split(entry("evpinn.service", "ExecStart"))
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
+    try:
+        assert inlet.recv(100) == b"READY=1"
+        bench.listen(topics.POWER_SMOOTHED)
+        bench.pump(lambda: len(bench.heard[topics.POWER_SMOOTHED]) > 50, 60.0)
+        assert inlet.recv(100) == b"WATCHDOG=1"
+        process.send_signal(signal.SIGTERM)  # KillMode=mixed: to the main process alone
+        while (heard := inlet.recv(100)) == b"WATCHDOG=1":
+            pass
+        assert heard == b"STOPPING=1"
+        assert process.wait(int(entry("evpinn.service", "TimeoutStopSec"))) == 0
+    finally:
+        process.kill()
+        process.communicate()
+    learned, counted = (json.loads((tmp_path / f"car{end}").read_text()) for end in STATES)
+    assert learned["vehicle"] == counted["vehicle"] == f"{VEHICLE}_lr"
+
+
+def drive(bundled, folder):
+    """The CAN log of a bundled drive."""
+    encoder, frames = Encoder(load_profile(VEHICLE)), []
+    for topic, message, _ in bundled("urban", 40.0):
+        reading = to_reading(topic.type_name, message)
+        encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
+        frames.append(encode(reading))
+    write_log(folder / "drive.log", frames)
+    return str(folder / "drive.log")
+
+
+IN_A_NETWORK_OF_ITS_OWN = ("unshare", "--map-root-user", "--net", "sh", "-c")
+
+
+@pytest.mark.skipif(not shutil.which("ip"), reason="no `ip` (iproute2) here")
+@pytest.mark.skipif(not shutil.which("unshare"), reason="no `unshare` here")
+def test_ip_understands_what_brings_the_interface_up(tmp_path):
+    """The real `ip`: it tells a kernel without CAN from an option that it does not know."""
+    name, code, words = shlex.split(
+        entry("evpinn-can@.service", "ExecStart").replace("%i", "can9")
+    )
+    default = dict(pair.split("=") for pair in entry("evpinn-can@.service", "Environment").split())
+
+    def said(line):
+        make = next(f"ip link add can9 type {kind} && " for kind in KINDS if can_be_made(kind))
+        done = subprocess.run(
+            [*IN_A_NETWORK_OF_ITS_OWN, f"{make} {shlex.join([name, code, line])}"],
+            env=os.environ | default, capture_output=True, text=True,
+        )  # fmt: skip
+        return done.stderr
+
+    if not any(map(can_be_made, KINDS)):
+        pytest.skip("no network namespace with an interface can be made here")
+    assert said(words) in ("", NO_CAN)
+    assert "unknown option" in said(words.replace("listen-only", "listening"))
+
+
+KINDS = ("vcan", "dummy", "ifb")
+NO_CAN = "RTNETLINK answers: Operation not supported\n"
+
+
+def can_be_made(kind):
+    make = [*IN_A_NETWORK_OF_ITS_OWN, f"ip link add can9 type {kind}"]
+    return subprocess.run(make, capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not shutil.which("udevadm"), reason="no `udevadm` (udev) here")
+def test_udev_finds_nothing_wrong_with_the_rule():
+    rule = UNITS / "90-evpinn-can.rules"
+    done = subprocess.run(["udevadm", "verify", str(rule)], capture_output=True, text=True)
+    if "Unknown command" in done.stderr:
+        pytest.skip("this udevadm cannot verify; systemd 254 can")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_launch_files_load_without_what_the_nodes_need(loads_without):

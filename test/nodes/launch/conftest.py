@@ -5,6 +5,7 @@ another. Without either these tests are skipped.
 """
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 import importlib.util
 import os
@@ -14,11 +15,19 @@ import signal
 import subprocess
 import sys
 import sysconfig
+import time
 
 import pytest
 
 STAND_IN = Path(__file__).with_name("ros2_bag.py")
 STOP_TIMEOUT = 30.0  # s
+DISCOVERY_TIMEOUT = 30.0  # s
+DAEMON = """
+import rclpy
+from ros2cli.daemon import main
+rmw = rclpy.get_rmw_implementation_identifier()
+main(argv=["--rmw-implementation", rmw, "--ros-domain-id", "{domain}", "--timeout", "600"])
+"""
 COMMAND = """#!/bin/sh
 test "$1" = bag && exec "{python}" "{stand_in}" "$@"
 exec "{python}" -c 'import sys; from ros2cli.cli import main; sys.exit(main())' "$@"
@@ -40,8 +49,16 @@ class Ros2:
         )  # fmt: skip
 
     def ask(self, *words: object) -> str:
-        """What a command that asks the graph prints; by itself, for a daemon would stay behind."""
-        return self.run(*words, "--no-daemon", "--spin-time", "3").stdout
+        """What a command that asks the graph prints, once the daemon has found the node."""
+        end = time.monotonic() + DISCOVERY_TIMEOUT
+        while (said := self.run(*words).stdout).strip() == "Node not found":
+            assert time.monotonic() < end, f"{words}: {said}"
+        return said
+
+    def ask_together(self, *commands: tuple[object, ...]) -> list[str]:
+        """What each prints; they wait for discovery side by side."""
+        with ThreadPoolExecutor(len(commands)) as pool:
+            return list(pool.map(lambda words: self.ask(*words), commands))
 
     @contextmanager
     def running(self, *words: object) -> Iterator["Running"]:
@@ -101,7 +118,7 @@ def tools() -> Path | None:
 
 
 @pytest.fixture(scope="session")
-def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros2:
+def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros2]:
     """The command line, with this package installed by colcon."""
     folder, found = tmp_path_factory.mktemp("ros2"), tools()
     sourced = shutil.which("ros2") and importlib.util.find_spec("ros2launch")
@@ -122,4 +139,29 @@ def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros2:
         command.chmod(0o755)
     joined = {name: os.pathsep.join(map(str, parts)) for name, parts in paths.items()}
     joined["PYTHONUNBUFFERED"] = "1"  # what is printed into a file can be read at once
-    return Ros2({**os.environ, **joined, "ROS_LOG_DIR": str(folder / "log")}, folder)
+    environment = {**os.environ, **joined, "ROS_LOG_DIR": str(folder / "log")}
+    with _daemon(environment, folder / "daemon.log"):
+        yield Ros2(environment, folder)
+
+
+@contextmanager
+def _daemon(environment: dict[str, str], log: Path) -> Iterator[None]:
+    """The daemon of the command line: it knows the graph, so no command looks around for seconds.
+
+    The real one, but a child of this process and not left behind.
+    """
+    code = DAEMON.format(domain=environment["ROS_DOMAIN_ID"])
+    with log.open("w") as output:
+        daemon = subprocess.Popen(
+            [sys.executable, "-c", code], env=environment, stdin=subprocess.DEVNULL,
+            stdout=output, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    try:
+        end = time.monotonic() + DISCOVERY_TIMEOUT
+        while "Serving" not in log.read_text():
+            assert daemon.poll() is None and time.monotonic() < end, log.read_text()
+            time.sleep(0.1)
+        yield
+    finally:
+        daemon.kill()
+        daemon.wait()
