@@ -114,8 +114,8 @@ class Forecaster:
             ValueError: there is no such car; what was received before stays.
         """
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not possible
-            told = combined_model(combined, sigmas, self._vehicle, 0.0).linear
-        if not car_is_possible(told):
+            given = combined_model(combined, sigmas, self._vehicle, 0.0).linear
+        if not car_is_possible(given):
             raise ValueError("out_of_range")
         self._combined, self._sigmas = combined, sigmas
         if self._model is None:

@@ -32,7 +32,7 @@ def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
 
 
 def imu_mounting(values: Mapping[str, Any]) -> Rotation | None:
-    """How the IMU is mounted, from all parameters of the estimator; None: not told."""
+    """Mounting of the IMU, from all parameters of the estimator; None if not given."""
     angles = roll_pitch_yaw(values["imu_rotation_rpy"])
     return None if angles is None else rotation(*angles)
 
