@@ -25,7 +25,6 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],
-        f"{NAME}.bench.unseen": ["core_8a8cbe7.json"],
         f"{NAME}.energy": ["rknn_weights.npz"],
         f"{NAME}.report": ["browser/*.*", "browser/uplot/*"],
     },

@@ -16,20 +16,21 @@ import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
+from evpinn_ros import topics
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes import factory, topics
+from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.nodes.estimate_messages import output_messages
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.report.figure import save_figure
-from evpinn_ros.share import share_directory
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.estimates import output_messages
 from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]

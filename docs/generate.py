@@ -18,9 +18,9 @@ import typer
 
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli.main import app
-from evpinn_ros.nodes.parameter_table import TABLES, Parameter
-from evpinn_ros.nodes.topics import TOPICS, Topic
 from evpinn_ros.replay.metric_table import METRICS
+from evpinn_ros.topics import TOPICS, Topic
+from evpinn_ros.topics.node_parameters import TABLES, Parameter
 from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES

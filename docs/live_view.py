@@ -14,22 +14,22 @@ from rich.terminal_theme import MONOKAI
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.live.screen import screen
+from evpinn_ros.live.state import WATCHED, LiveState
 from evpinn_ros.nodes.diagnosis import Health
-from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
-from evpinn_ros.nodes.messages import diagnostics
-from evpinn_ros.nodes.reading_messages import to_reading
-from evpinn_ros.nodes.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
-from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain, ChainOutput
-from evpinn_ros.report.live_screen import screen
-from evpinn_ros.report.live_state import WATCHED, LiveState
-from evpinn_ros.share import share_directory
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
+from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
+from evpinn_ros.topics.messages import diagnostics
+from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -10,7 +10,7 @@ import sys
 
 import torch
 
-from evpinn_ros.one_thread import limit_blas_threads
+from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.reproduction import optimizers, problem
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
 from evpinn_ros.reproduction.optimizers import Adam

@@ -8,7 +8,7 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 
 from evpinn_ros.nodes.launching import SIMULATED, Argument, describe, node
-from evpinn_ros.nodes.topics import (
+from evpinn_ros.topics import (
     BATTERY,
     INPUTS,
     NAMESPACE,

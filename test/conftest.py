@@ -63,7 +63,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=turn)
 
 
-LONG = ("launch", "nodes", "cli", "bench", "estimation", "replay", "fleet", "reproduction")
+LONG = ("launch", "nodes", "cli", "benchmarks", "estimation", "replay", "fleet", "reproduction")
 """Folders of long files: begun first, they leave no worker alone with one in the end."""
 
 ROOT = Path(__file__).resolve().parents[1]

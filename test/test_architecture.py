@@ -14,39 +14,24 @@ PACKAGE = ROOT / "evpinn_ros"
 
 # From the ground up. A part may import what lies below it, and nothing beside or above it.
 LAYERS = [
-    {"", "errors", "plain_file"},
-    {
-        "share",
-        "yaml_section",
-        "one_thread",
-        "text_lines",
-        "npz",
-        "durable",
-        "plain_table",
-        "unpacking",
-    },
+    {""},
+    {"common"},
     {"vehicle"},
     {"signals"},
     {"can", "energy", "estimation"},
-    {"nodes.parameter_table"},
-    {"nodes.parameter_file"},
-    {"nodes.topics"},  # with the messages the contract of the topics: no ROS, so bags share it
-    {"nodes.messages", "nodes.cdr"},
-    {
-        "nodes.reading_messages",
-        "nodes.model_messages",
-        "nodes.plan_messages",
-        "nodes.estimate_messages",
-    },
-    {"bags", "drives"},
+    {"topics"},  # the contract and its messages, without ROS: bags share it
+    {"bags"},
+    {"drives"},
     {"simulation"},
     {"replay"},
     {"reproduction", "fleet"},
-    {"report", "bench"},
+    {"report"},
     {"nodes"},
+    {"live"},
     {"cli"},
     {"executables"},
     {"__main__"},
+    {"benchmarks"},  # beside the package, in a checkout alone
 ]
 RANKS = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
 CORES = {"vehicle", "signals", "estimation", "energy"}
@@ -58,11 +43,12 @@ UNSAFE_YAML = {"yaml.load", "yaml.load_all", "yaml.full_load", "yaml.unsafe_load
 
 
 def modules() -> Iterator[tuple[str, ast.Module]]:
-    """Every module of the package: its name below `evpinn_ros`, and its syntax tree."""
-    for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE).with_suffix("").parts
-        name = ".".join(part for part in parts if part != "__init__")
-        yield name, ast.parse(path.read_text(), str(path))
+    """Every module: its name below `evpinn_ros` or with `benchmarks`, and its syntax tree."""
+    for folder, above in ((PACKAGE, PACKAGE), (ROOT / "benchmarks", ROOT)):
+        for path in sorted(folder.rglob("*.py")):
+            parts = path.relative_to(above).with_suffix("").parts
+            name = ".".join(part for part in parts if part != "__init__")
+            yield name, ast.parse(path.read_text(), str(path))
 
 
 MODULES = dict(modules())
@@ -70,23 +56,17 @@ MODULES = dict(modules())
 
 def part_of(module: str) -> str:
     """The part of the house that a module belongs to."""
-    whole = ".".join(module.split(".")[:2])
-    return whole if whole in RANKS else module.partition(".")[0]
+    return module.partition(".")[0]
 
 
 def imports(name: str) -> Iterator[str]:
     """The full name of everything a module imports, at its top or inside a function."""
-    is_package = (PACKAGE / name.replace(".", "/")).is_dir()
     for node in ast.walk(MODULES[name]):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            origin = node.module or ""
-            if node.level:
-                own = ["evpinn_ros", *filter(None, name.split("."))]
-                up = len(own) - node.level + is_package
-                origin = ".".join([*own[:up], *filter(None, [origin])])
-            yield from (f"{origin}.{alias.name}" for alias in node.names)
+            assert not node.level, f"{name}: a relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def calls(tree: ast.Module) -> Iterator[tuple[str, ast.Call]]:
@@ -102,8 +82,8 @@ def ros_packages() -> set[str]:
 
 
 def without_ros() -> list[str]:
-    """Every module but the nodes themselves."""
-    return [name for name in MODULES if part_of(name) != "nodes" or name == "nodes"]
+    """Every module but the nodes, the live view of them and what measures them."""
+    return [name for name in MODULES if part_of(name) not in ("nodes", "live", "benchmarks")]
 
 
 def test_every_module_has_its_layer() -> None:
@@ -115,8 +95,8 @@ def test_dependencies_point_down(name: str) -> None:
     own = part_of(name)
     for imported in imports(name):
         top, _, inside = imported.partition(".")
-        if top == "evpinn_ros":
-            other = part_of(inside)
+        if top in ("benchmarks", "evpinn_ros"):
+            other = part_of(inside) if top == "evpinn_ros" else top
             # The version and the like: `from evpinn_ros import __version__`.
             other = other if other in RANKS else ""
             assert other == own or RANKS[other] < RANKS[own], f"{name} imports {imported}"
@@ -145,7 +125,7 @@ def test_no_file_holds_two_things() -> None:
     files = [*ROOT.glob("*.py")]
     files += [
         path
-        for name in ("evpinn_ros", "launch", "examples", "test")
+        for name in ("benchmarks", "evpinn_ros", "launch", "examples", "test")
         for path in (ROOT / name).rglob("*.py")
     ]
     lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in files}
@@ -170,14 +150,14 @@ def test_files_are_read_safely(name: str) -> None:
 
 SAFE_TO_PRINT = ("printable(", "json.dumps(", "_json(")
 PRINTERS = {"print", "typer.echo", "sys.stdout.write", "sys.stderr.write"}
-CONSOLES = {"rich.console.Console": "nodes.live_view", "rich.table.Table": None}
+CONSOLES = {"rich.console.Console": "live.view", "rich.table.Table": None}
 """What shows text, and would obey the escapes and the markup in it."""
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_what_a_person_sees_goes_through_one_function(name: str) -> None:
     """Topics, files and cars have names from anywhere: `printable` is before every terminal."""
-    if name in ("cli.console", "plain_table"):
+    if name in ("cli.console", "common.plain_table"):
         return  # they are the way
     for imported in imports(name):
         assert CONSOLES.get(imported, name) == name, f"{name} imports {imported}"

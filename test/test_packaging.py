@@ -177,7 +177,10 @@ def test_colcon_installs_the_package(installed: Path) -> None:
 
 
 def test_colcon_install_uses_its_own_files(installed: Path) -> None:
-    code = "from evpinn_ros import share; print(share.__file__, share.share_directory())"
+    code = (
+        "from evpinn_ros.common import package_data as data\n"
+        "print(data.__file__, data.share_directory())"
+    )
     for path in in_workspace(installed, sys.executable, "-c", code).split():
         assert Path(path).is_relative_to(installed / "evpinn_ros")
 
@@ -209,7 +212,7 @@ def test_colcon_test_runs_the_tests(installed: Path, source: Path) -> None:
     space = installed.parent
     colcon = (sys.executable, "-m", "colcon", "--log-base", space / "log")
     bases = ("--build-base", space / "build", "--install-base", space / "install")
-    which = ("--return-code-on-test-failure", "--pytest-args", "test/test_errors.py")
+    which = ("--return-code-on-test-failure", "--pytest-args", "test/common/test_errors.py")
     home = os.environ | {"COLCON_HOME": str(space)}
     run(*colcon, "test", "--paths", source, *bases, *which, cwd=space, env=home)
     found = run(*colcon, "test-result", "--all", "--test-result-base", space / "build", env=home)

@@ -8,14 +8,14 @@ from xml.etree import ElementTree
 import pytest
 from rosbags.interfaces import Nodetype
 
+from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message, typestore
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
-from evpinn_ros.nodes.topics import NAMESPACE, TOPICS, Topic
+from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
+from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
 from evpinn_ros.vehicle.files import vehicle_names
 from evpinn_ros.vehicle.identifiable import Identifiable
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES

@@ -11,7 +11,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "evpinn_ros"
-FILES = {str(path.relative_to(PACKAGE)): path for path in sorted(PACKAGE.rglob("*.py"))}
+FILES = {
+    str(path.relative_to(ROOT)).removeprefix("evpinn_ros/"): path
+    for folder in (PACKAGE, ROOT / "benchmarks")
+    for path in sorted(folder.rglob("*.py"))
+}
 
 QUESTIONS = re.compile(r"(What|Whether|How|Which|Who|Why|Where|When|All that)\b")
 """Beginnings of a docstring that does not name its thing: a noun or a verb phrase does."""
@@ -25,8 +29,8 @@ GONE = {
 GONE_NAMES = GONE | {"null", "nulls", "push", "noticed"}
 GONE_PHRASES = ("held against", "speaks of", "clock that never jumps", "silent battery")
 
-KEPT = {("bench/fleet.py", "told"), ("bench/fuzz.py", "said"), ("nodes/faults/fault.py", "said")}
-KEPT |= {("nodes/bridge_load.py", "heard")}
+KEPT = {("benchmarks/fleet.py", "told"), ("benchmarks/fuzz.py", "said")}
+KEPT |= {("benchmarks/faults/fault.py", "said"), ("benchmarks/bridge_load.py", "heard")}
 """Names that are keys of `--json`, which are fixed."""
 
 PATH = re.compile(r"(?<![\w/.:{<*])((?:[\w.-]+/)+[\w-]+\.(?:py|md|yaml|csv|js|sh|toml)|\w+\.md)\b")

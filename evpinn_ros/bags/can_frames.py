@@ -16,7 +16,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN, FRAME_TYPE
 from evpinn_ros.can.frame import CanFrame, FirstBus
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 FRAMES_TOPIC = "can/frames"

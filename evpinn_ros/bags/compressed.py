@@ -10,8 +10,8 @@ from typing import Protocol
 import zstandard
 
 from evpinn_ros.bags.mcap_file import Channel, RawMessage
-from evpinn_ros.errors import InputError
-from evpinn_ros.unpacking import RATIO, most_unpacked
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.unpacking import RATIO, most_unpacked
 
 _PIECE = 1 << 20
 

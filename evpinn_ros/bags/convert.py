@@ -7,14 +7,11 @@ from collections.abc import Callable, Iterable, Iterator
 import math
 from typing import Any
 
+from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.messages import BadMessage, scalar
-from evpinn_ros.nodes.reading_messages import Rotation, reading_message, to_reading
-from evpinn_ros.nodes.topics import NAMESPACE, Topic
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -28,6 +25,9 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
+from evpinn_ros.topics import NAMESPACE, Topic
+from evpinn_ros.topics.messages import BadMessage, scalar
+from evpinn_ros.topics.readings import Rotation, reading_message, to_reading
 
 READING_TOPICS: dict[type[Reading], Topic] = {
     SpeedReading: topics.SPEED,

@@ -23,7 +23,7 @@ import numpy as np
 import zstandard
 
 from evpinn_ros.bags.limits import MEBIBYTE
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 MOST_DEFINITIONS = 64 * MEBIBYTE  # all schemas and channels of a file together
 

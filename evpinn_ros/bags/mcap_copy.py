@@ -37,7 +37,7 @@ from evpinn_ros.bags.mcap_content import (
     MessageIndex,
     Records,
 )
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 INDEX = struct.Struct("<BQHI")  # opcode, bytes that follow, channel, bytes of entries
 

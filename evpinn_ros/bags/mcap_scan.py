@@ -32,7 +32,7 @@ from evpinn_ros.bags.mcap_content import (
     index_size,
     parsed_from,
 )
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 LONGEST_RECORD = 16 * MEBIBYTE  # of any other kind
 WINDOW = 4 * MEBIBYTE  # bytes read at once

@@ -25,8 +25,8 @@ from evpinn_ros.bags.mcap_content import (
     Definitions,
 )
 from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
-from evpinn_ros.errors import InputError
-from evpinn_ros.unpacking import most_unpacked
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.unpacking import most_unpacked
 
 LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the file is searched
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import yaml
 
-from evpinn_ros.durable import replaced
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.topics import SPEED, topic_of
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.yaml_section import load_plain
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.yaml_section import load_plain
+from evpinn_ros.topics import SPEED, topic_of
 
 METADATA = "metadata.yaml"
 INFORMATION = "rosbag2_bagfile_information"

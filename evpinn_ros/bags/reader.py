@@ -16,8 +16,8 @@ from evpinn_ros.bags.mcap_file import Channel, McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
 from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
-from evpinn_ros.errors import InputError
-from evpinn_ros.yaml_section import load_plain
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.yaml_section import load_plain
 
 PACKED = ".zstd"
 

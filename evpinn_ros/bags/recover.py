@@ -23,8 +23,8 @@ from evpinn_ros.bags.metadata import (
     write_metadata,
 )
 from evpinn_ros.bags.salvage import Loss, Piece, Salvage
-from evpinn_ros.errors import InputError
-from evpinn_ros.yaml_section import plain_text
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.yaml_section import plain_text
 
 MOST_LOSSES = 1000  # kept one by one; beyond, only their sum
 LONGEST_QOS = 10_000  # characters of YAML that are read

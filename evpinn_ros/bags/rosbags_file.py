@@ -12,7 +12,7 @@ from urllib.parse import quote
 from rosbags.rosbag2 import Reader
 
 from evpinn_ros.bags.mcap_file import Channel, RawMessage
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 # What a damaged file makes rosbags raise is listed nowhere: errors of its own, of apsw, of zstd.
 READ_ERRORS = (Exception,)

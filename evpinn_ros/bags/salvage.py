@@ -32,8 +32,8 @@ from evpinn_ros.bags.mcap_content import (
 )
 from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
 from evpinn_ros.bags.mcap_summary import summary_of
-from evpinn_ros.errors import InputError
-from evpinn_ros.unpacking import RATIO, most_unpacked
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.unpacking import RATIO, most_unpacked
 
 STRETCH = MEBIBYTE  # messages outside of chunks that are handled together
 LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from evpinn_ros.bags.rosbags_file import READ_ERRORS
 from evpinn_ros.bags.types import typestore
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 VERSION = 9  # of metadata.yaml: Jazzy

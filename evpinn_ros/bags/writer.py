@@ -23,8 +23,8 @@ from evpinn_ros.bags.metadata import (
     write_metadata,
 )
 from evpinn_ros.bags.types import encode, typestore
-from evpinn_ros.durable import sync
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.fsync import sync
 from evpinn_ros.signals.readings import NANOSECONDS
 
 

@@ -26,7 +26,7 @@ import can
 from evpinn_ros.can import elm327
 from evpinn_ros.can.clock_map import ClockMap
 from evpinn_ros.can.frame import EPOCH_S, CanFrame, nanoseconds
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 RECEIVE_TIMEOUT_S = 0.1
 SILENT_AFTER_S = 1.0

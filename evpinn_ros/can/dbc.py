@@ -13,8 +13,8 @@ from typing import Any
 import cantools
 
 from evpinn_ros.can.dbc_size import LARGEST_FILE, excess
-from evpinn_ros.plain_file import open_file
-from evpinn_ros.yaml_section import Section
+from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.yaml_section import Section
 
 _SPEED_UNITS: Mapping[str, str] = {
     **dict.fromkeys(("km/h", "kph", "kmh", "kmph"), "km/h"),

@@ -22,11 +22,11 @@ from can.io import mf4
 from evpinn_ros.can.blf import BlfReader
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.can.gvret import HEADER, GvretReader
-from evpinn_ros.durable import replaced
-from evpinn_ros.errors import InputError
-from evpinn_ros.plain_file import open_file
-from evpinn_ros.text_lines import bounded_lines
-from evpinn_ros.unpacking import open_gzipped
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.text_lines import bounded_lines
+from evpinn_ros.common.unpacking import open_gzipped
 
 _READERS: dict[str, Callable[..., Any]] = {
     ".log": can.CanutilsLogReader,

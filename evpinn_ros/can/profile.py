@@ -30,9 +30,9 @@ from evpinn_ros.can.signal_rule import (
     refuse_impossible,
     signal_rule,
 )
-from evpinn_ros.errors import InputError
-from evpinn_ros.share import share_directory
-from evpinn_ros.yaml_section import Section, compose
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.yaml_section import Section, compose
 
 MOTORS = ("motor", "second_motor")
 QUANTITIES = ("speed", "battery", "state_of_charge", *MOTORS)

@@ -13,7 +13,7 @@ from typing import Literal
 
 from evpinn_ros.can.diagnostic_ids import LAST_11_BIT_ID, refusal
 from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
-from evpinn_ros.yaml_section import Section
+from evpinn_ros.common.yaml_section import Section
 
 READ_SERVICES: Mapping[int, int] = {0x01: 1, 0x21: 1, 0x22: 2}
 """Services that read and change nothing, with the bytes of the identifier that follows: current

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 
-from evpinn_ros.yaml_section import Section
+from evpinn_ros.common.yaml_section import Section
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "speed": {"km/h": 1 / 3.6, "mph": 0.44704, "m/s": 1.0},

@@ -16,7 +16,7 @@ import typer
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.cli.console import note
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 POLL_S = 0.2
 CUT_SHORT_S = 20.0

@@ -1,10 +1,20 @@
-"""`evpinn bench`: the benchmarks of this project, against peers."""
+"""`evpinn bench`: the benchmarks of this project, against peers.
+
+They lie beside the package, in a checkout alone: no vehicle computer needs them.
+"""
 
 from __future__ import annotations
+
+from pathlib import Path
+import sys
+from typing import Any
 
 import typer
 
 from evpinn_ros.cli.lazy import LazyCommands
+from evpinn_ros.common.errors import InputError
+
+CHECKOUT = Path(__file__).resolve().parents[2]
 
 COMMANDS = (
     "training",
@@ -24,14 +34,26 @@ COMMANDS = (
     "logs",
     "vehicles",
     "faults",
-)  # each a function in `bench_<name>.py`
+)
 
 
 class BenchCommands(LazyCommands):
     """The subcommands of `evpinn bench`."""
 
     names = COMMANDS
-    prefix = "bench_"
+    package = "benchmarks.cli"
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a name, None when there is none.
+
+        Raises:
+            InputError: this is no checkout.
+        """
+        if not (CHECKOUT / "benchmarks" / "cli").is_dir():
+            raise InputError("the benchmarks are not installed; run evpinn bench in a checkout")
+        if str(CHECKOUT) not in sys.path:
+            sys.path.append(str(CHECKOUT))
+        return super().get_command(ctx, cmd_name)
 
 
 bench = typer.Typer(

@@ -17,9 +17,9 @@ from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.cli.can_tables import as_json, show_report
 from evpinn_ros.cli.console import note, show_json
 from evpinn_ros.cli.options import Elm327Option, complete_profile, elm327_bus
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.parameter_table import bus_options
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics.node_parameters import bus_options
 
 BITRATE = 500_000  # bit/s, of every car in config/can
 LISTEN = 10.0  # s, if not given otherwise

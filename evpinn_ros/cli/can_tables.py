@@ -9,7 +9,7 @@ from evpinn_ros.can.fit import MessageFit
 from evpinn_ros.can.inspection import BusReport, IdStatus, ProfileReport
 from evpinn_ros.cli.console import say, show
 from evpinn_ros.cli.tables import titled_table
-from evpinn_ros.plain_table import PlainTable
+from evpinn_ros.common.plain_table import PlainTable
 
 PEOPLE: dict[str, tuple[str, float, int]] = {
     "speed": ("km/h", 3.6, 1),

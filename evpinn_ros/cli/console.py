@@ -23,9 +23,9 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from evpinn_ros.durable import replaced
-from evpinn_ros.errors import InputError, printable
-from evpinn_ros.plain_table import PlainTable
+from evpinn_ros.common.errors import InputError, printable
+from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.plain_table import PlainTable
 
 Report = Callable[[float], None]  # takes what is done, seconds of the drive unless named otherwise
 

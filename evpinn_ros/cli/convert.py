@@ -17,9 +17,9 @@ from evpinn_ros.cli.console import note, progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, complete_vehicle
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import QUANTITIES
-from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import Source, open_source
+from evpinn_ros.drives.sources import Source, open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
 

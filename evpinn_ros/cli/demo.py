@@ -17,16 +17,16 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import live_table, score_table
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.parameter_table import Value
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.replay.recorded import recorded_drive
 from evpinn_ros.replay.run import WARM_UP
 from evpinn_ros.replay.scoring import drive_scores
 from evpinn_ros.replay.tables import energy_lines
 from evpinn_ros.report.figure import drive_figure, save_figure
-from evpinn_ros.share import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.simulation.truth_file import read_truth
+from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.vehicle.files import load_vehicle
 
 DRIVE = "urban"

@@ -14,7 +14,7 @@ import typer
 from evpinn_ros.cli.console import TITLE, note, notes, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet

@@ -8,7 +8,7 @@ from types import FrameType, TracebackType
 import typer
 
 from evpinn_ros.cli.console import note
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 

@@ -14,12 +14,12 @@ class LazyCommands(TyperGroup):
 
     Attributes:
         names: of the commands, in the order of the help. Each is a function, or a `typer.Typer`
-            that is a group itself, of the same name in a module of this package.
-        prefix: of the modules' names.
+            that is a group itself, of the same name in a module of the same name.
+        package: that holds these modules.
     """
 
     names: ClassVar[tuple[str, ...]] = ()
-    prefix: ClassVar[str] = ""
+    package: ClassVar[str] = "evpinn_ros.cli"
     _completing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -33,7 +33,7 @@ class LazyCommands(TyperGroup):
             return None
         if self._completing:
             return TyperCommand(cmd_name)
-        found = getattr(import_module(f"evpinn_ros.cli.{self.prefix}{name}"), name)
+        found = getattr(import_module(f"{self.package}.{name}"), name)
         if isinstance(found, typer.Typer):
             group = typer.main.get_group(found)
             group.name = cmd_name  # help lists it by that

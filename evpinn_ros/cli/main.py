@@ -13,7 +13,7 @@ from evpinn_ros import __version__
 from evpinn_ros.cli.console import note, say
 from evpinn_ros.cli.interruption import INTERRUPTED
 from evpinn_ros.cli.lazy import LazyCommands
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 FAILED = 1
 

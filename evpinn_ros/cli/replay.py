@@ -21,15 +21,13 @@ from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import parameter_table, score_table
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import Source, open_source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes.parameter_file import read_parameter_file
-from evpinn_ros.nodes.parameter_table import TABLES, Value
-from evpinn_ros.nodes.settings import estimator_settings, imu_mounting, jump_rule
-from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import (
     WARM_UP,
@@ -39,10 +37,12 @@ from evpinn_ros.replay.run import (
     output_folders,
 )
 from evpinn_ros.replay.run import replay as replay_drive
-from evpinn_ros.replay.sources import Source, open_source
 from evpinn_ros.replay.tables import energy_lines
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.simulation.truth_file import read_truth
+from evpinn_ros.topics.node_parameters import TABLES, Value
+from evpinn_ros.topics.parameter_file import read_parameter_file
+from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 

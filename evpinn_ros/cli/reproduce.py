@@ -18,8 +18,8 @@ import typer
 from evpinn_ros.cli.console import TITLE, RateColumn, note, notes, say, show, write_json
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
-from evpinn_ros.errors import InputError
-from evpinn_ros.one_thread import limit_blas_threads
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
 from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, Settings

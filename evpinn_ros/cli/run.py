@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from evpinn_ros.bags.foxglove import LOOPBACK, PORT
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.cli.afterwards import reported
 from evpinn_ros.cli.options import (
@@ -20,10 +21,9 @@ from evpinn_ros.cli.options import (
     elm327_bus,
 )
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.nodes.parameter_file import read_parameter_file
-from evpinn_ros.nodes.parameter_table import Value
 from evpinn_ros.nodes.state_keeper import state_path
-from evpinn_ros.report.foxglove import LOOPBACK, PORT
+from evpinn_ros.topics.node_parameters import Value
+from evpinn_ros.topics.parameter_file import read_parameter_file
 
 MEGABYTE = 1e6
 
@@ -109,8 +109,8 @@ def run(
     Example: evpinn run --vehicle bmw_i3 --elm327 tcp:192.168.0.10:35000 --poll
     """
     # Imported here: all other commands work where no ROS is.
+    from evpinn_ros.live.view import live_view
     from evpinn_ros.nodes.all_in_one import run as run_nodes
-    from evpinn_ros.nodes.live_view import live_view
 
     if elm327 is not None:
         can_interface, can_channel = elm327_bus(elm327, can_interface, can_channel)

@@ -11,7 +11,7 @@ import typer
 from evpinn_ros.cli.console import progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.output import write

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from evpinn_ros.cli.console import note
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.open_drive import DriveSource
-from evpinn_ros.replay.sources import Source
+from evpinn_ros.drives.sources import Source
 
 
 def explain_columns(source: Source) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from evpinn_ros.plain_table import PlainTable
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import MEANINGS, number
 from evpinn_ros.replay.run import WARM_UP

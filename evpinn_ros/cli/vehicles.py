@@ -11,7 +11,7 @@ import typer
 from evpinn_ros.cli.console import say, show, show_json
 from evpinn_ros.cli.options import complete_vehicle
 from evpinn_ros.cli.tables import titled_table
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
 from evpinn_ros.vehicle.written import write_vehicle

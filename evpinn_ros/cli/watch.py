@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.nodes.topics import NAMESPACE
+from evpinn_ros.topics import NAMESPACE
 
 
 def watch(
@@ -24,6 +24,6 @@ def watch(
     Example: evpinn watch --namespace /ev
     """
     # Imported here: all other commands work where no ROS is.
-    from evpinn_ros.nodes.live_view import watch as watch_nodes
+    from evpinn_ros.live.view import watch as watch_nodes
 
     watch_nodes(namespace, plain=plain, for_scripts=for_scripts)

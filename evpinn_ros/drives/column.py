@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import (
     BY_COLUMN,
     COLUMNS_OF_APPS,
@@ -15,7 +16,6 @@ from evpinn_ros.drives.quantities import (
     score,
     unit_of,
 )
-from evpinn_ros.errors import InputError
 
 SIGNED = ("current", "power")
 LONGEST_LIST = 200  # characters of column names in a message

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.formats import (
     MEASUREMENT_SUFFIX,
     PARQUET_SUFFIXES,
@@ -16,7 +17,6 @@ from evpinn_ros.drives.formats import (
     TEXT_SUFFIXES,
     suffix_of,
 )
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import Reading
 
 if TYPE_CHECKING:

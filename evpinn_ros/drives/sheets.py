@@ -11,8 +11,8 @@ import zipfile
 
 import polars as pl
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.text_table import MOST_COLUMNS, Row
-from evpinn_ros.errors import InputError
 
 MOST_EMPTY = 1000  # rows in a row that hold nothing: the sheet is over
 EMPTY_ABOVE = 50  # rows above the header

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Protocol
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, score
-from evpinn_ros.errors import InputError
 
 # The columns of a table with one value a row.
 NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.clock_choice import choose_clock
 from evpinn_ros.drives.column import Column, check_columns, columns_by_name
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
@@ -31,7 +32,6 @@ from evpinn_ros.drives.times import (
     is_newest_first,
     start_of_comments,
 )
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
 BATCH = 16_384  # rows converted at once

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import IO, Any
 import zlib
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.plain_file import open_file
-from evpinn_ros.text_lines import LONGEST_LINE
-from evpinn_ros.unpacking import open_gzipped
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.text_lines import LONGEST_LINE
+from evpinn_ros.common.unpacking import open_gzipped
 
 MOST_COLUMNS = 10_000
 MOST_BLANK = 100_000  # lines in a row

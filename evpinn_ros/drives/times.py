@@ -213,7 +213,7 @@ def clock_of_numbers(
             why="by its name",
             backwards=backwards,
             style=style,
-            daily=_begins_anew(known * _NS[unit]),
+            daily=_begins_anew(known, DAY_NS / _NS[unit]),
         )
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
@@ -227,14 +227,14 @@ def clock_of_numbers(
         why="by the step between rows",
         backwards=backwards,
         style=style,
-        daily=_begins_anew(known * _NS[name]),
+        daily=_begins_anew(known, DAY_NS / _NS[name]),
     )
 
 
-def _begins_anew(times_ns: NDArray[np.float64]) -> bool:
-    """True if times are those of a day, and midnight passes."""
-    inside = times_ns.min() >= 0 and times_ns.max() <= DAY_NS
-    return bool(inside and (np.diff(times_ns) < -0.9 * DAY_NS).any())
+def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
+    """True if times are those of a day, in the unit of `day`, and midnight passes."""
+    inside = times.min() >= 0 and times.max() <= day
+    return bool(inside and (np.diff(times) < -0.9 * day).any())
 
 
 def clock_of_text(columns: tuple[int, ...], cells: Sequence[Sequence[str]]) -> Clock | None:

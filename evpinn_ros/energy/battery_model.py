@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.quadrature import MAX_GAP, EnergyIntegral
 from evpinn_ros.energy.rknn import Slope, energy_step, slopes
 from evpinn_ros.energy.saved import number, numbers, section
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.signals.stream import MAX_CURRENT, MAX_VOLTAGE, MIN_VOLTAGE
 

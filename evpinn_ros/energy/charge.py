@@ -12,8 +12,8 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.saved import number, numbers
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, then a state of charge is projected

@@ -14,6 +14,7 @@ from enum import Enum
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.course import (
     LONGEST,
     EnergyCorrection,
@@ -27,7 +28,6 @@ from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.saved import number, numbers, or_none, section
 from evpinn_ros.energy.silence import Bridge, Dropout, Dropouts
 from evpinn_ros.energy.uncertainty import CORRELATION_TIME, CorrelatedError, LastingShare
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 MAX_SPEED = 100.0  # m/s: faster is a teleport
 MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m

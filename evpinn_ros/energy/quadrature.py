@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.plausible import ROUNDING
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.track import Cadence
 

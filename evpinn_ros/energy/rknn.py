@@ -30,8 +30,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.npz import read_arrays
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.npz import read_arrays
 
 SCALE = 1e3  # W and J: where the normalisation turns from linear to logarithmic
 POWER_LIMIT = 5e5  # W: trained range; a step with power beyond it is Simpson's rule itself

@@ -25,6 +25,8 @@ from scipy.interpolate import PchipInterpolator
 import torch
 from torch import Tensor, nn
 
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import printable
 from evpinn_ros.energy.rknn import (
     ARGUMENTS,
     HIDDEN,
@@ -35,8 +37,6 @@ from evpinn_ros.energy.rknn import (
     restored,
     slopes,
 )
-from evpinn_ros.errors import printable
-from evpinn_ros.one_thread import limit_blas_threads
 
 SEED = 20240601
 TRACES, KNOTS, STEPS_PER_TRACE = 128, 64, 32

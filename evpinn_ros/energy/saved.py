@@ -8,7 +8,7 @@ import reprlib
 import sys
 from typing import Any
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 
 def section(saved: Mapping[str, Any], name: str) -> Mapping[str, Any]:

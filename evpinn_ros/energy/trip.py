@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.plausible import MOST_DISTANCE, MOST_ENERGY
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
 from evpinn_ros.energy.saved import number, numbers, section
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.stream import MAX_SPEED
 
 WINDOWS = (1e3, 1e4, 1e5)  # m

@@ -9,9 +9,9 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
-from evpinn_ros.durable import replaced, sync
-from evpinn_ros.errors import InputError
-from evpinn_ros.plain_file import open_file
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.fsync import replaced, sync
+from evpinn_ros.common.plain_file import open_file
 
 MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
 

@@ -21,7 +21,9 @@ import time
 from typing import Any
 
 from evpinn_ros import __version__
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.learner import STATE_VERSION
@@ -29,10 +31,8 @@ from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.fleet.manifest import CarDrives
 from evpinn_ros.fleet.row import drive_row, failed_row
-from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import ReplayOptions, replay
-from evpinn_ros.replay.sources import open_source
 from evpinn_ros.vehicle.files import Vehicle
 
 STATE_FILE, RESULT_FILE = "state.json", "result.json"

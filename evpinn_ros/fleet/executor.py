@@ -20,7 +20,7 @@ import signal
 import threading
 from typing import Any, Generic, Protocol, TypeVar
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.plain_file import open_file
-from evpinn_ros.replay.recordings import recordings
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.yaml_section import compose
+from evpinn_ros.drives.recordings import recordings
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.yaml_section import compose
 
 COLUMNS = ("drive", "car", "vehicle")
 YAML = (".yaml", ".yml")

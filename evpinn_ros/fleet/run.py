@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import fcntl
 from pathlib import Path
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.fleet.car import CarDone, CarTask, learn_car
 from evpinn_ros.fleet.executor import Executor, Outcome
 from evpinn_ros.fleet.manifest import CarDrives

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.durable import replaced
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.fsync import replaced
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.fleet.car import read_result
 from evpinn_ros.fleet.manifest import CarDrives

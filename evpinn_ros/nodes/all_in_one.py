@@ -15,10 +15,10 @@ from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.foxglove import FoxgloveNode
-from evpinn_ros.nodes.parameter_table import TABLES, Value
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
-from evpinn_ros.nodes.topics import NAMESPACE
+from evpinn_ros.topics import NAMESPACE
+from evpinn_ros.topics.node_parameters import TABLES, Value
 
 NODES = {"estimator": EstimatorNode, "energy": EnergyNode, "can_bridge": CanBridgeNode}
 """The bridge last, for it speaks at once, and those who listen take seconds to load."""

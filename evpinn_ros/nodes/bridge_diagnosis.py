@@ -6,7 +6,7 @@ from evpinn_ros.can.bridge import BridgeStatus
 from evpinn_ros.can.bus import BusState, BusStatus
 from evpinn_ros.can.poller import PollStatus
 from evpinn_ros.nodes.diagnosis import Health, Status, flat, rounded, with_health
-from evpinn_ros.nodes.messages import Level
+from evpinn_ros.topics.messages import Level
 
 
 def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:

@@ -8,6 +8,7 @@ from pathlib import Path
 import threading
 from typing import Any
 
+from evpinn_ros import topics
 from evpinn_ros.can import elm327
 from evpinn_ros.can.bridge import WAITING, BridgeStatus, CanBridge
 from evpinn_ros.can.bus import BusReader, BusState
@@ -15,20 +16,19 @@ from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes import topics
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
-from evpinn_ros.nodes.messages import Level, scalar
-from evpinn_ros.nodes.parameter_table import bus_options
-from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.topics import Topic
 from evpinn_ros.signals.readings import BatteryReading, MotorReading, Reading
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.messages import Level, scalar
+from evpinn_ros.topics.node_parameters import bus_options
+from evpinn_ros.topics.readings import reading_message
 from evpinn_ros.vehicle.files import load_vehicle
 
 PUBLISHES = (

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
-from evpinn_ros.nodes.messages import Level
+from evpinn_ros.topics.messages import Level
 
 MISSING_AFTER = 3.0  # s without a message of the leading input
 LATELY = 10.0  # s for which something that happened is shown

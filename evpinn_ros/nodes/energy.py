@@ -9,14 +9,13 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
+from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.cdr import CdrError
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     EnergyReport,
@@ -26,10 +25,19 @@ from evpinn_ros.nodes.energy_diagnosis import (
     meter_status,
     plan_status,
 )
-from evpinn_ros.nodes.estimate_messages import UNMEASURED_ENERGY, energy_messages, summary_messages
 from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer
-from evpinn_ros.nodes.messages import (
+from evpinn_ros.nodes.plan_service import answer_plans
+from evpinn_ros.nodes.running import run
+from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
+from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.signals.road import why_impossible
+from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.cdr import CdrError
+from evpinn_ros.topics.estimates import UNMEASURED_ENERGY, energy_messages, summary_messages
+from evpinn_ros.topics.messages import (
     BadMessage,
     Level,
     battery_message,
@@ -37,24 +45,16 @@ from evpinn_ros.nodes.messages import (
     read_named_vector,
     speed_reading,
 )
-from evpinn_ros.nodes.model_messages import read_model
-from evpinn_ros.nodes.plan_messages import (
+from evpinn_ros.topics.model import read_model
+from evpinn_ros.topics.plans import (
     forecast_bytes,
     path_plan,
     question,
     request_header,
     speed_profile_plan,
 )
-from evpinn_ros.nodes.plan_service import answer_plans
-from evpinn_ros.nodes.reading_messages import to_reading
-from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.settings import jump_rule
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
-from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from evpinn_ros.signals.road import why_impossible
-from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.topics.settings import jump_rule
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 

@@ -11,7 +11,7 @@ from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, rounded, with_health
 from evpinn_ros.nodes.forecaster import Air, Basis, PlanAnswer
-from evpinn_ros.nodes.messages import Level
+from evpinn_ros.topics.messages import Level
 
 ANSWERED = "answered"
 NO_POWER = "no power/smoothed"

@@ -8,28 +8,28 @@ from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
+from evpinn_ros import topics
+from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
 from evpinn_ros.estimation.worker import ThreadWorker
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status
-from evpinn_ros.nodes.estimate_messages import output_messages
 from evpinn_ros.nodes.estimator_diagnosis import (
     EstimatorReport,
     estimator_phases,
     estimator_status,
 )
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.model_messages import model_message
-from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.settings import estimator_settings, imu_mounting, jump_rule
 from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
-from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.estimates import output_messages
+from evpinn_ros.topics.model import model_message
+from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
 from evpinn_ros.vehicle.files import load_vehicle
 
 MODEL_PERIOD = 10.0  # s

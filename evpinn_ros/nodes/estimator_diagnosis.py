@@ -18,10 +18,10 @@ from evpinn_ros.nodes.diagnosis import (
     rounded,
     with_health,
 )
-from evpinn_ros.nodes.messages import Level
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.signals.suspicion import CURRENT_SIGN
+from evpinn_ros.topics.messages import Level
 
 NO_SPEED, LEARNING = "no vehicle/speed", "learning"
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have

@@ -18,8 +18,8 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.topics import Qos, Topic
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.topics import Qos, Topic
 
 OVERRIDABLE = tuple(
     getattr(QoSPolicyKind, name) for name in ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY")

@@ -6,11 +6,11 @@ from collections.abc import Collection
 from functools import partial
 from typing import Any
 
+from evpinn_ros.bags.foxglove import FoxgloveServer, is_loopback
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status, with_health
-from evpinn_ros.nodes.messages import Level
-from evpinn_ros.nodes.topics import TOPICS, Topic
-from evpinn_ros.report.foxglove import FoxgloveServer, is_loopback
+from evpinn_ros.topics import TOPICS, Topic
+from evpinn_ros.topics.messages import Level
 
 
 class FoxgloveNode(GuardedNode):

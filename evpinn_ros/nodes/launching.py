@@ -16,14 +16,14 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.topics import NAMESPACE, TOPICS
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.topics import NAMESPACE, TOPICS
 from evpinn_ros.vehicle.files import load_vehicle
 from launch import LaunchDescription
 
 if TYPE_CHECKING:  # `ros2` may run in a Python that has none of what the table needs
-    from evpinn_ros.nodes.parameter_table import Value
+    from evpinn_ros.topics.node_parameters import Value
 
 TRUTH = ("true", "false")
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")

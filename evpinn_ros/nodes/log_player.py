@@ -9,7 +9,7 @@ import time
 
 from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 

@@ -16,8 +16,8 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.parameter_table import Parameter, Value, refuse_wrong
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.topics.node_parameters import Parameter, Value, refuse_wrong
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:

@@ -14,13 +14,13 @@ import time
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.messages import read_named_vector
-from evpinn_ros.nodes.parameter_table import TABLES, Value
+from evpinn_ros import topics
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.recorder import RecorderNode
-from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics import NAMESPACE
+from evpinn_ros.topics.messages import read_named_vector
+from evpinn_ros.topics.node_parameters import TABLES, Value
 
 START_TIMEOUT = 60.0  # s for the nodes to come up on a busy machine
 OUTPUT_TIMEOUT = 15.0  # s without any prediction: something has died

@@ -17,7 +17,7 @@ from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status, recorder_status
-from evpinn_ros.nodes.topics import TOPICS, Topic
+from evpinn_ros.topics import TOPICS, Topic
 
 FLUSH_PERIOD = 0.5  # s; a kill may cost this and the time of writing, less than a second
 

@@ -14,7 +14,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
-from evpinn_ros.errors import InputError, printable
+from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.supervision import tell, watchdog_period
 

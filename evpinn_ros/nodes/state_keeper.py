@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.state_file import read_state, write_state
 
 SAVE_PERIOD = 60.0  # s

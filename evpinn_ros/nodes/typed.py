@@ -13,9 +13,9 @@ from importlib.util import find_spec
 import math
 from typing import Any
 
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.messages import NewMessage
-from evpinn_ros.nodes.topics import Topic
+from evpinn_ros import topics
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.messages import NewMessage
 
 PACKAGE = "evpinn_msgs"
 PLAN_SERVICE = "EstimatePlan"

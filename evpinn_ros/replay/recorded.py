@@ -6,15 +6,15 @@ import math
 from pathlib import Path
 from typing import Any
 
+from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.energy.meter import EnergyState, Flow
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, PowerEstimate, State
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.estimate_messages import FLOWS, POWER_TOPICS
-from evpinn_ros.nodes.messages import BadMessage, read_named_vector
-from evpinn_ros.nodes.reading_messages import to_reading
-from evpinn_ros.nodes.topics import Topic, topic_of
 from evpinn_ros.replay.history import Drive, History
+from evpinn_ros.topics import Topic, topic_of
+from evpinn_ros.topics.estimates import FLOWS, POWER_TOPICS
+from evpinn_ros.topics.messages import BadMessage, read_named_vector
+from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.identifiable import Identifiable
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 

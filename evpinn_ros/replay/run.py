@@ -16,18 +16,18 @@ import numpy as np
 from evpinn_ros.bags.convert import reading_messages
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import Source
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
-from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
-from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.replay.chain import Chain, ChainOutput
 from evpinn_ros.replay.history import Drive, History
 from evpinn_ros.replay.scoring import metrics
-from evpinn_ros.replay.sources import Source
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.signals.time_jump import Jump
+from evpinn_ros.topics import NAMESPACE
+from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
 
 WARM_UP = 120.0  # s at the start that are not scored
 STRAGGLING = 10.0  # s by which readings may come in another order than their stamps

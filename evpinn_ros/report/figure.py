@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from evpinn_ros.durable import replaced
+from evpinn_ros.common.fsync import replaced
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import longest_step

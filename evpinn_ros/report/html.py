@@ -13,7 +13,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from evpinn_ros.durable import replaced
+from evpinn_ros.common.fsync import replaced
 
 BROWSER = Path(__file__).with_name("browser")  # what runs in the reader's browser
 UPLOT = BROWSER / "uplot"  # version 1.6.32 from npm, with its licence

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from evpinn_ros.durable import replaced
-from evpinn_ros.errors import InputError
-from evpinn_ros.npz import read_arrays
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.npz import read_arrays
 
 MOST_BYTES = 256 << 20  # 4 x 128 units have 0.4 MB, a hundred steps of an optimiser's memory 80 MB
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import open_source
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.sample import MeasuredSample

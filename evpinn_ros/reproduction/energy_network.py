@@ -33,8 +33,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.rknn import ARGUMENTS, HIDDEN, energy_step, slopes
-from evpinn_ros.errors import InputError
 from evpinn_ros.reproduction.published import EnergyRow
 
 # For Fig. 8, 50 per decade as far as whole numbers go; the epochs of the table are among them.

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import torch
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.reproduction.optimizers import OptimizerName, make_optimizer
 from evpinn_ros.reproduction.problem import Problem
 from evpinn_ros.reproduction.published import LOGGED_EPOCHS, Losses, LossRow

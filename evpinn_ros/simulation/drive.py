@@ -17,7 +17,7 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.simulation.noise import slow_noise
 from evpinn_ros.simulation.road import Road
 

@@ -13,7 +13,7 @@ import yaml
 from evpinn_ros.bags.convert import reported, write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import MotorReading
 from evpinn_ros.simulation.simulate import SimulatedDrive
 from evpinn_ros.simulation.truth import DEFINITIONS

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 CONSTANT_LOSS = 60.0  # W, gate drivers and control of the inverter, while the car moves
 IRON_LOSS = 0.25  # W per rad/s, hysteresis and bearings

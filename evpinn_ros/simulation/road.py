@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 SHORTEST_HILL, LONGEST_HILL = 250.0, 5000.0  # m, wavelengths
 HILLS = 12

@@ -17,7 +17,7 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,

@@ -10,7 +10,7 @@ import numpy as np
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from evpinn_ros.common.yaml_section import compose
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
-from evpinn_ros.yaml_section import compose
 
 TRUTH_FILE = "truth.yaml"
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.vehicle.parameters import Prior
 from evpinn_ros.vehicle.physics import GRAVITY
 

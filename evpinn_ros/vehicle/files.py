@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
-from evpinn_ros.yaml_section import Section, compose
 
 
 class Constant(NamedTuple):

@@ -14,8 +14,8 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import BagSource, CanLogSource, open_source
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import BagSource, CanLogSource, open_source
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 

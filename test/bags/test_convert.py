@@ -10,9 +10,8 @@ from evpinn_ros.bags.convert import BagReadings, write_readings
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.messages import scalar, speed_message
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
@@ -25,6 +24,7 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
+from evpinn_ros.topics.messages import scalar, speed_message
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 START = 1_700_000_000_000_000_000

@@ -10,11 +10,11 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 import pytest
 
+from benchmarks.recovery import STORAGES, messages_of, write_bag
 from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.recover import recover
-from evpinn_ros.bench.recovery import STORAGES, messages_of, write_bag
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 START = 1_700_000_000_000_000_000
 

@@ -19,14 +19,14 @@ from typer.testing import CliRunner
 import yaml
 import zstandard
 
+from benchmarks.recovery import FAULTS, STORAGES, campaign, messages_of, write_bag
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message
 from evpinn_ros.bags.writer import BagWriter, Split
-from evpinn_ros.bench.recovery import FAULTS, STORAGES, campaign, messages_of, write_bag
 from evpinn_ros.cli.main import app
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.messages import scalar
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.topics.messages import scalar
 
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000

@@ -5,7 +5,7 @@ from rosbags.rosbag2 import Reader
 
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 URBAN = ROOT / "bags" / "urban"

@@ -14,9 +14,9 @@ import yaml
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter, Split
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes.messages import named_vector, scalar, speed_message
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.topics.messages import named_vector, scalar, speed_message
 
 ROOT = Path(__file__).parents[2]
 START = 1_700_000_000_000_000_000
@@ -164,7 +164,7 @@ WRITE_UNTIL_KILLED = """
 import sys
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter, Split
-from evpinn_ros.nodes.messages import scalar
+from evpinn_ros.topics.messages import scalar
 writer = BagWriter(sys.argv[1])
 for i in range(10**9):
     writer.write("/ev/battery/voltage", scalar(new_message, i), 10**18 + i * 50_000_000)

@@ -9,8 +9,8 @@ import pytest
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
-from evpinn_ros.errors import InputError
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate

@@ -22,7 +22,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 GROUP = "239.74.163.77"

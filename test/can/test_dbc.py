@@ -7,7 +7,7 @@ import pytest
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 # As people's files are: overlapping and overhanging signals, values without a use, odd units.

@@ -20,7 +20,7 @@ from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.bus import BusReader, BusState
 from evpinn_ros.can.elm327 import Elm327Bus
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 pytest.importorskip("elm", reason="ELM327-emulator is not installed")

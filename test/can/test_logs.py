@@ -8,7 +8,7 @@ import pytest
 from evpinn_ros.can import logs
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile, write_log
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 START = 1549819403.028902
 COUNT = 2000

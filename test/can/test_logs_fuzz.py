@@ -11,7 +11,7 @@ import pytest
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 COUNT = 60
 FORMATS = [".log", ".log.gz", ".asc", ".asc.gz", ".blf", ".trc", ".csv"]

@@ -1,8 +1,8 @@
 import pytest
 
 from evpinn_ros.can.profile import load_profile, profile_names
-from evpinn_ros.errors import InputError
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 
 CONFIG = share_directory() / "config" / "can"
 

@@ -10,8 +10,8 @@ from evpinn_ros.can.control_unit import SERVICES, Answer
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile, profile_names
 from evpinn_ros.can.request import READ_SERVICES
-from evpinn_ros.errors import InputError
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 CONFIG = share_directory() / "config" / "can"

@@ -14,8 +14,8 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.afterwards import CUT_SHORT_S, reported
 from evpinn_ros.cli.run import learned_before
-from evpinn_ros.errors import InputError
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 
 URBAN = share_directory() / "bags" / "urban"
 OPTIONS = ("--vehicle", "tesla_model_3_lr", "--duration", "20")

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from evpinn_ros.cli import fleet as fleet_command
 from evpinn_ros.cli.main import app
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.output import write
 from evpinn_ros.simulation.simulate import simulate

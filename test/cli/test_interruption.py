@@ -6,7 +6,7 @@ import pytest
 import typer
 
 from evpinn_ros.cli.interruption import INTERRUPTED, Interruption
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 
 
 @pytest.fixture(autouse=True)

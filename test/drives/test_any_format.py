@@ -12,8 +12,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from formats import CLOCKS, CURRENTS, SPEEDS, START, VOLTAGES, Style, drive, polled_at, write
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,

@@ -12,12 +12,12 @@ import polars as pl
 import pytest
 
 from evpinn_ros.can.logs import LogFile
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.text_lines import LONGEST_LINE
 from evpinn_ros.drives import open_drive
-from evpinn_ros.errors import InputError
-from evpinn_ros.replay.contents import contents
-from evpinn_ros.replay.sources import is_drive_table
+from evpinn_ros.drives.contents import contents
+from evpinn_ros.drives.sources import is_drive_table
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading, TemperatureReading
-from evpinn_ros.text_lines import LONGEST_LINE
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 START = datetime(2024, 3, 5, 7, 8, 9, tzinfo=timezone.utc)

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.column import columns_by_name
 from evpinn_ros.drives.evidence import Signal, at_times
 from evpinn_ros.drives.table_drive import TableDrive
 from evpinn_ros.drives.times import DRIVE_START_NS
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"

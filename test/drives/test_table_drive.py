@@ -6,10 +6,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
 from evpinn_ros.drives.times import DRIVE_START_NS
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,

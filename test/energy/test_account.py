@@ -4,12 +4,12 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.plausible import MAX_POWER
 from evpinn_ros.energy.reconciliation import Verdict
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.stream import MAX_SPEED
 
 START = 1_700_000_000_000_000_000

@@ -4,13 +4,13 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.battery_model import LEAST_SAMPLES, BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 
 START = 1_700_000_000_000_000_000

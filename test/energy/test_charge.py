@@ -2,8 +2,8 @@ import math
 
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.charge import CAPACITY_PRIOR, ChargeGauge, Uncertain
-from evpinn_ros.errors import InputError
 
 SECOND = 1_000_000_000
 CAPACITY = 80e6  # J

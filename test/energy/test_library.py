@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.bench.truth import CarChain
+from benchmarks.truth import CarChain
 import evpinn_ros.energy
 from evpinn_ros.energy.forecast import Profiles, forecast, forecast_plan
 from evpinn_ros.energy.plan import PlanError, plan_from_speed_profile

@@ -3,11 +3,11 @@ import math
 
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.uncertainty import PRIOR_SHARE
-from evpinn_ros.errors import InputError
 
 RKNN = load_rknn()
 START = 1_700_000_000_000_000_000

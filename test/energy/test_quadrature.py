@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.quadrature import CompensatedSum, EnergyIntegral, Step
-from evpinn_ros.errors import InputError
 
 SECOND = 1_000_000_000
 powers = st.floats(-5e5, 5e5)

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.interpolate import CubicSpline
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.rknn import (
     POWER_LIMIT,
     SHIPPED_WEIGHTS,
@@ -17,7 +18,6 @@ from evpinn_ros.energy.rknn import (
     normalised,
     restored,
 )
-from evpinn_ros.errors import InputError
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 DRIVES = ["tesla_model3/drive_first_757s.csv"] + [

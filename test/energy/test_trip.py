@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.trip import BUCKETS, WINDOWS, DistanceWindow, Stretch, TripLog
-from evpinn_ros.errors import InputError
 
 SECOND = 1_000_000_000
 stretches = st.lists(

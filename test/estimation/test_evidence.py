@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.bench.truth import CarChain
+from benchmarks.truth import CarChain
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.evidence import SIZE, evidence
 from evpinn_ros.estimation.pinn import LearnedCar, PinnLearner

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.bench.truth import CarChain
+from benchmarks.truth import CarChain
 from evpinn_ros.estimation.car_state import SIZE, State
 from evpinn_ros.estimation.estimate import ParameterSet, PowerKind
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading

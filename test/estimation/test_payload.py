@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from evpinn_ros.bench.truth import CarChain, load_steps
+from benchmarks.truth import CarChain, load_steps
 from evpinn_ros.estimation.calibration import KEPT, Chance
 from evpinn_ros.estimation.payload import LEAST_CHANGE, PayloadDetector
 from evpinn_ros.estimation.published import mass_over_eta

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.bench.truth import PROFILE, VEHICLES, CarChain, compare, true_so_far
+from benchmarks.truth import PROFILE, VEHICLES, CarChain, compare, true_so_far
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.pinn import LearnedCar

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.estimation.state_file import MAX_FILE_BYTES, read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker

@@ -7,10 +7,10 @@ import time
 
 import pytest
 
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
 from evpinn_ros.vehicle.files import load_vehicle

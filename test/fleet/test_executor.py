@@ -12,7 +12,7 @@ import threading
 
 import pytest
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.fleet.executor import DaskExecutor, LocalExecutor
 
 

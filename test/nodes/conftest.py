@@ -21,9 +21,9 @@ from evpinn_ros.bags.types import encode
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.messages import Level
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.nodes.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
+from evpinn_ros.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
+from evpinn_ros.topics.messages import Level
 
 
 def _own_domain() -> int:

@@ -11,14 +11,14 @@ import can
 import pytest
 from rcl_interfaces.msg import Log
 
+from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
-from evpinn_ros.nodes.messages import Level
 from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
+from evpinn_ros.topics.messages import Level
 
 channels = map("bridge{}".format, itertools.count())
 

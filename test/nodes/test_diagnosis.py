@@ -20,8 +20,8 @@ from evpinn_ros.nodes.diagnosis import Health
 from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
 from evpinn_ros.nodes.forecaster import Air, Basis
-from evpinn_ros.nodes.messages import Level
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
+from evpinn_ros.topics.messages import Level
 
 WELL = Health({}, {})
 STATUS = EstimatorStatus(

@@ -14,18 +14,18 @@ import pytest
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from evpinn_ros import topics
 from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import Forecaster
-from evpinn_ros.nodes.messages import battery_message
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.nodes.plan_messages import speed_profile_plan
-from evpinn_ros.nodes.topics import NAMESPACE
 from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.topics import NAMESPACE
+from evpinn_ros.topics.messages import battery_message
+from evpinn_ros.topics.plans import speed_profile_plan
 from evpinn_ros.vehicle.files import load_vehicle
 
 FILE = Path(__file__).resolve().parents[2] / "examples" / "eco_speed_planner.py"

@@ -7,17 +7,17 @@ import math
 import pytest
 from std_srvs.srv import Trigger
 
-from evpinn_ros.nodes import topics
+from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import (
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.topics.messages import (
     Level,
     battery_message,
     named_vector,
     read_named_vector,
     speed_message,
 )
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 START = 1_700_000_000
 SPEED = 25.0  # m/s

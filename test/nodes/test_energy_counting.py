@@ -3,11 +3,11 @@
 import pytest
 from std_srvs.srv import Trigger
 
-from evpinn_ros.nodes import topics
+from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import Level, named_vector
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics.messages import Level, named_vector
 
 NOW = 1_700_000_000 * NANOSECONDS
 

@@ -6,6 +6,7 @@ import math
 import pytest
 from rclpy.serialization import serialize_message
 
+from evpinn_ros import topics
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import (
@@ -16,14 +17,10 @@ from evpinn_ros.energy.plan import (
 )
 from evpinn_ros.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.estimation.pinn import PinnLearner
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.diagnosis import LATELY
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import Level, battery_message, header, named_vector
-from evpinn_ros.nodes.model_messages import model_message
-from evpinn_ros.nodes.reading_messages import reading_message
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     BatteryReading,
@@ -31,6 +28,9 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
+from evpinn_ros.topics.messages import Level, battery_message, header, named_vector
+from evpinn_ros.topics.model import model_message
+from evpinn_ros.topics.readings import reading_message
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 

@@ -6,13 +6,13 @@ import math
 import pytest
 from std_srvs.srv import SetBool, Trigger
 
+from evpinn_ros import topics
 from evpinn_ros.nodes import estimator as module
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import prior_identifiable
-from evpinn_ros.nodes.messages import Level, battery_message, speed_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.topics.messages import Level, battery_message, speed_message
 from evpinn_ros.vehicle.files import load_vehicle
 
 START = 1_700_000_000 * NANOSECONDS

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from evpinn_ros.nodes.faults.fault import Fault, Finding, Result
-from evpinn_ros.share import share_directory
+from benchmarks.faults.fault import Fault, Finding, Result
+from evpinn_ros.common.package_data import share_directory
 
 SHORT = ("speed_nan", "state_corrupt")
 

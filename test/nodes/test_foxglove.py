@@ -19,16 +19,16 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from evpinn_ros import topics
+from evpinn_ros.bags.foxglove import LOOPBACK, FoxgloveServer, is_loopback
+from evpinn_ros.bags.origin_gate import MOST_CONNECTIONS
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import decode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes import topics
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.live.state import NODES
 from evpinn_ros.nodes.foxglove import FoxgloveNode
-from evpinn_ros.nodes.messages import Level, scalar
-from evpinn_ros.report.foxglove import LOOPBACK, FoxgloveServer, is_loopback
-from evpinn_ros.report.live_state import NODES
-from evpinn_ros.report.origin_gate import MOST_CONNECTIONS
+from evpinn_ros.topics.messages import Level, scalar
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
 websockets = pytest.importorskip("websockets.sync.client", reason="no WebSocket client")

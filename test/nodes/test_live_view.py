@@ -18,14 +18,14 @@ import time
 
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.live_view import LiveListener
-from evpinn_ros.nodes.reading_messages import to_reading
-from evpinn_ros.report.live_state import WATCHED
+from evpinn_ros.live.state import WATCHED
+from evpinn_ros.live.view import LiveListener
 from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.topics.readings import to_reading
 
 ROOT = Path(__file__).resolve().parents[2]
 EVPINN = (sys.executable, "-m", "evpinn_ros")

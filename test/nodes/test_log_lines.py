@@ -5,7 +5,7 @@ import json
 import pytest
 from std_srvs.srv import SetBool, Trigger
 
-from evpinn_ros.nodes import topics
+from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 

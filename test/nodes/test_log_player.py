@@ -10,7 +10,7 @@ from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.log_player import LogPlayer
 
 NOW = 1_700_000_000 * 10**9

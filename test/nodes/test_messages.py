@@ -10,17 +10,6 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
-from evpinn_ros.nodes import messages, reading_messages
-from evpinn_ros.nodes.messages import BadMessage, Level
-from evpinn_ros.nodes.topics import (
-    DIAGNOSTICS,
-    INPUTS,
-    PLAN,
-    RELIABLE,
-    SPEED,
-    TOPICS,
-    topic_of,
-)
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
@@ -32,6 +21,18 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
+from evpinn_ros.topics import (
+    DIAGNOSTICS,
+    INPUTS,
+    PLAN,
+    RELIABLE,
+    SPEED,
+    TOPICS,
+    messages,
+    topic_of,
+)
+from evpinn_ros.topics import readings as reading_messages
+from evpinn_ros.topics.messages import BadMessage, Level
 
 NOW = 1_700_000_000_123_456_789
 NUMBERS = st.floats(-1e6, 1e6, width=32)

@@ -14,8 +14,8 @@ from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import factory
-from evpinn_ros.nodes.messages import BadMessage
-from evpinn_ros.nodes.model_messages import MOST_NUMBERS, model_message, read_model
+from evpinn_ros.topics.messages import BadMessage
+from evpinn_ros.topics.model import MOST_NUMBERS, model_message, read_model
 from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 CAR = load_vehicle("bmw_i3")

@@ -5,19 +5,19 @@ import time
 
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.time_jump import DEFAULT_RULE, JumpPolicy, JumpRule
+from evpinn_ros.topics.estimates import energy_messages, output_messages
+from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 HEARD = (

@@ -2,19 +2,20 @@
 
 import math
 
-from evpinn_ros.nodes import factory, topics
+from evpinn_ros import topics
+from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import Level, speed_message
-from evpinn_ros.nodes.reading_messages import altitude_message
-from evpinn_ros.nodes.topics import SUBSCRIBER_DEPTH
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
     SpeedReading,
 )
+from evpinn_ros.topics import SUBSCRIBER_DEPTH
+from evpinn_ros.topics.messages import Level, speed_message
+from evpinn_ros.topics.readings import altitude_message
 
 START = 1_700_000_000 * NANOSECONDS
 

@@ -6,15 +6,16 @@ import sys
 
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message as bag_message
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import (
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.topics.messages import (
     Level,
     battery_message,
     header,
@@ -22,8 +23,7 @@ from evpinn_ros.nodes.messages import (
     speed_message,
     stamp_ns,
 )
-from evpinn_ros.nodes.reading_messages import rotation
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.topics.readings import rotation
 
 VEHICLE = "tesla_model_3_lr"
 START = 1_700_000_000 * NANOSECONDS

@@ -9,20 +9,20 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 import yaml
 
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.energy.meter import Integrator
 from evpinn_ros.energy.plan import MAX_SPEED
 from evpinn_ros.energy.quadrature import MAX_GAP
 from evpinn_ros.energy.rknn import STEP_LIMIT
-from evpinn_ros.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.parameter_file import check_parameter_file, read_parameter_file
-from evpinn_ros.nodes.parameter_table import TABLES, bus_options, refuse_wrong
-from evpinn_ros.share import share_directory
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.time_jump import JumpPolicy
+from evpinn_ros.topics.node_parameters import TABLES, bus_options, refuse_wrong
+from evpinn_ros.topics.parameter_file import check_parameter_file, read_parameter_file
 from evpinn_ros.vehicle.physics import RegenForm
 
 FILE = share_directory() / "config" / "evpinn.param.yaml"

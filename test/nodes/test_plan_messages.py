@@ -10,15 +10,15 @@ import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
 from evpinn_ros.energy.plan import MAX_POINTS, PlanError
-from evpinn_ros.nodes.cdr import CdrError
-from evpinn_ros.nodes.messages import header
-from evpinn_ros.nodes.plan_messages import (
+from evpinn_ros.topics import PATH_TYPE, TRAJECTORY_TYPE
+from evpinn_ros.topics.cdr import CdrError
+from evpinn_ros.topics.messages import header
+from evpinn_ros.topics.plans import (
     forecast_bytes,
     path_plan,
     request_header,
     speed_profile_plan,
 )
-from evpinn_ros.nodes.topics import PATH_TYPE, TRAJECTORY_TYPE
 
 NOW = 1_700_000_000_123_456_789
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)

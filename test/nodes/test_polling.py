@@ -7,11 +7,11 @@ import can
 import pytest
 from rcl_interfaces.msg import Log
 
+from evpinn_ros import topics
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes import topics
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
-from evpinn_ros.nodes.messages import Level
+from evpinn_ros.topics.messages import Level
 
 GROUP = "239.74.163.81"
 PORT = 21_000 + os.getpid() % 20_000

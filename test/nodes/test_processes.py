@@ -11,19 +11,19 @@ import time
 import can
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import Level
-from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.replay.chain import Chain
-from evpinn_ros.share import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.topics.messages import Level
+from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = share_directory()

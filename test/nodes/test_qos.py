@@ -3,12 +3,12 @@
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from evpinn_ros.errors import InputError
-from evpinn_ros.nodes import topics
+from evpinn_ros import topics
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import LISTENS_TO, EstimatorNode
-from evpinn_ros.nodes.topics import TOPICS
+from evpinn_ros.topics import TOPICS
 
 BUILT_IN = ("/rosout", "/parameter_events", "/clock")
 LISTENS = {

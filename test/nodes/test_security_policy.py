@@ -8,7 +8,7 @@ import pytest
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.topics import NAMESPACE
+from evpinn_ros.topics import NAMESPACE
 
 POLICIES = Path(__file__).resolve().parents[2] / "config" / "security"
 NODES = {

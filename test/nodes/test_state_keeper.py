@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.state_keeper import REFUSED_KEPT, StateFile, state_path
 
 

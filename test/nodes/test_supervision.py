@@ -12,12 +12,12 @@ import sys
 
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.topics.readings import to_reading
 
 ROOT = Path(__file__).resolve().parents[2]
 UNITS = ROOT / "config" / "systemd"
@@ -182,5 +182,5 @@ def test_udev_finds_nothing_wrong_with_the_rule():
 
 def test_launch_files_load_without_what_the_nodes_need(loads_without):
     """`ros2` runs in the Python of ROS, which need not have our dependencies."""
-    code = "from evpinn_ros.nodes import topics; from evpinn_ros.vehicle import files"
+    code = "from evpinn_ros import topics; from evpinn_ros.vehicle import files"
     loads_without(code, "can", "cantools", "torch", "scipy", "polars")

@@ -3,12 +3,12 @@
 import pytest
 from rosgraph_msgs.msg import Clock
 
-from evpinn_ros.nodes import topics
+from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.messages import battery_message, named_vector, speed_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.topics.messages import battery_message, named_vector, speed_message
 
 S = NANOSECONDS
 START = 1_700_000_000 * S

@@ -9,12 +9,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 import conftest
 import rclpy
 
+from benchmarks.plan_load import speed_profile
 from evpinn_msgs.msg import Plan
 from evpinn_msgs.srv import EstimatePlan
-from evpinn_ros.nodes import topics
+from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.plan_load import speed_profile
 from evpinn_ros.nodes.typed import LAYOUTS, RATE, SIGMA, TYPED, TYPED_FORECAST
 
 PAIRS = {**TYPED, topics.FORECAST: TYPED_FORECAST}

@@ -16,15 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.bags.types import new_message
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes.estimate_messages import energy_messages, output_messages, summary_messages
-from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
 from evpinn_ros.vehicle.files import load_vehicle
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"

@@ -4,12 +4,12 @@ from collections.abc import Iterable
 import random
 from typing import Any
 
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.one_thread import limit_blas_threads
 from evpinn_ros.replay.run import span
-from evpinn_ros.replay.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.signals.stream import StreamSettings
 from evpinn_ros.vehicle.files import Vehicle

@@ -13,16 +13,16 @@ import pytest
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes.reading_messages import to_reading
-from evpinn_ros.nodes.topics import topic_of
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.events import EventKind, drive_events
 from evpinn_ros.replay.run import ReplayOptions, output_folders, replay
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
+from evpinn_ros.topics import topic_of
+from evpinn_ros.topics.readings import to_reading
 
 
 class Recorded:

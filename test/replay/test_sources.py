@@ -7,8 +7,8 @@ import pytest
 from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
-from evpinn_ros.errors import InputError
-from evpinn_ros.replay.sources import open_source
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle

@@ -11,10 +11,10 @@ from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
 from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.errors import InputError
-from evpinn_ros.replay.contents import contents
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.contents import contents
+from evpinn_ros.drives.usable import ReadingFlow, data_coverage
 from evpinn_ros.replay.run import span
-from evpinn_ros.replay.usable import ReadingFlow, data_coverage
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 ROOT = Path(__file__).parents[2]

@@ -14,26 +14,26 @@ from typing import Any
 
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.messages import (
+from evpinn_ros.live.state import LiveState
+from evpinn_ros.replay import history
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.run import ReplayOptions, replay
+from evpinn_ros.report.drive_page import ReportedDrive
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import simulate
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.messages import (
     Level,
     battery_message,
     diagnostics,
     named_vector,
     speed_message,
 )
-from evpinn_ros.nodes.topics import Topic
-from evpinn_ros.replay import history
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.run import ReplayOptions, replay
-from evpinn_ros.report.drive_page import ReportedDrive
-from evpinn_ros.report.live_state import LiveState
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 

@@ -6,12 +6,12 @@ from hypothesis import strategies as st
 import pytest
 from rich.cells import cell_len
 
+from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.messages import Level, diagnostics, named_vector
-from evpinn_ros.report.live_json import as_json
-from evpinn_ros.report.live_screen import plain_line, problem_lines, screen
-from evpinn_ros.report.live_state import LiveState
+from evpinn_ros.live.json_view import as_json
+from evpinn_ros.live.screen import plain_line, problem_lines, screen
+from evpinn_ros.live.state import LiveState
+from evpinn_ros.topics.messages import Level, diagnostics, named_vector
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 

@@ -2,16 +2,16 @@ import math
 
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
-from evpinn_ros.nodes import topics
-from evpinn_ros.nodes.messages import Level, diagnostics, named_vector
-from evpinn_ros.report.live_state import (
+from evpinn_ros.live.state import (
     MOST_ARRIVALS,
     MOST_PARTS,
     RATE_WINDOW,
     STALE_AFTER,
     LiveState,
 )
+from evpinn_ros.topics.messages import Level, diagnostics, named_vector
 
 
 def said(name, level, text, **values):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.report.power_line import (
+from evpinn_ros.live.power_line import (
     BIN_NS,
     DOT_ROWS,
     KEPT_BINS,

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from evpinn_ros.can.logs import write_log
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log, speed_delay
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem, random_split

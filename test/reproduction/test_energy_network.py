@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import simpson, trapezoid
 import torch
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.quadrature import Step
 from evpinn_ros.energy.rknn import energy_step, slopes
-from evpinn_ros.errors import InputError
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.energy_network import (
     CURVE_EPOCHS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.reproduction import optimizers
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.drive_log import DriveLog

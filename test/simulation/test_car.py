@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.simulation.car import STEP, drive_car
 from evpinn_ros.simulation.powertrain import Brakes, Drivetrain
 from evpinn_ros.simulation.surroundings import Surroundings, ambient_celsius

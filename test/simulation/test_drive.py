@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
 from evpinn_ros.simulation.road import hilly_road
 

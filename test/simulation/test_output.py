@@ -15,8 +15,8 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.simulate import simulate as command
-from evpinn_ros.errors import InputError
-from evpinn_ros.share import share_directory
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.simulation.output import write
 from evpinn_ros.vehicle.files import load_vehicle

@@ -5,7 +5,7 @@ from scipy.signal import savgol_filter
 
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,

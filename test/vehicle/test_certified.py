@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evpinn_ros.errors import InputError
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.vehicle.certified import (
     AIR_DENSITY,
     COASTDOWN_SPEEDS,

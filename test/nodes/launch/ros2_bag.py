@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.nodes import factory
-from evpinn_ros.nodes.topics import topic_of
+from evpinn_ros.topics import topic_of
 
 SECOND = 10**9
 

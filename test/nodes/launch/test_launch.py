@@ -15,14 +15,14 @@ import pytest
 import rclpy
 from std_srvs.srv import Trigger
 
+from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.nodes import topics
 from evpinn_ros.nodes.factory import message_class, qos_profile
-from evpinn_ros.nodes.reading_messages import to_reading
 from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.topics.readings import to_reading
 
 ROOT = Path(__file__).resolve().parents[3]
 LAUNCH = ("launch", "evpinn_ros")

@@ -2,7 +2,7 @@
 
 import json
 
-from evpinn_ros.nodes import topics
+from evpinn_ros import topics
 from evpinn_ros.nodes.factory import message_class, qos_profile
 
 

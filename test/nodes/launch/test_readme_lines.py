@@ -37,7 +37,7 @@ def test_a_line_of_the_readme_works(ros2, bench, line, monkeypatch):
 
 def _type(full_name):
     from evpinn_ros.nodes.factory import message_class
-    from evpinn_ros.nodes.topics import topic_of
+    from evpinn_ros.topics import topic_of
 
     return message_class(topic_of(full_name).type_name)
 

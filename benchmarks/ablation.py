@@ -1,0 +1,53 @@
+"""The core with one part left out: what each part is worth without the battery."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from benchmarks.variants import Place, RecordedCar, Row, Variant, constant, score
+from evpinn_ros.estimation.car_state import State
+
+CARS = ("model3", "i3", "i3_speed", "e208", "leaf2013")
+NOTHING = 1e-6
+
+ONE_SCALE = {
+    constant("FORCES"): (0.002,),
+    constant("LOADS"): (150.0,),
+    constant("SLOPES"): (0.008,) * 3,
+    constant("HEIGHT_ERRORS"): (1.5,) * 3,
+}
+NO_SLOPE = {constant("SLOPES"): (NOTHING,) * 3, constant("HEIGHT_ERRORS"): (NOTHING,) * 3}
+STARTS = (State.COLD_START, State.HOT_START)
+
+
+def _without(*states: State) -> dict[Place, tuple[float, float]]:
+    """States of the car that stay at zero."""
+    return {Place("PRIORS", state): (0.0, NOTHING) for state in states}
+
+
+VARIANTS = (
+    Variant("whole"),
+    Variant("one scale of road and load", ONE_SCALE),
+    Variant("no unseen slope", NO_SLOPE),
+    Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
+    Variant("no wandering load", {constant("LOADS"): (NOTHING,)}),
+    Variant("no outliers", {constant("OUTLIER"): 1e3}),
+    Variant("noise not scaled", {constant("SCALE_RANGE"): (1.0, 1.0)}),
+    Variant(
+        "no offsets of a drive",
+        {Place("DRIVE_STD", state): NOTHING for state in (State.ROLL_DRIVE, State.AUX_DRIVE)},
+    ),
+    Variant("a drive keeps no offset of the last", {constant("DRIVE_KEPT"): 0.0}),
+    Variant("braking as sure as driving", {constant("BRAKE_NOISE"): 0.0}),
+    Variant("no loss by turning", _without(State.NO_LOAD)),
+    Variant("no loss by force squared", _without(State.COPPER)),
+    Variant("no heating and cooling", _without(State.COLD, State.HOT, *STARTS)),
+    Variant("no start of heating", _without(*STARTS)),
+    Variant("no cold tyres", _without(State.ROLL_START, State.ROLL_COLD)),
+)
+
+
+def ablate(car: RecordedCar) -> Iterator[Row]:
+    """Every variant on one car."""
+    for variant in VARIANTS:
+        yield score(variant, car)

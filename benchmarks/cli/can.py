@@ -1,0 +1,126 @@
+"""`evpinn bench can`: the CAN bridge under a full bus, and its decoding against captures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib.util import find_spec
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.can_decoding import (
+    CAPTURES,
+    Agreement,
+    Throughput,
+    compare,
+    equal_live,
+    measure_throughput,
+)
+from benchmarks.can_traffic import Idle, measure_idle
+from evpinn_ros.cli.console import note, progress_bar, show, write_json
+from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.cli.tables import figures_table, titled_table
+
+BUSY = 0.3  # load of other programs from which the figures are not those of the bridge alone
+
+
+def can(
+    minutes: Annotated[
+        float, typer.Option(min=0.05, help="How long the bus is full; the goal is for 10.")
+    ] = 1.0,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of the captures with their tables.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Load the CAN bridge with a full bus, time the decoder, compare with captures.
+
+    The bus is UDP multicast on this machine: 4000 frames a second from one process, the bridge's
+    executable in another, a subscriber in a third. It is read once more without decoding and
+    publishing, which is python-can's own share.
+
+    Example: evpinn bench can --minutes 10 --data captures/ --json out/can.json
+    """
+    found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
+    try:
+        _measure(found, minutes, data)
+    finally:  # Ctrl-C leaves the figures so far
+        if json_file is not None:
+            write_json(json_file, found)
+
+
+def _measure(found: dict[str, Any], minutes: float, data: Path | None) -> None:
+    if found["load_average"] > BUSY:
+        note(f"other programs take {found['load_average']:.1f} cores: expect worse figures")
+    throughput = measure_throughput()
+    found["offline"] = asdict(throughput)
+    show(figures_table("Decoding a log, one core", _offline_rows(throughput)))
+    if find_spec("rclpy") is None:
+        note("rclpy is not installed: the bridge itself is left out")
+    else:
+        found["live"] = _measure_live(60 * minutes)
+    if data is not None:
+        agreements = [(compare(each, data), equal_live(each, data)) for each in CAPTURES]
+        found["captures"] = [asdict(each) | {"live_equal": live} for each, live in agreements]
+        _show_captures(agreements)
+
+
+def _measure_live(seconds: float) -> dict[str, Any]:
+    # Imported here: the rest works where no ROS is.
+    from benchmarks.bridge_load import Load, measure_load
+
+    idle = measure_idle(seconds)
+    with progress_bar("full bus", total=seconds) as progress:
+        load: Load = measure_load(seconds, progress)
+    rows = _live_rows(asdict(load), idle)
+    show(figures_table(f"A full bus for {seconds / 60:g} min: 4000 frames a second", rows))
+    return asdict(load) | {"idle": idle._asdict()}
+
+
+def _live_rows(load: dict[str, Any], idle: Idle) -> Iterator[tuple[str, str, str]]:
+    lost = load["frames_sent"] - load["frames_received"]
+    missing = load["readings_sent"] - load["readings_heard"]
+    p50, p99, largest = load["latency_ms"]
+    yield "frames sent", str(load["frames_sent"]), ""
+    yield "frames lost", str(lost), "0"
+    yield "battery/state not received", f"{missing} of {load['readings_sent']}", ""
+    yield "bridge, share of one core", f"{load['core_share']:.1%}", "20 %"
+    yield "  of that python-can's reading", f"{idle.core_share:.1%}", ""
+    yield "frame to subscriber, p50", f"{p50:.2f} ms", "2 ms"
+    yield "frame to subscriber, p99", f"{p99:.2f} ms", "10 ms"
+    yield "frame to subscriber, largest", f"{largest:.1f} ms", ""
+
+
+def _offline_rows(throughput: Throughput) -> Iterator[tuple[str, str, str]]:
+    yield "frames in memory to readings", f"{throughput.decoding:,.0f} a second", ""
+    yield "  of the profile's ids alone", f"{throughput.decoding_known:,.0f} a second", ""
+    yield "candump file to readings", f"{throughput.whole_file:,.0f} a second", "100,000 a second"
+
+
+def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
+    table = titled_table("Captures: battery frames and table rows that are equal, live to offline")
+    table.add_column("log", no_wrap=True)
+    for column in ("frames", "battery", "rows", "wheel speed", "within 2 %", "live"):
+        table.add_column(column, justify="right")
+    for each, live in agreements:
+        table.add_row(
+            each.log.rpartition("/")[2].partition(".")[0],
+            str(each.frames),
+            _all_of(each.battery_equal, each.battery_frames),
+            _all_of(each.rows_equal, each.rows),
+            _number(each.wheel_speed, ".3f"),
+            _number(each.wheel_speed_within_2_percent, ".1%"),
+            "equal" if live else "differs",
+        )
+    show(table)
+
+
+def _all_of(count: int, total: int) -> str:
+    return f"all {total}" if count == total else f"{count} of {total}"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

@@ -1,0 +1,225 @@
+"""`evpinn bench energy`: counting energy, forecasts of real drives, and how quick they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from enum import Enum
+from importlib.util import find_spec
+import os
+from pathlib import Path
+import time
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.cli.integration import EPOCHS, battery, counting, integrators, show_battery
+from benchmarks.energy_forecast import ForecastBenchmark, PlannedForecast, forecast_totals
+from benchmarks.energy_library import (
+    BATCH,
+    POINTS,
+    CycleRow,
+    ForecastThroughput,
+    compare_cycles,
+    measure_throughput,
+)
+from benchmarks.fastsim_peer import fastsim_version
+from benchmarks.logs import Log, find_logs
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.options import JsonOption, complete_vehicle
+from evpinn_ros.cli.tables import figures_table, titled_table
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import open_source
+from evpinn_ros.vehicle.files import load_vehicle
+
+TOGETHER = 12  # plans
+CAR = "tesla_model_3_lr"  # of the figures of speed
+JOULES_PER_WH = 3600.0
+
+
+class Part(str, Enum):
+    """Part that can be measured by itself."""
+
+    INTEGRATORS = "integrators"
+    COUNTING = "counting"
+    FORECASTS = "forecasts"
+    LIBRARY = "library"
+    BATTERY = "battery"
+    PLANS = "plans"
+
+
+def energy(
+    paths: Annotated[
+        list[str],
+        typer.Argument(metavar="PATH...", help="Each one car's drives: PATH or PATH=VEHICLE."),
+    ],
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            help="Whose drives, where PATH does not say.", autocompletion=complete_vehicle
+        ),
+    ] = CAR,
+    cycles: Annotated[
+        Path | None, typer.Option(help="Folder with udds.csv, hwfet.csv and us06.csv.")
+    ] = None,
+    parts: Annotated[
+        list[Part], typer.Option("--part", help="Measure this alone; more than one may be given.")
+    ] = [*Part],  # noqa: B006
+    epochs: Annotated[
+        int, typer.Option(min=1, help="Of the networks trained to be compared as integrators.")
+    ] = EPOCHS,
+    plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
+    json_file: JsonOption = None,
+) -> None:
+    """Count the energy of drives, forecast each before it is driven, and time forecasts.
+
+    The drives of a PATH are one car's, in order of names. Integrators: the networks of the paper
+    beside the trapezoid and Simpson's rule, on all samples and on fewer. Counting: the battery at
+    1 Hz with gaps, silent for ten minutes, silent all along; it takes as long as a fifth of all
+    drives. Forecasts: each drive is forecast from its own speed and elevation by what was learned
+    on those before, the first from the vehicle file. Battery: the end of each drive of known
+    power, by energy over capacity and by the battery's state, learned on the drives before.
+
+    Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
+    """
+    limit_blas_threads()
+    cars = [find_logs(path, vehicle) for path in paths]
+    found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
+    try:
+        if Part.INTEGRATORS in parts:
+            found["integrators"] = integrators(cars, epochs)
+        if Part.COUNTING in parts:
+            found["counting"] = counting(cars)
+        if Part.FORECASTS in parts:
+            found["forecasts"] = []
+            for logs in cars:
+                found["forecasts"].append(_forecasts(logs))
+        if Part.BATTERY in parts:
+            found["battery"] = [battery(logs) for logs in cars]
+        if Part.LIBRARY in parts:
+            found |= _library(cycles)
+        if Part.PLANS in parts and find_spec("rclpy") is None:
+            note("rclpy is not installed: plans over DDS are left out")
+        elif Part.PLANS in parts:
+            found["plans"] = _plans(plans)
+    finally:  # Ctrl-C leaves the parts so far
+        if json_file is not None:
+            write_json(json_file, found)
+
+
+def _library(cycles: Path | None) -> dict[str, Any]:
+    throughput = measure_throughput(load_vehicle(CAR))
+    _show_throughput(throughput)
+    found: dict[str, Any] = {"library": throughput._asdict()}
+    if cycles is not None:
+        found["cycles"] = _cycles(cycles)
+    return found
+
+
+def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
+    car = load_vehicle(logs[0].vehicle)
+    benchmark = ForecastBenchmark(car, time.thread_time)
+    found: dict[str, PlannedForecast] = {}
+    with progress_bar("drives", len(logs), unit="drives") as progress:
+        for number, log in enumerate(logs, start=1):
+            try:
+                source = open_source(log.path, car, log.can_profile)
+                found[str(log.path)] = benchmark.drive(source.readings())
+            except InputError as error:
+                note(f"evpinn: {log.path}: {error}")
+            progress(number)
+    _show_forecasts(car.name, found)
+    ends = {name: one.battery for name, one in found.items() if one.battery is not None}
+    if ends:
+        show_battery(f"{car.name}: error of the battery at the end of forecasts", ends)
+    totals = forecast_totals(list(found.values()))
+    if totals is not None:
+        median, mean, covered, counted = totals
+        say(
+            f"After the first: median error {median:.1f} % (goal 5 %), mean {mean:.1f} %, "
+            f"{covered} of {counted} in the 90 % band"
+        )
+    drives = {name: asdict(one) for name, one in found.items()}
+    return {"vehicle": car.key, "drives": drives, "totals": totals}
+
+
+def _show_forecasts(car: str, found: Mapping[str, PlannedForecast]) -> None:
+    table = titled_table(f"{car}: energy of each drive, forecast before it was driven")
+    table.add_column("drive")
+    for column in ("measured Wh", "forecast Wh", "1-sigma Wh", "error", "in band", "combinations"):
+        table.add_column(column, justify="right")
+    for name, one in found.items():
+        measured, forecast, sigma, simple = (
+            f"{joules / JOULES_PER_WH:.0f}"
+            for joules in (one.measured_j, one.forecast_j, one.sigma_j, one.combinations_j)
+        )
+        error, inside = f"{one.error_percent:+.1f} %", "yes" if one.covered else "no"
+        table.add_row(Path(name).name, measured, forecast, sigma, error, inside, simple)
+    show(table)
+
+
+def _show_throughput(found: ForecastThroughput) -> None:
+    rows = [
+        ("vehicle file, numpy", f"{found.vehicle_file_ms:.0f} ms", "100 ms"),
+        ("learned model, numpy", f"{found.learned_ms:.0f} ms", "100 ms"),
+        ("learned model, torch", f"{found.torch_ms:.0f} ms", ""),
+        ("  with the gradient", f"{found.torch_gradient_ms:.0f} ms", ""),
+    ]
+    show(figures_table(f"{BATCH} profiles of {POINTS} points, one core", rows))
+
+
+def _cycles(folder: Path) -> Any:
+    """Beside FASTSim; None without it."""
+    installed = fastsim_version()
+    if installed is None:
+        note("fastsim is not installed: the comparison is left out (see bench/fastsim_peer.py)")
+        return None
+    rows = list(compare_cycles(folder, load_vehicle(CAR)))
+    table = titled_table(f"Beside fastsim {installed}, Model 3, flat")
+    table.add_column("cycle")
+    columns = ("fastsim Wh/km", "same car", "vehicle file", "fastsim a step", "ours", "times")
+    for column in columns:
+        table.add_column(column, justify="right")
+    for row in rows:
+        table.add_row(*_cycle_cells(row))
+    show(table)
+    return {"fastsim": installed, "rows": [row._asdict() for row in rows]}
+
+
+def _cycle_cells(row: CycleRow) -> Iterator[str]:
+    yield row.cycle
+    for joules in (row.fastsim_j, row.same_car_j, row.vehicle_file_j):
+        yield f"{joules / JOULES_PER_WH / (row.distance_m / 1e3):.1f}"
+    yield f"{row.fastsim_us:.1f} us"
+    yield f"{row.ours_us:.3f} us"
+    yield f"{row.fastsim_us / row.ours_us:.0f}"
+
+
+def _plans(plans: int) -> dict[str, Any]:
+    # Imported here: the rest works where no ROS is.
+    from benchmarks.plan_load import measure_plans, measure_rounds
+
+    with progress_bar("plans", total=plans, unit="plans") as progress:
+        load = measure_plans(plans, POINTS, progress)
+    rows = [
+        ("p50", f"{load.p50_ms:.1f} ms", ""),
+        ("p99", f"{load.p99_ms:.1f} ms", "20 ms"),
+        ("largest", f"{load.largest_ms:.1f} ms", ""),
+        ("the node's processor", f"{load.node_ms:.1f} ms", ""),
+    ]
+    show(
+        figures_table(
+            f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows
+        )
+    )
+    with progress_bar("rounds", total=plans // 10, unit="rounds") as progress:
+        rounds = measure_rounds(max(plans // 10, 1), TOGETHER, POINTS, progress)
+    rows = [
+        (f"{TOGETHER} plans, p50", f"{rounds.p50_ms:.1f} ms", ""),
+        (f"{TOGETHER} plans, p99", f"{rounds.p99_ms:.1f} ms", "60 ms"),
+        ("a refusal, p50", f"{rounds.refusal_p50_ms:.1f} ms", ""),
+        ("a refusal, p99", f"{rounds.refusal_p99_ms:.1f} ms", "100 ms"),
+    ]
+    show(figures_table(f"Plans asked together, with all differences, {rounds.rounds} times", rows))
+    return {**load._asdict(), "together": rounds._asdict()}

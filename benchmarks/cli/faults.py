@@ -1,0 +1,100 @@
+"""`evpinn bench faults`: each fault injected into running nodes, and what became of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from importlib.util import find_spec
+import math
+import os
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from evpinn_ros.cli.console import note, say, show, write_json
+from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.common.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmarks.faults.fault import Result
+
+BUSY = 0.3  # load of other programs from which the times are not those of the nodes alone
+
+
+def faults(
+    only: Annotated[
+        list[str] | None, typer.Option(help="This fault alone; may be given again.")
+    ] = None,
+    kills: Annotated[
+        int, typer.Option(min=1, help="How often to kill at a random instant.")
+    ] = 100,
+    json_file: JsonOption = None,
+) -> None:
+    """Break what can break, one after the other, while the nodes run.
+
+    Each fault is injected into nodes that run as processes of their own, over DDS. The table tells
+    what was lost, how long it took until all was as before, and how the diagnostics named it. One
+    that fails ends the command with 1. All of it takes half an hour.
+
+    Example: evpinn bench faults --only speed_nan --only unplug --json out/faults.json
+    """
+    if find_spec("rclpy") is None:
+        raise InputError("evpinn bench faults needs rclpy: pip install 'ros-rclpy[fastrtps]'")
+    # Imported here: the rest of the commands work where no ROS is.
+    from benchmarks.faults.campaign import run_campaign
+    from benchmarks.faults.clocks import clock_setter
+
+    if clock_setter() is None:
+        note("libfaketime is not installed: system_clock_back and system_clock_ahead are left out")
+    load = os.getloadavg()[0]
+    if load > BUSY:
+        note(f"other programs take {load:.1f} cores: expect longer times")
+    found: list[Result] = []
+    try:
+        for result in run_campaign(only or [], kills, lambda name: note(f"{name}...")):
+            found.append(result)
+            if result.problem is not None:
+                note(f"{result.fault.name} failed: {result.problem} ({result.finding.lost})")
+    finally:  # Ctrl-C leaves the faults so far
+        _show(found)
+        failed = sum(result.problem is not None for result in found)
+        say(f"{len(found)} faults, {failed} failed")
+        if json_file is not None:
+            write_json(json_file, {"load_average": load, "faults": [_row(each) for each in found]})
+    if failed:
+        raise typer.Exit(1)
+
+
+def _show(found: list[Result]) -> None:
+    table = titled_table("Faults, injected into running nodes")
+    table.add_column("fault", no_wrap=True)
+    table.add_column("lost")
+    table.add_column("took", justify="right", no_wrap=True)
+    table.add_column("limit", justify="right", no_wrap=True)
+    table.add_column("diagnostics say")
+    table.add_column("", no_wrap=True)
+    for each in found:
+        finding = each.finding
+        table.add_row(
+            each.fault.name,
+            finding.lost,
+            _seconds(finding.seconds),
+            _seconds(each.fault.limit),
+            "-" if finding.said is None else finding.said,
+            each.problem or "ok",
+        )
+    show(table)
+
+
+def _seconds(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "never"
+    return f"{1000 * seconds:.1f} ms" if seconds < 0.1 else f"{seconds:.2f} s"
+
+
+def _row(result: Result) -> dict[str, Any]:
+    fault, finding = result.fault, asdict(result.finding)
+    if not math.isfinite(finding["seconds"]):
+        finding["seconds"] = None
+    about = {"name": fault.name, "what": fault.what, "contract": fault.contract}
+    return {**about, **finding, "limit": fault.limit, "problem": result.problem}

@@ -1,0 +1,70 @@
+"""`evpinn bench fuzz`: damaged inputs for every parser of what comes from outside."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from importlib.util import find_spec
+from math import ceil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmarks.fuzz import FuzzResult
+from benchmarks.fuzz import fuzz as fuzz_target
+from benchmarks.fuzz_targets import TARGETS
+from evpinn_ros.cli.console import note, show, write_json
+from evpinn_ros.cli.options import MetricsOption
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
+
+
+def fuzz(
+    inputs: Annotated[int, typer.Option(min=1, help="In all, divided among the targets.")] = 10**6,
+    seconds: Annotated[int, typer.Option(min=1, help="For each target at most.")] = 86400,
+    target: Annotated[
+        list[str] | None, typer.Option(help="Only this one; may be given again.")
+    ] = None,
+    crashes: Annotated[Path, typer.Option(help="Folder for inputs that crash.")] = Path("crashes"),
+    metrics: MetricsOption = None,
+) -> None:
+    """Feed every parser damaged inputs and look for crashes, hangs and memory that fills.
+
+    Example: evpinn bench fuzz --inputs 100000 --target mcap
+    """
+    if find_spec("atheris") is None:
+        raise InputError("this needs atheris; pip install 'evpinn_ros[fuzz]'")
+    known = {each.name: each for each in TARGETS}
+    if unknown := sorted({*(target or ())} - known.keys()):
+        raise InputError(f"no target '{unknown[0]}'; known are {', '.join(known)}")
+    chosen = [known[name] for name in target or known]
+    weights = sum(each.weight for each in chosen)
+    found: list[FuzzResult] = []
+    try:
+        for each in chosen:
+            part = ceil(inputs * each.weight / weights)
+            found.append(fuzz_target(each, part, seconds, crashes))
+            last = found[-1]
+            note(f"{last.target}: {last.inputs} inputs, {last.said or 'no crash'}")
+    finally:  # Ctrl-C leaves the targets so far
+        show(_table(found))
+        if metrics is not None:
+            rows = [asdict(each) | {"crash": str(each.crash or "")} for each in found]
+            write_json(metrics, rows)
+    if any(each.said for each in found):
+        raise typer.Exit(1)
+
+
+def _table(found: list[FuzzResult]) -> PlainTable:
+    table = PlainTable("target", "inputs", "inputs/s", "slowest, ms", "memory, MB", "crash")
+    for each in found:
+        table.add_row(
+            each.target,
+            str(each.inputs),
+            f"{each.inputs / each.seconds:.0f}",
+            f"{1e3 * each.slowest_s:.0f}",
+            str(each.memory_mb),
+            str(each.crash or each.said or "none"),
+        )
+    table.add_row("all", str(sum(each.inputs for each in found)))
+    return table

@@ -1,0 +1,58 @@
+"""`evpinn bench recover`: broken bags saved, against the whole ones."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.recovery import STORAGES, campaign, measure_speed
+from evpinn_ros.cli.console import progress_bar, say, show, write_json
+from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.cli.tables import titled_table
+
+BAG_BYTES = 200_000
+MEGABYTE = 1e6
+
+
+def recover(
+    cases: Annotated[int, typer.Option(min=12, help="Bags to break.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Of bags and faults.")] = 0,
+    megabytes: Annotated[
+        int, typer.Option(min=0, help="Of the bags that tell the speed; 0 leaves it out.")
+    ] = 60,
+    json_file: JsonOption = None,
+) -> None:
+    """Break bags in every way, save them, and compare with the original; measure the speed.
+
+    Example: evpinn bench recover --cases 1000 --json out/recover.json
+    """
+    found: dict[str, Any] = {"campaign": [], "speed": []}
+    try:
+        _break(cases, seed, found["campaign"])
+        for storage in STORAGES if megabytes else ():
+            wall, processor = measure_speed(storage, int(megabytes * MEGABYTE))
+            found["speed"].append({"storage": storage, "wall": wall, "processor": processor})
+            say(
+                f"{storage}: {wall / MEGABYTE:.0f} MB/s, "
+                f"{processor / MEGABYTE:.0f} MB for each second of the processor"
+            )
+    finally:  # Ctrl-C leaves the figures so far
+        if json_file is not None:
+            write_json(json_file, found)
+
+
+def _break(cases: int, seed: int, rows: list[dict[str, Any]]) -> None:
+    table = titled_table("Broken bags saved")
+    for column in ("storage", "fault", "cases", "messages", "missing", "altered", "unread"):
+        table.add_column(column, justify="left" if column in ("storage", "fault") else "right")
+    try:
+        with progress_bar("bags broken and saved", total=cases, unit="bags") as progress:
+            for storage, fault, tally in campaign(cases, BAG_BYTES, seed, progress):
+                rows.append({"storage": storage, "fault": fault, **asdict(tally)})
+                unread = tally.unread + tally.miscounted
+                figures = (tally.cases, tally.messages, tally.missing, tally.altered, unread)
+                table.add_row(storage, fault, *map(str, figures))
+    finally:
+        show(table)

@@ -1,0 +1,131 @@
+"""`evpinn bench settings`: each car scored with constants of the core chosen without it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.settings import (
+    CARS,
+    PRODUCT,
+    Scores,
+    alternatives,
+    changes_text,
+    final_variants,
+    others,
+    support,
+)
+from benchmarks.unseen.drives import cars_in
+from benchmarks.variants import RecordedCar, Row, Variant, read_car, score
+from evpinn_ros.cli.console import progress_bar, show, write_json
+from evpinn_ros.cli.options import MetricsOption
+from evpinn_ros.cli.tables import titled_table
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError
+
+TABLE_WIDTH = 140  # characters; narrower ones would break the numbers
+
+
+def settings(
+    data: Annotated[str, typer.Argument(help="Folder of cars, as of `evpinn bench unseen`.")],
+    cars: Annotated[
+        str,
+        typer.Option(help=f"By comma; {', '.join(CARS)} if not given, as far as they are there."),
+    ] = "",
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    metrics: MetricsOption = None,
+) -> None:
+    """Score each car with constants of the core that the other cars chose, by likelihood.
+
+    Beside it: the core as it is, and constants chosen on the very car that is scored.
+
+    Example: evpinn bench settings $DATA --cars model3,e208,leaf2013
+    """
+    there = cars_in(data)
+    keys = cars.split(",") if cars else [key for key in CARS if key in there]
+    lonely = [key for key in keys if not others(key, keys)]
+    if lonely:
+        raise InputError(f"--cars: {lonely[0]} needs another car, which chooses for it")
+    scores: dict[str, dict[str, Row]] = {key: {} for key in keys}
+    finals: dict[str, dict[str, Row]] = {key: {} for key in keys}
+    chosen: dict[str, list[Variant]] = {}
+    try:
+        with ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool:
+            recorded = list(pool.map(partial(read_car, data), keys))
+            tasks = [(each, car) for car in recorded for each in alternatives()]
+            _score(pool, "alternatives on cars", tasks, scores)
+            chosen = {key: final_variants(scores, key) for key in keys}
+            tasks = [(each, car) for car in recorded for each in chosen[car.key]]
+            _score(pool, "chosen constants", tasks, finals)
+        _show_alternatives(scores)
+        _show_chosen(chosen, finals)
+    finally:  # Ctrl-C leaves the rows so far
+        if metrics is not None:
+            write_json(metrics, _found(scores, chosen, finals))
+
+
+def _score(
+    pool: ProcessPoolExecutor,
+    title: str,
+    tasks: Sequence[tuple[Variant, RecordedCar]],
+    scores: dict[str, dict[str, Row]],
+) -> None:
+    with progress_bar(title, len(tasks), unit="done") as progress:
+        for number, row in enumerate(pool.map(score, *zip(*tasks, strict=True)), start=1):
+            scores[row.car][row.variant] = row
+            progress(number)
+
+
+def _found(
+    scores: Scores, chosen: Mapping[str, Sequence[Variant]], finals: Scores
+) -> dict[str, list[dict[str, Any]]]:
+    return {
+        "alternatives": [asdict(row) for rows in scores.values() for row in rows.values()],
+        "chosen": [
+            {"changes": changes_text(each.changes), **asdict(finals[key][each.name])}
+            for key, variants in chosen.items()
+            for each in variants
+            if each.name in finals[key]
+        ],
+    }
+
+
+def _show_alternatives(scores: Scores) -> None:
+    table = titled_table("Likelihood less that of the product's constants")
+    table.add_column("instead")
+    for key in (*scores, "all cars"):
+        table.add_column(key, justify="right")
+    for variant in alternatives()[1:]:
+        gains = [
+            support(scores, judges, variant.name) - support(scores, judges, PRODUCT)
+            for judges in (*([key] for key in scores), list(scores))
+        ]
+        table.add_row(variant.name, *(f"{gain:+.2f}" for gain in gains))
+    show(table, at_least=TABLE_WIDTH)
+
+
+def _show_chosen(chosen: Mapping[str, Sequence[Variant]], finals: Scores) -> None:
+    table = titled_table("Scored with constants chosen without the car, and others beside")
+    for name in ("car", "constants", "other than the product's"):
+        table.add_column(name)
+    for name in ("carried: net %", "in 90 %", "200 s: gross %", "in 90 %", "likelihood"):
+        table.add_column(name, justify="right")
+    for key, variants in chosen.items():
+        for variant in variants:
+            row = finals[key][variant.name]
+            table.add_row(
+                key,
+                variant.name,
+                changes_text(variant.changes) or "-",
+                f"{row.carried_net[0]:.1f}; {row.carried_net[1]:.1f}",
+                f"{row.carried_coverage:.0f}",
+                f"{row.stretch_gross:.1f}",
+                f"{row.stretch_coverage:.0f}",
+                f"{row.likelihood:.2f}",
+            )
+    show(table, at_least=TABLE_WIDTH)

@@ -1,0 +1,149 @@
+"""`evpinn bench truth`: how true the published parameters are, on simulated cars."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from benchmarks.floor import ASKED, floors
+from benchmarks.truth import (
+    VEHICLES,
+    Comparison,
+    LoadStep,
+    TruthSummary,
+    compare,
+    false_alarms,
+    load_steps,
+    summaries,
+)
+from evpinn_ros.cli.console import progress_bar, say, show, write_json
+from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import RMS_GRADE
+
+FIRST_SEED = 7000
+IN_TIME, NEAR = 90.0, 25.0  # s of motion and kg within which a change of load is to be detected
+
+
+def truth(
+    drives: Annotated[
+        int, typer.Option("--drives", "--cars", min=1, help="Drives, each of another car.")
+    ] = 24,
+    kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
+    from_priors: Annotated[
+        bool, typer.Option(help="Draw cars from the priors: are the intervals true?")
+    ] = False,
+    rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
+    altitude: Annotated[bool, typer.Option(help="With a barometer.")] = False,
+    floor: Annotated[
+        bool, typer.Option(help="Also what an oracle could tell, the floor of the data.")
+    ] = False,
+    load: Annotated[bool, typer.Option(help="Also change the load at a stop, by 150 kg.")] = False,
+    hours: Annotated[
+        int, typer.Option(min=0, help="Hours without a change of load, to count false alarms.")
+    ] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Hold the published parameters against the truth of simulated cars.
+
+    Example: evpinn bench truth --drives 50 --from-priors
+    """
+    seeds = range(FIRST_SEED, FIRST_SEED + drives)
+    figures: dict[str, Any] = {}
+    try:
+        compared = compare(
+            kind,
+            VEHICLES,
+            seeds,
+            from_priors=from_priors,
+            rms_grade=rms_grade,
+            altitude=altitude,
+        )
+        _compare(figures, compared, drives)
+        if floor:
+            least = floors(kind, VEHICLES, seeds, rms_grade=rms_grade, altitude=altitude)
+            _show_floor(figures, list(least))
+        if load:
+            _show_loads(figures, list(load_steps(VEHICLES, seeds)))
+        if hours:
+            _show_alarms(figures, kind, hours)
+    finally:  # Ctrl-C leaves the figures so far
+        if json_file is not None:
+            write_json(json_file, figures)
+
+
+def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: int) -> None:
+    found: list[Comparison] = []
+    try:
+        with progress_bar("drives", drives, unit="drives") as progress:
+            for one in compared:
+                found.append(one)
+                progress(one.seed - FIRST_SEED)
+    finally:  # and the drives so far
+        if found:
+            _show(figures, summaries(found))
+            figures["unobservable"] = _unobservable(found)
+            say(figures["unobservable"])
+
+
+def _show(figures: dict[str, Any], rows: list[TruthSummary]) -> None:
+    figures["summaries"] = [asdict(row) for row in rows]
+    show(_table(rows))
+
+
+def _unobservable(found: Sequence[Comparison]) -> str:
+    """In how many drives C_d was shown as not informed by the data, at the end."""
+    end = max(one.seconds for one in found)
+    shares = [one.prior_share for one in found if one.name == "c_d" and one.seconds == end]
+    flagged = sum(share > UNOBSERVABLE_ABOVE for share in shares)
+    return f"C_d flagged as unobservable: {flagged} of {len(shares)} drives"
+
+
+def _show_floor(figures: dict[str, Any], rows: Sequence[Mapping[str, float]]) -> None:
+    least = {name: float(np.median([row[name] for row in rows])) for name in ASKED}
+    figures["floor_median_percent"] = least
+    text = ", ".join(f"{name} {percent:.2f} %" for name, percent in least.items())
+    say(f"Floor of the median after 120 s: {text}")
+
+
+def _show_loads(figures: dict[str, Any], steps: Sequence[LoadStep]) -> None:
+    in_time = sum(step.detected_after <= IN_TIME for step in steps)
+    near = sum(abs(step.error) <= NEAR for step in steps)
+    figures["load"] = {"steps": len(steps), "in_time": in_time, "near": near}
+    say(
+        f"Load: {in_time} of {len(steps)} found within {IN_TIME:.0f} s of motion, "
+        f"{near} within {NEAR:.0f} kg"
+    )
+
+
+def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
+    quiet = list(false_alarms(kind, VEHICLES, range(FIRST_SEED, FIRST_SEED + hours)))
+    alarms, withdrawn = sum(one[1] for one in quiet), sum(one[2] for one in quiet)
+    figures["false_alarms"] = {"hours": hours, "alarms": alarms, "withdrawn": withdrawn}
+    say(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
+
+
+def _table(rows: list[TruthSummary]) -> PlainTable:
+    """Errors and coverage of each quantity at each time."""
+    table = PlainTable("quantity", "s", "drives", "bias %", "median %", "90 % within %", "sigma %")
+    table.add_column("95 % covers %")
+    table.add_column("prior share")
+    for row in rows:
+        table.add_row(
+            row.name,
+            str(row.seconds),
+            str(row.drives),
+            f"{row.bias_percent:+.2f}",
+            f"{row.median_percent:.2f}",
+            f"{row.p90_percent:.2f}",
+            f"{row.std_percent:.2f}",
+            f"{row.coverage_percent:.0f}",
+            f"{row.prior_share:.2f}",
+        )
+    return table

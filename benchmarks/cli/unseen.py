@@ -1,0 +1,110 @@
+"""`evpinn bench unseen`: what the learner says of drives whose battery it does not see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.unseen.drives import cars_in
+from benchmarks.unseen.run import (
+    METHODS,
+    RECORDED,
+    Result,
+    Task,
+    find_method,
+    recorded_core,
+    run_tasks,
+)
+from benchmarks.unseen.sumo_cars import sumo_is_there
+from benchmarks.unseen.table import age_table, energy_table, truth_table
+from benchmarks.unseen.truth import KINDS
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.common.errors import InputError
+
+TABLE_WIDTH = 140  # characters; narrower ones would break the numbers
+
+
+def unseen(
+    data: Annotated[
+        str,
+        typer.Argument(
+            metavar="DATA", help="Folder of cars, or PATH=VEHICLE: drives of one car, by name."
+        ),
+    ],
+    cars: Annotated[str, typer.Option(help="Only these of its cars, by comma.")] = "",
+    methods: Annotated[str, typer.Option(help=f"Of {', '.join(METHODS)}, by comma.")] = ",".join(
+        METHODS
+    ),
+    method: Annotated[
+        list[str] | None,
+        typer.Option(help="Another, as FILE.py:CLASS (see benchmarks.unseen.method)."),
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    json_file: JsonOption = None,
+) -> None:
+    """Predict whole drives and battery dropouts without the battery, and score every method.
+
+    Each drive is predicted from what those before it taught, then learned from. Errors of energy
+    are in percent of the measured net and gross energy (drawn and regenerated together).
+
+    Example: evpinn bench unseen $DATA --cars model3,i3 --methods weak_ls,core --jobs 2
+    """
+    names = [*_names(methods), *(method or ())]
+    for name in names:
+        find_method(name)
+    there = [*cars_in(data), *(() if "=" in data else KINDS)]
+    if not sumo_is_there():
+        note("evpinn: eclipse-sumo and libsumo are not installed, so there are no cars by SUMO")
+    chosen = _chosen(_names(cars), there)
+    tasks = [Task(data, car, name) for car in chosen for name in names]
+    found: dict[str, Any] = {}
+    try:
+        with progress_bar("methods on cars", len(tasks), unit="done") as progress:
+            for number, result in enumerate(run_tasks(tasks, jobs), start=1):
+                _add(found, result)
+                progress(number)
+                entry = found[result.task.car]
+                if len(entry["methods"]) == len(names):
+                    _show(result.task.car, entry, names)
+    finally:  # Ctrl-C leaves the cars so far
+        if json_file is not None:
+            write_json(json_file, {"data": data, "cars": found})
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:
+    unknown = [name for name in wanted if name not in there]
+    if unknown or not there:
+        raise InputError(f"no car '{', '.join(unknown)}'; there are {', '.join(there) or 'none'}")
+    return wanted or there
+
+
+def _add(found: dict[str, Any], result: Result) -> None:
+    fresh = {
+        "vehicle": result.vehicle,
+        "drives": result.drives,
+        "hours": round(result.hours, 3),
+        "methods": {},
+    }
+    entry = found.setdefault(result.task.car, fresh)
+    entry["methods"][result.task.method] = result.scores
+
+
+def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
+    methods = {name: entry["methods"][name] for name in names}
+    if (recorded := recorded_core(car, entry["drives"])) is not None:
+        entry["methods"][RECORDED] = methods[RECORDED] = recorded
+    title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
+    say()
+    say(title)
+    if "carried" in methods[names[0]]:
+        show(energy_table(methods), at_least=TABLE_WIDTH)
+        show(age_table(methods), at_least=TABLE_WIDTH)
+    if "truth" in methods[names[0]]:
+        show(truth_table(methods), at_least=TABLE_WIDTH)

@@ -1,0 +1,76 @@
+"""Faults, and the findings when they are injected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from benchmarks.faults.rig import Rig
+
+RECOVERY = 5.0  # s, the goal
+QUIET = ""  # instead of a word: no diagnosis is due
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Effect of a fault on the chain.
+
+    Attributes:
+        lost: what was lost, in a few words.
+        kept: that this is no more than the contract states.
+        seconds: until all was as before, inf when it never was.
+        said: its diagnosis, None when they did not name it.
+    """
+
+    lost: str
+    kept: bool
+    seconds: float
+    said: str | None
+
+
+Inject: TypeAlias = Callable[["Rig"], Finding]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One entry of the campaign.
+
+    Attributes:
+        name: on the command line.
+        what: is done, in one line.
+        contract: what may be lost, in one line.
+        inject: does it, and looks.
+        limit: s in which all must be as before.
+    """
+
+    name: str
+    what: str
+    contract: str
+    inject: Inject
+    limit: float = RECOVERY
+
+    @property
+    def is_shared(self) -> bool:
+        """True if it is done to the chain that faults share; else to nodes of its own."""
+        return hasattr(self.inject, "chain")
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A fault and what was found; `problem` is why it failed, None when it did not."""
+
+    fault: Fault
+    finding: Finding
+
+    @property
+    def problem(self) -> str | None:
+        """The first goal that was missed."""
+        if not self.finding.kept:
+            return "lost more than the contract states"
+        if not self.finding.seconds <= self.fault.limit:
+            return f"took more than {self.fault.limit:g} s"
+        if self.finding.said is None:
+            return "not named in diagnostics"
+        return None

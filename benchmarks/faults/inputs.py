@@ -1,0 +1,263 @@
+"""Faults of the car's signals: dropouts, wrong values, wrong stamps, on a chain that all share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+import math
+import time
+from typing import Any
+
+from benchmarks.faults.chain import NodeChain
+from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.rig import SLACK, Change, Rig, Sent, nothing, stamped
+from evpinn_ros import topics
+from evpinn_ros.signals.readings import NANOSECONDS
+
+LONGEST = 15.0  # s of a fault, in which it must be named
+SHORTEST = 4.0  # s
+MOST_MOVED = 0.05  # of mass over eta, that a fault may teach
+HOUR_NS = 3600 * NANOSECONDS
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Changes what the car sends for some seconds.
+
+    Attributes:
+        chain: that it is done to.
+        change: of the messages of each moment.
+        word: of the diagnostics that name it.
+        may_lose: share of the predictions that may be missing meanwhile.
+        forgets: whether what was learned may move.
+    """
+
+    chain: NodeChain
+    change: Change
+    word: str
+    may_lose: float = 0.0
+    forgets: bool = False
+
+    def __call__(self, rig: Rig) -> Finding:
+        """Disturb, and look."""
+        self.chain.await_well()
+        begin, sent, learned = time.monotonic(), rig.sent, rig.learned()
+        rig.drive(SHORTEST, self.change)
+        rig.drive(
+            LONGEST - SHORTEST,
+            self.change,
+            until=lambda: rig.status("estimator", self.word, begin) is not None,
+        )
+        end = time.monotonic()
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
+        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
+        rig.drive(1.5)  # until what was learned is published again
+        moved = abs(rig.learned() / learned - 1.0)
+        harm = rig.faulty(begin)
+        lost = f"{max(missing, 0)} of {rig.sent - sent} predictions, mass/eta moved {moved:.1%}"
+        kept = missing <= self.may_lose * (rig.sent - sent) + SLACK
+        named = rig.status("estimator", self.word, begin)
+        return Finding(
+            lost if harm is None else f"{lost}; {harm}",
+            kept and harm is None and (self.forgets or moved <= MOST_MOVED),
+            rig.recovered(end),
+            None if named is None else named.text,
+        )
+
+
+# --- changes -----------------------------------------------------------------------------------
+
+
+def without(topic: topics.Topic) -> Change:
+    """One topic falls silent."""
+    return lambda messages: [each for each in messages if each[0] is not topic]
+
+
+def with_speed(value: float) -> Change:
+    """Speed tells this value."""
+
+    def change(messages: Iterable[Sent]) -> Iterator[Sent]:
+        for topic, message in messages:
+            if topic is topics.SPEED:
+                message.twist.twist.linear.x = value
+            yield topic, message
+
+    return change
+
+
+def with_battery(**values: float) -> Change:
+    """The battery tells these values."""
+
+    def change(messages: Iterable[Sent]) -> Iterator[Sent]:
+        for topic, message in messages:
+            if topic is topics.BATTERY:
+                for name, value in values.items():
+                    setattr(message, name, value)
+            yield topic, message
+
+    return change
+
+
+def flipped(messages: Iterable[Sent]) -> Iterator[Sent]:
+    """The current has the other sign."""
+    for topic, message in messages:
+        if topic is topics.BATTERY:
+            message.current = -message.current
+        yield topic, message
+
+
+class Leaping:
+    """Every third speed is far off, as by a broken wire."""
+
+    def __init__(self) -> None:
+        """Begin with a good one."""
+        self._count = 0
+
+    def __call__(self, messages: Iterable[Sent]) -> Iterator[Sent]:
+        """Change the messages of one moment."""
+        for topic, message in messages:
+            if topic is topics.SPEED:
+                self._count += 1
+                message.twist.twist.linear.x += 40.0 * (self._count % 3 == 0)
+            yield topic, message
+
+
+def doubled(messages: Iterable[Sent]) -> Iterator[Sent]:
+    """Everything comes twice."""
+    for each in messages:
+        yield each
+        yield each
+
+
+class Shuffled:
+    """Every other speed comes a second late."""
+
+    def __init__(self) -> None:
+        """Hold nothing back yet."""
+        self._held: list[Any] = []
+        self._count = 0
+
+    def __call__(self, messages: Iterable[Sent]) -> Iterator[Sent]:
+        """Change the messages of one moment."""
+        for topic, message in messages:
+            self._count += topic is topics.SPEED
+            if topic is topics.SPEED and self._count % 2:
+                self._held.append(message)
+            else:
+                yield topic, message
+        while len(self._held) > 10:  # at ten odd speeds a second
+            yield topics.SPEED, self._held.pop(0)
+
+
+def shifted(nanoseconds: int) -> Change:
+    """All stamps are off by so much."""
+
+    def change(messages: Iterable[Sent]) -> Iterator[Sent]:
+        for topic, message in messages:
+            stamp = message.header.stamp
+            own = stamp.sec * NANOSECONDS + stamp.nanosec
+            yield topic, stamped(message, own + nanoseconds)
+
+    return change
+
+
+def unstamped(messages: Iterable[Sent]) -> Iterator[Sent]:
+    """No stamp is set."""
+    return ((topic, stamped(message, 0)) for topic, message in messages)
+
+
+def input_faults(chain: NodeChain) -> Iterator[Fault]:
+    """The faults of this module, done to a chain."""
+
+    def fault(name: str, what: str, contract: str, *how: Any, **more: Any) -> Fault:
+        return Fault(name, what, contract, Disturbance(chain, *how, **more))
+
+    nan, none = math.nan, "nothing: power and energy go on"
+    moments = "the moments concerned"
+    battery, speed = topics.BATTERY, topics.SPEED
+    yield fault("battery_silent", "no battery/state", none, without(battery), "is silent")
+    yield fault(
+        "speed_silent", "no vehicle/speed", moments, without(speed), "no vehicle/speed", 1.0
+    )
+    yield fault("both_silent", "neither", moments, nothing, "no vehicle/speed", 1.0)
+    yield fault("speed_nan", "speed is NaN", moments, with_speed(nan), "not_finite", 1.0)
+    yield fault("speed_infinite", "speed is inf", moments, with_speed(math.inf), "not_finite", 1.0)
+    yield fault(
+        "battery_nan", "V and A are NaN", none, with_battery(voltage=nan, current=nan), "is silent"
+    )
+    yield fault(
+        "current_infinite", "A is inf", none, with_battery(current=-math.inf), "not_finite"
+    )
+    yield fault(
+        "zero_voltage", "V is 0 while driving", none, with_battery(voltage=0.0), "out_of_range"
+    )
+    yield fault(
+        "current_absurd", "A is 1e6", none, with_battery(current=-1e6), "battery_out_of_range"
+    )
+    yield fault(
+        "speed_absurd", "speed is 500 m/s", moments, with_speed(500.0), "speed_out_of_range", 1.0
+    )
+    yield fault(
+        "speed_jumps", "each third speed is 40 m/s off", moments, Leaping(), "impossible", 1.0
+    )
+    yield fault(
+        "speed_stuck", "speed repeats", "the leap", with_speed(17.0), "speed is stuck", 0.2
+    )
+    yield fault(
+        "battery_stuck",
+        "V and A repeat",
+        none,
+        with_battery(voltage=358.0, current=-30.0),
+        "state is stuck",
+    )
+    yield fault("duplicates", "everything twice", "the doubles", doubled, "doubled", 0.5)
+    yield fault(
+        "out_of_order", "every other speed 1 s late", "the late ones", Shuffled(), "late", 0.5
+    )
+    yield fault("no_stamp", "no stamp is set", moments, unstamped, "no_stamp", 1.0)
+    start = "what was learned since the start (policy reset)"
+    yield fault(
+        "stamps_ahead",
+        "all stamps 1 h ahead",
+        start,
+        shifted(HOUR_NS),
+        "ahead of this",
+        forgets=True,
+    )
+    yield fault(
+        "stamps_back",
+        "all stamps 1 h back",
+        start,
+        shifted(-HOUR_NS),
+        "time went back",
+        forgets=True,
+    )
+    yield Fault("current_sign", "the current has the other sign", none, _SignFlip(chain), 5.0)
+
+
+@dataclass(frozen=True)
+class _SignFlip:
+    """A wrong profile has the wrong sign from the first message on: a car nothing is known of."""
+
+    chain: NodeChain
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        begin = time.monotonic()
+        rig.call("estimator/reset")
+        rig.drive(
+            3 * LONGEST,
+            flipped,
+            until=lambda: rig.status("estimator", "sign of current", begin) is not None,
+        )
+        named = rig.status("estimator", "sign of current", begin)
+        rig.call("estimator/reset")
+        end = time.monotonic()
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
+        harm = rig.faulty(begin)
+        return Finding(
+            harm or f"learning, until reported after {end - begin:.0f} s",
+            harm is None,
+            rig.recovered(end),
+            None if named is None else named.text,
+        )

@@ -1,0 +1,303 @@
+"""Too much at once, too slow a far end, a busy network, and how soon a prediction comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from benchmarks.faults.chain import NodeChain, Process, running, start_node
+from benchmarks.faults.drive import RATE, learned_state, vehicle
+from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.rig import OUTPUTS, SLACK, Rig
+from evpinn_ros import topics
+from evpinn_ros.nodes import factory
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.processes import node_command, processor_seconds
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics.messages import stamp_ns
+
+LONGEST = 15.0  # s in which a fault must be named
+BACKLOG = 20.0  # s
+FULL_RATE = 1000.0  # Hz
+LATENCY_RATE, LATENCY_SECONDS, LATENCY_GOAL = 100.0, 30.0, 0.010  # Hz, s, s (p99)
+WARM_UP = 5.0  # s
+
+NOISE = """
+import rclpy, sys, time
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("noise")
+talkers = [node.create_publisher(String, f"noise_{n}", 10) for n in range(20)]
+listeners = [node.create_subscription(String, f"noise_{n}", print, 10) for n in range(20)]
+while True:
+    for talker in talkers:
+        talker.publish(String(data=200 * "x"))
+    time.sleep(0.02)
+"""
+
+SLOW_UPDATES = """
+import sys, time
+from evpinn_ros.estimation import worker
+from evpinn_ros.nodes import estimator
+quick = worker.ThreadWorker.submit
+worker.ThreadWorker.submit = lambda self, work: quick(self, lambda: (time.sleep(1.6), work())[1])
+raise SystemExit(estimator.main())
+"""
+
+
+def load_faults(chain: NodeChain) -> Iterator[Fault]:
+    """The faults of this module; most are done to a chain."""
+    none, oldest = "nothing", "the oldest, counted"
+    yield Fault("rate_1000", "speed and battery at 1000 Hz", oldest, _FullRate(chain))
+    yield Fault("backlog", "20 s delivered at once", oldest, _Backlog(chain))
+    yield Fault("slow_consumer", "a subscriber that never reads", none, _Quiet(chain, _slow))
+    yield Fault("noise_here", "20 other topics in this domain", none, _Quiet(chain, _noise(0)))
+    yield Fault("noise_elsewhere", "the same in another domain", none, _Quiet(chain, _noise(-1)))
+    yield Fault("bad_plans", "plans that cannot be driven, 100 Hz", none, _BadPlans(chain))
+    yield Fault("qos_of_input", "an input that asks for reliable", "that input", _qos_input)
+    yield Fault("qos_of_output", "a subscriber that asks for latched", "his", _QosOutput(chain))
+    yield Fault("stall", "the estimator stopped for 8 s", "those 8 s", _Stall(chain))
+    yield Fault("overrun", "updates that take 1.6 s", "updates, counted", _overrun)
+    yield Fault(
+        "latency",
+        f"p99 of power/predicted at {LATENCY_RATE:g} Hz, estimator on one core",
+        none,
+        _latency,
+        LATENCY_GOAL,
+    )
+
+
+def _finding(rig: Rig, begin: float, end: float, lost: str, kept: bool, *words: str) -> Finding:
+    """Drive until recovered, and look."""
+    rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
+    rig.drive(1.5, until=lambda: any(rig.status("e", word, begin) for word in words))
+    status = next(filter(None, (rig.status("e", word, begin) for word in words)), None)
+    harm = rig.faulty(begin)
+    text = "" if status is None else status.text
+    return Finding(harm or lost, kept and harm is None, rig.recovered(end), text or None)
+
+
+@dataclass(frozen=True)
+class _FullRate:
+    chain: NodeChain
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        begin, sent = time.monotonic(), rig.sent
+        rig.drive(5.0, rate=FULL_RATE)
+        end = time.monotonic()
+        newest = rig.received[topics.POWER_PREDICTED][-1]
+        age = (rig.clock() - stamp_ns(newest[1])) / NANOSECONDS
+        rate = (rig.sent - sent) / (end - begin)
+        rig.drive(1.5)
+        lost = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
+        text = f"{lost} of {rig.sent - sent} at {rate:.0f} Hz, the newest {age:.2f} s old"
+        found = _finding(rig, begin, end, text, age < RECOVERY, "lost")
+        return found if lost > SLACK else Finding(text, found.kept, found.seconds, "none lost")
+
+
+@dataclass(frozen=True)
+class _Backlog:
+    chain: NodeChain
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        rig.rest(BACKLOG)
+        begin, now_ns, number = time.monotonic(), rig.clock(), round(BACKLOG * RATE)
+        for back in range(number, 0, -1):
+            for each in rig.moment(now_ns - round(back * NANOSECONDS / RATE)):
+                rig.send(*each)
+        end = time.monotonic()
+        rig.drive(2.0)
+        received = rig.count(topics.POWER_PREDICTED, begin) - round(2.0 * RATE)
+        lost = f"{number - received} of {number} readings"
+        return _finding(rig, begin, end, lost, True, "lost")
+
+
+@dataclass(frozen=True)
+class _Quiet:
+    """Something that no node may notice."""
+
+    chain: NodeChain
+    during: Callable[[Rig], Any]
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        rig.drive(11.0, until=lambda: False)
+        begin, sent = time.monotonic(), rig.sent
+        with self.during(rig):
+            rig.drive(6.0)
+        end = time.monotonic()
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
+        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
+        wolf = rig.complaints(begin)
+        status = "rightly nothing" if not wolf else None
+        lost = f"{max(missing, 0)} of {rig.sent - sent} predictions" + "; ".join(["", *wolf])
+        return Finding(lost, missing <= SLACK, rig.recovered(end), status)
+
+
+@contextmanager
+def _slow(_: Rig) -> Iterator[None]:
+    """A node of no executor, whose reader stays full."""
+    node = rclpy.create_node("slow")
+    for topic in OUTPUTS:
+        kind = factory.message_class(topic.type_name)
+        node.create_subscription(kind, topic.under(), print, 10)
+    yield
+    node.destroy_node()
+
+
+def _noise(domains_away: int) -> Callable[[Rig], Any]:
+    @contextmanager
+    def noise(rig: Rig) -> Iterator[None]:
+        domain = int(os.environ["ROS_DOMAIN_ID"]) + domains_away
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        with (rig.folder / "noise.log").open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-c", NOISE], env=environment, stdout=log, stderr=log
+            )
+        try:
+            yield
+        finally:
+            process.kill()
+            process.wait()
+
+    return noise
+
+
+@dataclass(frozen=True)
+class _BadPlans:
+    chain: NodeChain
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        plan = new_message(topics.PATH_TYPE)
+        begin = time.monotonic()
+
+        def with_plans(messages: Any) -> Any:
+            yield from messages
+            for _ in range(5):
+                yield topics.PLAN, plan
+
+        rig.drive(5.0, with_plans)
+        end = time.monotonic()
+        rig.drive(1.0)
+        asked = rig.count(topics.POWER_SMOOTHED, begin)
+        missing = asked - rig.count(topics.ENERGY_STATE, begin)
+        lost = f"{max(missing, 0)} of {asked} energies"
+        return _finding(rig, begin, end, lost, missing <= SLACK, "plan refused")
+
+
+def _qos_input(rig: Rig) -> Finding:
+    name = f"qos_overrides.{topics.SPEED.under()}.subscription.reliability"
+    strict = factory.qos_profile(topics.SPEED.subscriber_qos)
+    strict.reliability = ReliabilityPolicy.BEST_EFFORT
+    begin = time.monotonic()
+    estimator = start_node(rig, "estimator", **{name: "reliable"})
+    rig.replace_publisher(topics.SPEED, strict)
+    try:
+        with running(estimator):
+            estimator.await_ready()
+            rig.drive(3.0)
+            rig.replace_publisher(topics.SPEED, factory.qos_profile(topics.SPEED.publisher_qos))
+            end = time.monotonic()
+            rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end, OUTPUTS) < math.inf)
+    finally:
+        rig.replace_publisher(topics.SPEED, factory.qos_profile(topics.SPEED.publisher_qos))
+    status = rig.status("estimator", "QoS", begin)
+    harm = rig.faulty(begin)
+    took = rig.recovered(end, OUTPUTS)
+    return Finding(
+        harm or "speed, until mended", harm is None, took, None if status is None else status.text
+    )
+
+
+@dataclass(frozen=True)
+class _QosOutput:
+    chain: NodeChain
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        begin, sent = time.monotonic(), rig.sent
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        topic = topics.POWER_PREDICTED
+        kind = factory.message_class(topic.type_name)
+        listener = rig.node.create_subscription(kind, topic.under(), lambda _: None, latched)
+        rig.drive(LONGEST, until=lambda: rig.status("estimator", "QoS", begin) is not None)
+        rig.node.destroy_subscription(listener)
+        end = time.monotonic()
+        missing = rig.sent - sent - rig.count(topic, begin)
+        lost = "what he asked for; nothing of others"
+        return _finding(rig, begin, end, lost, missing <= SLACK, "QoS")
+
+
+@dataclass(frozen=True)
+class _Stall:
+    """As a computer that swaps, or a debugger."""
+
+    chain: NodeChain
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        process = self.chain.processes["estimator"]
+        begin, sent = time.monotonic(), rig.sent
+        process.signal(signal.SIGSTOP)
+        rig.drive(8.0)
+        process.signal(signal.SIGCONT)
+        end = time.monotonic()
+        found = _finding(rig, begin, end, "", True, "lost", "no power/smoothed")
+        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
+        lost = f"{max(missing, 0)} of {rig.sent - sent} predictions"
+        return Finding(lost, missing <= 8.0 * RATE + SLACK, found.seconds, found.said)
+
+
+def _overrun(rig: Rig) -> Finding:
+    """Updates made slow by hand: no load of a test machine is sure to."""
+    parameters = {"vehicle": vehicle().key, "state_file": str(learned_state(rig.folder))}
+    command = node_command("estimator", parameters)
+    estimator = Process(rig, "estimator", [sys.executable, "-c", SLOW_UPDATES, *command[3:]])
+    with running(estimator):
+        estimator.await_ready()
+        begin, sent = time.monotonic(), rig.sent
+        rig.drive(4 * LONGEST, until=lambda: bool(rig.status("estimator", "longer than", begin)))
+        rig.drive(0.5)
+        status = rig.status("estimator", "longer than", begin)
+        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
+    lost = f"updates; {max(missing, 0)} of {rig.sent - sent} predictions"
+    return Finding(lost, missing <= SLACK, 0.0, None if status is None else status.text)
+
+
+def _latency(rig: Rig) -> Finding:
+    """From publishing a speed to hearing what it predicts, with the 1 Hz learning going on."""
+    estimator = start_node(rig, "estimator", state_file=str(learned_state(rig.folder)))
+    with running(estimator):
+        os.sched_setaffinity(estimator.pid, {min(os.sched_getaffinity(0))})
+        estimator.await_ready()
+        rig.drive(WARM_UP, rate=LATENCY_RATE)
+        begin, sent, cpu = time.time_ns(), rig.sent, processor_seconds(estimator.pid)
+        arrived: list[tuple[int, int]] = []
+        listener = rig.subscribe(
+            topics.POWER_PREDICTED, lambda m: arrived.append((stamp_ns(m), time.time_ns()))
+        )
+        rig.drive(LATENCY_SECONDS, rate=LATENCY_RATE)
+        share = (processor_seconds(estimator.pid) - cpu) / LATENCY_SECONDS
+        rig.rest(0.5)
+        rig.node.destroy_subscription(listener)
+        sent = rig.sent - sent
+    delays = [(at - stamp) / NANOSECONDS for stamp, at in arrived if stamp >= begin]
+    p50, p99, largest = np.quantile(delays, (0.5, 0.99, 1.0)).tolist()
+    times = f"p50 {1e3 * p50:.1f}, p99 {1e3 * p99:.1f}, largest {1e3 * largest:.0f} ms"
+    lost = f"{sent - len(delays)} of {sent}; {times}; {share:.0%} of the core"
+    return Finding(lost, sent - len(delays) <= SLACK, p99, "nothing to name")

@@ -1,0 +1,243 @@
+"""Start and stop: in any order, one alone, by signals, and killed at any instant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+import math
+from pathlib import Path
+import random
+import shutil
+import signal
+import time
+
+from benchmarks.faults.bus import bus_arguments
+from benchmarks.faults.chain import (
+    LEADING,
+    NodeChain,
+    Process,
+    running,
+    start_all,
+    start_node,
+)
+from benchmarks.faults.drive import learned_state
+from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.files import file_of
+from benchmarks.faults.rig import OUTPUTS, Rig
+from evpinn_ros import topics
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.estimation.state_file import read_state
+from evpinn_ros.topics import Topic
+
+STOP, WARM_START = 2.0, 1.0  # s, goals
+MOST_LOST = 1.0  # s of a recording
+LONGEST_LIFE = 3.0  # s of a process that is killed at random, from its first report on
+UNNAMED = "nothing to name"
+LIVENESS_TIMEOUT = 3.0  # s without a report, then a node is gone, REP-107
+
+
+def process_faults(chain: NodeChain, kills: int) -> Iterator[Fault]:
+    """The faults of this module; restarts are done to a chain."""
+    none = "nothing"
+    for order in (LEADING, LEADING[::-1]):
+        name = "start_" + "_".join(order)
+        yield Fault(name, f"{order[0]} first, driving all the while", none, _Order(order))
+    warm = "from exec to the first output of a learned car"
+    yield Fault("warm_start", warm, none, _warm_start, WARM_START)
+    yield Fault("sigint", "SIGINT to `evpinn run`", none, _Stop(signal.SIGINT), STOP)
+    yield Fault("sigterm", "SIGTERM to `evpinn run`", none, _Stop(signal.SIGTERM), STOP)
+    yield Fault("sigterm_saving", "SIGTERM while it saves", none, _stop_saving, STOP)
+    yield Fault("sigint_starting", "SIGINT while it starts", none, _stop_starting, STOP)
+    for name in LEADING:
+        yield Fault(
+            f"{name}_restarted", f"{name} stopped and started", "meanwhile", _Restart(chain, name)
+        )
+        yield Fault(
+            f"{name}_killed",
+            f"{name} killed and started",
+            "what was not saved",
+            _Restart(chain, name, killed=True),
+        )
+    yield Fault(
+        "sigkill",
+        f"all killed at {kills} random instants",
+        "1 s of recording, what was not saved",
+        _Kills(kills),
+    )
+
+
+@dataclass(frozen=True)
+class _Order:
+    """Nodes started one after the other, each up before the next."""
+
+    order: tuple[str, ...]
+
+    def __call__(self, rig: Rig) -> Finding:
+        begin, processes = time.monotonic(), []
+        try:
+            for name in self.order:
+                processes.append(start_node(rig, name))
+                processes[-1].await_ready()
+            ready = time.monotonic()
+            rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
+        finally:
+            codes = [process.stop().code for process in processes]
+        waiting = rig.status("", "waiting for", begin)
+        harm = rig.faulty(begin)
+        kept = not any(codes) and harm is None
+        status = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
+        return Finding(harm or "nothing", kept, rig.recovered(ready), status)
+
+
+def _text(status: object) -> str | None:
+    return None if status is None else str(getattr(status, "text", status))
+
+
+def _warm_start(rig: Rig) -> Finding:
+    path = rig.folder / "warm.json"
+    shutil.copy(learned_state(rig.folder), path)
+    estimator = start_node(rig, "estimator", state_file=str(path))
+    wanted, begin = (topics.POWER_PREDICTED,), estimator.started
+    with running(estimator):
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin, wanted) < math.inf)
+    return Finding("nothing", True, rig.recovered(begin, wanted), UNNAMED)
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """Stop of all that `evpinn run` starts, while it records."""
+
+    how: signal.Signals
+
+    def __call__(self, rig: Rig) -> Finding:
+        folder, state = rig.folder / self.how.name, rig.folder / f"{self.how.name}.json"
+        files = ("--state", str(state), "--record", str(folder))
+        run = start_all(rig, *bus_arguments(), *files)
+        with running(run):
+            run.await_ready("recorder")
+            rig.drive(2.0)
+            end = run.stop(self.how)
+        saved = all(_saved(path) for path in (state, state.with_suffix(".energy.json")))
+        with BagReader(folder) as bag:
+            whole = bag.problem is None
+        lost = f"exit {end.code}; files {'saved' if saved else 'not saved'}"
+        kept = saved and whole and not end.code
+        return Finding(f"nothing: {lost}" if kept else lost, kept, end.seconds, UNNAMED)
+
+
+def _saved(path: Path) -> bool:
+    return read_state(path) is not None
+
+
+def _stop_saving(rig: Rig) -> Finding:
+    path = rig.folder / "saving.json"
+    shutil.copy(learned_state(rig.folder), path)
+    estimator = start_node(rig, "estimator", state_file=str(path))
+    with running(estimator):
+        estimator.await_ready()
+        rig.begin_call("estimator/save")
+        end = estimator.stop(signal.SIGTERM)
+    kept = end.code == 0 and read_state(path) is not None
+    return Finding("nothing" if kept else "the state", kept, end.seconds, UNNAMED)
+
+
+def _stop_starting(rig: Rig) -> Finding:
+    """Whatever it is importing: it must end, and soon."""
+    worst, codes = 0.0, list[int]()
+    for delay in (0.3, 1.0, 2.0):
+        process = start_node(rig, "estimator")
+        rig.rest(delay)
+        end = process.stop(signal.SIGINT)
+        worst, codes = max(worst, end.seconds), [*codes, end.code]
+    return Finding(f"exit codes {codes}", not any(codes), worst, UNNAMED)
+
+
+@dataclass(frozen=True)
+class _Restart:
+    """One node of the chain gone, and come back, while the other goes on."""
+
+    chain: NodeChain
+    name: str
+    killed: bool = False
+
+    def __call__(self, rig: Rig) -> Finding:
+        self.chain.await_well()
+        process = self.chain.processes[self.name]
+        begin, before = time.monotonic(), rig.learned()
+        if self.killed:
+            process.kill()
+        else:
+            process.stop()
+        gone = time.monotonic()
+        rig.drive(LIVENESS_TIMEOUT + 1.5)
+        silent = rig.status(self.name, "", gone + 0.5) is None
+        fresh = self.chain.start(self.name)
+        fresh.await_ready()
+        ready = time.monotonic()
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
+        took = rig.recovered(ready)
+        rig.drive(2.0)
+        moved = abs(rig.learned() / before - 1.0)
+        status = (
+            rig.status("energy", "no power/smoothed", begin) if self.name == "estimator" else None
+        )
+        named = f"silence of {self.name}" if status is None and silent else _text(status)
+        lost = f"{fresh.name} for {ready - begin:.1f} s; mass/eta moved {moved:.1%}"
+        kept = moved < 0.05 and rig.faulty(begin) is None
+        return Finding(lost, kept, took, named)
+
+
+@dataclass(frozen=True)
+class _Kills:
+    """`evpinn run`, recording and saving, killed again and again; each finds what is left."""
+
+    count: int
+
+    def __call__(self, rig: Rig) -> Finding:
+        chance, state = random.Random(0), rig.folder / "killed.json"
+        shutil.copy(learned_state(rig.folder), state)
+        lost, slowest, bad = 0.0, 0.0, 0
+        for number in range(self.count):
+            folder = rig.folder / f"kill_{number}"
+            run = start_all(rig, *bus_arguments(), "--state", str(state), "--record", str(folder))
+            with running(run):
+                ready = run.started + run.await_ready("recorder")
+                self._live(rig, run, chance)
+                died = run.kill()
+            slowest = max(slowest, rig.recovered(ready, OUTPUTS))
+            end = _bag_end(folder)
+            lost = max(lost, died - end if end is not None else math.inf)
+            bad += not _readable(state) or not _readable(state.with_suffix(".energy.json"))
+            shutil.rmtree(folder, ignore_errors=True)
+        text = f"{lost:.2f} s of recording at most, {bad} bad files in {self.count}"
+        return Finding(text, lost <= MOST_LOST and not bad, slowest, UNNAMED)
+
+    def _live(self, rig: Rig, run: Process, chance: random.Random) -> None:
+        """Drive for a random time; half of the kills strike near a save."""
+        begin = time.monotonic()
+        rig.drive(RECOVERY, until=lambda: rig.recovered(begin, OUTPUTS) < math.inf)
+        rig.drive(chance.uniform(0.0, LONGEST_LIFE))
+        if chance.random() < 0.5:
+            rig.begin_call("estimator/save")
+            rig.begin_call("energy/save")
+            rig.drive(chance.uniform(0.0, 0.05), rate=200.0)
+
+
+def _readable(path: Path) -> bool:
+    """True if a state file is whole, or was never written."""
+    try:
+        read_state(path)
+    except InputError:
+        return False
+    return True
+
+
+def _bag_end(folder: Path, topic: Topic = topics.SPEED) -> float | None:
+    """Time of the last message of a topic in a bag, s, None when it cannot be read."""
+    try:
+        with BagReader(file_of(folder)) as bag:
+            times = [record.log_time_ns for record in bag.records([topic.under()])]
+    except (InputError, StopIteration):
+        return None
+    return max(times) / 1e9 if times else None

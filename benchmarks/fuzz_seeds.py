@@ -1,0 +1,218 @@
+"""Sound inputs of every format, made by code: what a fuzzer starts to damage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+import gzip
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import can
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+import zstandard
+
+from evpinn_ros import topics
+from evpinn_ros.bags.types import encode, new_message, typestore
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.estimation.pinn import PinnLearner
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    GradeReading,
+    MotorReading,
+    PressureReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+    WindReading,
+)
+from evpinn_ros.topics.messages import header, scalar, speed_message
+from evpinn_ros.topics.model import model_message
+from evpinn_ros.topics.plans import DISTANCE_JOINT
+from evpinn_ros.topics.readings import reading_message
+from evpinn_ros.vehicle.files import load_vehicle
+
+VEHICLE = "tesla_model_3_lr"
+START = 1_700_000_000 * NANOSECONDS
+STEP = NANOSECONDS // 10
+READINGS: tuple[Reading, ...] = (
+    SpeedReading(START, 10.0),
+    BatteryReading(START, 350.0, -20.0, 0.5),
+    GradeReading(START, 0.01),
+    AltitudeReading(START, 300.0),
+    TemperatureReading(START, 12.0),
+    PressureReading(START, 98e3),
+    WindReading(START, 2.0),
+    AuxiliaryReading(START, 500.0, 100.0),
+    MotorReading(START, 80.0, 400.0),
+)
+"""One of each kind; the place in here chooses the type of a fuzzed message."""
+
+
+def mcap_files() -> list[bytes]:
+    """MCAP files as other programs write them: compressions, without index, without chunks."""
+    options: list[dict[str, Any]] = [
+        {},
+        {"compression": CompressionType.LZ4},
+        {"compression": CompressionType.NONE, "index_types": IndexType.NONE},
+        {"use_chunking": False},
+    ]
+    return [_file("drive.mcap", lambda path, each=each: _mcap(path, each)) for each in options]
+
+
+def database() -> list[bytes]:
+    """A sqlite3 bag of rosbags."""
+    return [_bag_file(StoragePlugin.SQLITE3, "*.db3")]
+
+
+def packed_file() -> list[bytes]:
+    """An MCAP file as rosbag2 compresses it."""
+    return [zstandard.ZstdCompressor().compress(mcap_files()[3])]
+
+
+def metadata() -> list[bytes]:
+    """The metadata.yaml of a compressed bag."""
+    mode = (CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    return [_bag_file(StoragePlugin.MCAP, "metadata.yaml", mode)]
+
+
+def can_log(suffix: str) -> list[bytes]:
+    """A CAN log of a drive, written by python-can."""
+
+    def write(path: Path) -> None:
+        with can.Logger(str(path)) as logger:
+            for index in range(40):
+                logger.on_message_received(
+                    can.Message(
+                        timestamp=1.5e9 + index / 100,
+                        arbitration_id=0x132 if index % 2 else 0x18FF0001,
+                        is_extended_id=not index % 2,
+                        data=index.to_bytes(index % 8 + 1, "little"),
+                    )
+                )
+
+    return [_file(f"drive{suffix}", write)]
+
+
+def zipped_log() -> list[bytes]:
+    """A gzipped candump log."""
+    return [gzip.compress(each, mtime=0) for each in can_log(".log")]
+
+
+def bundled(pattern: str) -> list[bytes]:
+    """The files of a kind that come with the package."""
+    return [path.read_bytes() for path in sorted((share_directory() / "config").glob(pattern))]
+
+
+def csv_drive() -> list[bytes]:
+    """A drive as `evpinn convert` takes it."""
+    rows = (f"{i / 10},{i / 5},{350 - i},{20 + i},,300.5,12,500,0" for i in range(30))
+    columns = "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w"
+    return ["\n".join((columns, *rows)).encode()]
+
+
+def truth() -> list[bytes]:
+    """The truth beside a simulated drive."""
+    numbers = {"eta": 0.9, "mu": 0.6, "mass": 1850.0, "c_rr": 0.01, "c_d": 0.23, "p_aux": 400.0}
+    return ["\n".join(("parameters:", *(f"  {k}: {v}" for k, v in numbers.items()))).encode()]
+
+
+def as_json(state: Any) -> list[bytes]:
+    """A saved state."""
+    return [json.dumps(state).encode()]
+
+
+def messages() -> list[bytes]:
+    """A message of each input, its place in `READINGS` before it."""
+    made = (encode(reading_message(new_message, reading)) for reading in READINGS)
+    return [bytes((place,)) + data for place, data in enumerate(made)]
+
+
+def model() -> list[bytes]:
+    """The model of a car."""
+    learned = PinnLearner(load_vehicle(VEHICLE)).linear_power(None)
+    return [encode(model_message(new_message, VEHICLE, learned))]
+
+
+def plans() -> list[bytes]:
+    """A path and a speed profile, 0 or 1 before it."""
+    stamps = [header(new_message, START + second * NANOSECONDS) for second in range(6)]
+    poses = [_pose(stamp, 10.0 * second) for second, stamp in enumerate(stamps)]
+    path = new_message(topics.PATH_TYPE, header=stamps[0], poses=poses)
+    points = [
+        new_message(
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            positions=[10.0 * second],
+            velocities=[10.0],
+            time_from_start=new_message("builtin_interfaces/msg/Duration", sec=second, nanosec=0),
+        )
+        for second in range(6)
+    ]
+    profile = new_message(
+        topics.TRAJECTORY_TYPE, header=stamps[0], joint_names=[DISTANCE_JOINT], points=points
+    )
+    return [b"\0" + encode(path), b"\1" + encode(profile)]
+
+
+def frames() -> list[bytes]:
+    """Frames in a row, each as its id, its length and its data, and answers in parts."""
+    seen = [(0x132, 8), (0x257, 8), (0x118, 8), (0x1DB, 8), (0x1DA, 8), (0x355, 8)]
+    answers = [(0x7EC, bytes.fromhex(each)) for each in ("101462010100FFFF", "2100000000000000")]
+    whole = [(can_id, bytes(range(length))) for can_id, length in seen] + answers
+    return [b"".join(_framed(can_id, data) for can_id, data in whole * 3)]
+
+
+def _framed(can_id: int, data: bytes) -> bytes:
+    return can_id.to_bytes(4, "big") + bytes((len(data),)) + data
+
+
+def _pose(stamped: Any, x: float) -> Any:
+    position = new_message("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0)
+    pose = new_message("geometry_msgs/msg/Pose", position=position)
+    return new_message("geometry_msgs/msg/PoseStamped", header=stamped, pose=pose)
+
+
+def _mcap(path: Path, options: dict[str, Any]) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=2000, **options)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(topics.SPEED_TYPE, "ros2msg", b"float64 data")
+        channel = writer.register_channel("/ev/vehicle/speed", "cdr", schema)
+        for stamp, data in _speeds():
+            writer.add_message(channel, stamp, data, stamp)
+        writer.finish()
+
+
+def _speeds() -> Iterable[tuple[int, bytes]]:
+    stamps = (START + index * STEP for index in range(20))
+    return [(t, encode(speed_message(new_message, SpeedReading(t, 10.0)))) for t in stamps]
+
+
+def _bag_file(plugin: StoragePlugin, pattern: str, compression: Any = None) -> bytes:
+    def write(folder: Path) -> None:
+        writer = RosbagsWriter(folder, version=9, storage_plugin=plugin)
+        if compression is not None:
+            writer.set_compression(*compression)
+        with writer:
+            add = writer.add_connection
+            speed = add("/ev/vehicle/speed", topics.SPEED_TYPE, typestore=typestore())
+            plain = add("/ev/battery/voltage", topics.SCALAR_TYPE, typestore=typestore())
+            for stamp, data in _speeds():
+                writer.write(speed, stamp, data)
+                writer.write(plain, stamp, encode(scalar(new_message, 350.0)))
+
+    return _file("bag", write, pattern)
+
+
+def _file(name: str, write: Any, pattern: str = "") -> bytes:
+    """The bytes of what a function writes, of a file in it if it is a folder."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        write(path)
+        return (next(path.glob(pattern)) if pattern else path).read_bytes()

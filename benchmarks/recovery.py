@@ -1,0 +1,207 @@
+"""Share of broken bags that `evpinn recover` saves, against the whole ones; and its speed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+import random
+import shutil
+from tempfile import TemporaryDirectory
+import time
+
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import Reader
+
+from evpinn_ros.bags.recover import RecoveredFile, recover
+from evpinn_ros.bags.types import encode, new_message, typestore
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics.messages import scalar
+
+START = 1_700_000_000 * NANOSECONDS
+STEP = NANOSECONDS // 100
+CHUNK_BYTES = 16_000  # of the bags of the campaign
+CHUNK_DEFAULT = 1 << 20  # of the mcap library, and of the bags that tell the speed
+FLOAT, TEXT = "std_msgs/msg/Float64", "std_msgs/msg/String"
+STORAGES = ("zstd", "lz4", "chunks", "loose")
+"""Compressed chunks, chunks as they are, and messages outside of chunks."""
+FAULTS = ("bit flipped", "cut", "no end")
+
+Identity = tuple[str, int, int, bytes]  # topic, log time, sequence, data
+
+
+@dataclass(slots=True)
+class Tally:
+    """Results of the cases of one storage and fault.
+
+    Attributes:
+        cases: that were tried.
+        messages: of undamaged chunks, and of whole records outside of chunks, to be returned.
+        missing: those that were not.
+        altered: messages returned that are not in the original.
+        miscounted: cases whose report differs from what is in the new bag.
+        unread: cases whose new bag rosbags does not read.
+    """
+
+    cases: int = 0
+    messages: int = 0
+    missing: int = 0
+    altered: int = 0
+    miscounted: int = 0
+    unread: int = 0
+
+
+@dataclass(slots=True)
+class Block:
+    """Bytes of the original that are lost together, and the messages in them."""
+
+    begin: int
+    end: int
+    messages: list[Identity] = field(default_factory=list)
+
+
+def write_bag(
+    path: Path, storage: str, size: int, rng: random.Random, chunk_bytes: int = CHUNK_BYTES
+) -> None:
+    """Write an MCAP of at least this many bytes: numbers, and texts of zeros and opcodes."""
+    compression = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
+    with path.open("wb") as file:
+        writer = Writer(
+            file,
+            chunk_size=chunk_bytes,
+            compression=compression.get(storage, CompressionType.NONE),
+            use_chunking=storage != "loose",
+        )
+        writer.start(profile="ros2")
+        channels = []
+        for name in (FLOAT, TEXT):
+            definition, _ = typestore().generate_msgdef(name, ros_version=2)
+            schema = writer.register_schema(name, "ros2msg", definition.encode())
+            channels += [writer.register_channel(f"/{name[9:]}{i}", "cdr", schema) for i in (1, 2)]
+        number = 0
+        while file.tell() < size:
+            channel = rng.randrange(len(channels))
+            text = "".join(rng.choices("\x00\x01\x03\x05\x06\x16", k=rng.randrange(120)))
+            message = new_message(TEXT, data=text)
+            data = encode(scalar(new_message, rng.random()) if channel < 2 else message)
+            moment = START + number * STEP
+            writer.add_message(channels[channel], moment, data, moment, number)
+            number += 1
+        writer.finish()
+
+
+def messages_of(path: Path) -> list[Identity]:
+    """Every message of a sound MCAP file, in the order of the file."""
+    with path.open("rb") as file:
+        return [
+            (channel.topic, message.log_time, message.sequence, message.data)
+            for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
+                log_time_order=False
+            )
+        ]
+
+
+def blocks_of(path: Path, loose: bool) -> list[Block]:
+    """The chunks of a sound file, or its messages one by one, with what is in each."""
+    messages = iter(messages_of(path))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    if not loose:
+        blocks = []
+        for chunk in summary.chunk_indexes:
+            begin, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+            indexes = len(chunk.message_index_offsets) * 15
+            count = (chunk.message_index_length - indexes) // 16
+            blocks.append(Block(begin, end, [next(messages) for _ in range(count)]))
+        return blocks
+    data = path.read_bytes()
+    position, blocks = 8, []
+    while data[position] != 0x0F:  # data end
+        end = position + 9 + int.from_bytes(data[position + 1 : position + 9], "little")
+        if data[position] == 0x05:
+            blocks.append(Block(position, end, [next(messages)]))
+        position = end
+    return blocks
+
+
+def damaged(data: bytes, fault: str, rng: random.Random) -> tuple[bytes, int, int]:
+    """A copy of a file with a fault, and the first and the last byte of it that are not sound."""
+    if fault == "bit flipped":
+        broken = bytearray(data)
+        at = rng.randrange(len(data))
+        broken[at] ^= 1 << rng.randrange(8)
+        return bytes(broken), at, at + 1
+    lost = rng.randrange(1, 60) if fault == "no end" else rng.randrange(1, len(data) - 7)
+    return data[:-lost], len(data) - lost, len(data)
+
+
+def campaign(
+    cases: int, size: int, seed: int = 0, progress: Callable[[int], None] | None = None
+) -> Iterator[tuple[str, str, Tally]]:
+    """Break bags in every way and save them again; gives storage, fault and what became of it.
+
+    Args:
+        cases: in all, dealt out to storages and faults.
+        size: bytes of each bag.
+        seed: of bags and faults.
+        progress: takes the cases done.
+    """
+    rng = random.Random(seed)
+    kinds = [(storage, fault) for storage in STORAGES for fault in FAULTS]
+    done = 0
+    with TemporaryDirectory() as folder:
+        for index, (storage, fault) in enumerate(kinds):
+            whole = Path(folder) / "whole.mcap"
+            write_bag(whole, storage, size, rng)
+            data, blocks = whole.read_bytes(), blocks_of(whole, storage == "loose")
+            tally = Tally()
+            for _ in range(cases // len(kinds) + (index < cases % len(kinds))):
+                _try(data, blocks, fault, rng, Path(folder), tally)
+                done += 1
+                if progress is not None:
+                    progress(done)
+            yield storage, fault, tally
+
+
+def _try(
+    data: bytes, blocks: list[Block], fault: str, rng: random.Random, folder: Path, tally: Tally
+) -> None:
+    broken, begin, end = damaged(data, fault, rng)
+    (folder / "broken.mcap").write_bytes(broken)
+    new = folder / "new"
+    shutil.rmtree(new, ignore_errors=True)
+    sound = [block for block in blocks if block.end <= begin or block.begin >= end]
+    expected = [message for block in sound for message in block.messages]
+    tally.cases += 1
+    tally.messages += len(expected)
+    try:
+        (report,) = recover(folder / "broken.mcap", new)
+    except InputError:  # nothing could be saved
+        tally.missing += len(expected)
+        return
+    found = Counter(messages_of(new / "new_0.mcap"))
+    original = Counter(message for block in blocks for message in block.messages)
+    tally.missing += (Counter(expected) - found).total()
+    tally.altered += (found - original).total()
+    tally.miscounted += report.messages != found.total()
+    tally.unread += not _rosbags_reads(new, report)
+
+
+def _rosbags_reads(folder: Path, report: RecoveredFile) -> bool:
+    with Reader(folder) as reader:
+        return sum(1 for _ in reader.messages()) == report.messages
+
+
+def measure_speed(storage: str, size: int) -> tuple[float, float]:
+    """Bytes of a file saved in a second of wall time, and of processor time."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "large.mcap"
+        write_bag(path, storage, size, random.Random(0), CHUNK_DEFAULT)
+        length = path.stat().st_size
+        wall, processor = time.perf_counter(), time.process_time()
+        recover(path, Path(folder) / "new")
+        wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    return length / wall, length / processor

@@ -1,0 +1,234 @@
+"""Baselines: the prior alone, energy per kilometre, batch least squares, a fast Kalman filter."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+import math
+
+import numpy as np
+
+from benchmarks.kalman import FAST, FiveStateFilter
+from benchmarks.unseen.method import Estimate, Factory, Prediction
+from benchmarks.unseen.steps import Step, StepStream
+from benchmarks.unseen.weak_form import WeakFormLeastSquares
+from evpinn_ros.signals.readings import Reading
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.identifiable import combined_power, identifiable
+from evpinn_ros.vehicle.physics import GRAVITY
+
+LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
+MOVING = 0.3  # m/s, below which acceleration is of no use
+LEAST_STEPS = 100  # before which least squares has nothing to say, and the prior counts
+RIDGE = 1e-6  # of the mean square of a term, so that one that never varied stays zero
+
+
+class StepMethod(ABC):
+    """Predicts each step first and learns from it once its power is known; heirs say how."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start a stream of steps."""
+        self._stream = StepStream(vehicle)
+
+    def add_reading(self, reading: Reading) -> Iterable[Prediction]:
+        """Predict or learn the steps that a reading completes."""
+        for step in self._stream.add_reading(reading):
+            if math.isnan(step.power):
+                yield self.predict(step)
+            else:
+                self.learn(step)
+
+    def begin_next_drive(self) -> None:
+        """Join nothing to what was before."""
+        self._stream.begin_next_drive()
+
+    def combinations(self) -> Mapping[str, Estimate]:
+        """Nothing is known of the car's parameters."""
+        return {}
+
+    @abstractmethod
+    def predict(self, step: Step) -> Prediction:
+        """Power of a step."""
+
+    @abstractmethod
+    def learn(self, step: Step) -> None:
+        """Learn from a step whose power is known."""
+
+
+class PriorAlone(StepMethod):
+    """Physics at the priors of the vehicle file."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Take the priors' values."""
+        super().__init__(vehicle)
+        self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
+        self._rotating_mass_factor = vehicle.rotating_mass_factor
+
+    def learn(self, step: Step) -> None:
+        """Keep the prior."""
+
+    def predict(self, step: Step) -> Prediction:
+        """Power of the prior car, W."""
+        return Prediction(step.middle_ns, self.power(step))
+
+    def power(self, step: Step) -> float:
+        """Likewise."""
+        sample = _sample(step)
+        power = combined_power(
+            sample.speed,
+            sample.acceleration,
+            self._combined,
+            air_density=sample.air_density,
+            grade=sample.grade,
+            rotating_mass_factor=self._rotating_mass_factor,
+        )
+        return float(power) + sample.known_auxiliary
+
+
+class EnergyPerKilometre(PriorAlone):
+    """Energy over distance of all that was driven so far; the prior before.
+
+    Its interval is from how much the drives before differ.
+    """
+
+    START, WEIGHT = 0.25, 2.0  # 1-sigma of one drive's consumption over the mean; in drives
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Nothing driven."""
+        super().__init__(vehicle)
+        self._drives: list[tuple[float, float]] = []
+        self._now, self._unmeasured = np.zeros(2), 0.0
+
+    def begin_next_drive(self) -> None:
+        """Keep the drive's sum."""
+        super().begin_next_drive()
+        if self._now[1] > 0:
+            self._drives.append((float(self._now[0]), float(self._now[1])))
+        self._now, self._unmeasured = np.zeros(2), 0.0
+
+    def learn(self, step: Step) -> None:
+        """Add energy and distance."""
+        self._now += np.array((step.power, abs(step.speed))) * step.dt
+        self._unmeasured = 0.0
+
+    def predict(self, step: Step) -> Prediction:
+        """Consumption times speed, W."""
+        sums = np.array([*self._drives, self._now])
+        energy, distance = sums.sum(axis=0)
+        known = distance >= LEAST_DISTANCE
+        power = energy / distance * abs(step.speed) if known else self.power(step)
+        self._unmeasured += power * step.dt
+        shares = [e * distance / (d * energy) - 1 for e, d in self._drives if d > 0 and energy]
+        squares = self.WEIGHT * self.START**2 + sum(each**2 for each in shares)
+        share = math.sqrt(squares / (self.WEIGHT + len(shares)))
+        sigma = share * abs(self._unmeasured)
+        return Prediction(step.middle_ns, float(power), energy_sigma=sigma)
+
+
+class BatchLeastSquares(PriorAlone):
+    """Batch least squares on all samples so far.
+
+    Its terms are v, v^3, v a driving, v a braking, 1, a^2, v braking, where acceleration holds
+    grade. It has no prior: the vehicle file counts until there are samples.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """No samples."""
+        super().__init__(vehicle)
+        self._normal, self._target, self._count = np.zeros((7, 7)), np.zeros(7), 0
+        self._solved: np.ndarray | None = None
+
+    def learn(self, step: Step) -> None:
+        """Add a sample to the sums of the normal equations."""
+        row = self._row(step)
+        self._normal += np.outer(row, row)
+        self._target += row * (step.power - step.known)
+        self._count += 1
+        self._solved = None
+
+    def predict(self, step: Step) -> Prediction:
+        """Power of the present fit, W."""
+        if self._count < LEAST_STEPS:
+            return super().predict(step)
+        if self._solved is None:
+            size = np.diag(self._normal)
+            ridge = np.diag(RIDGE * size + (size == 0))
+            self._solved = np.linalg.solve(self._normal + ridge, self._target)
+        return Prediction(step.middle_ns, float(self._row(step) @ self._solved) + step.known)
+
+    def _row(self, step: Step) -> np.ndarray:
+        v = abs(step.speed)
+        specific = self._rotating_mass_factor * step.kinetic + GRAVITY * step.climb
+        braking = specific < 0
+        return np.array(
+            (
+                v,
+                step.density * abs(step.cube),
+                0.0 if braking else specific,
+                specific if braking else 0.0,
+                1.0,
+                (specific / v) ** 2 if v > MOVING else 0.0,
+                v if braking else 0.0,
+            )
+        )
+
+
+class FastKalman(StepMethod):
+    """The extended Kalman filter of `benchmarks.kalman`, whose states wander fast."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start at the vehicle's priors."""
+        super().__init__(vehicle)
+        self._filter = FiveStateFilter(vehicle, pace=FAST)
+        self._unmeasured = np.zeros(2)  # energy's 1-sigma by a lasting error, J, and its variance
+
+    def begin_next_drive(self) -> None:
+        """The filter goes on."""
+        super().begin_next_drive()
+        self._unmeasured = np.zeros(2)
+
+    def learn(self, step: Step) -> None:
+        """One step of the filter."""
+        self._filter.observe(_sample(step), step.power)
+        self._unmeasured = np.zeros(2)
+
+    def predict(self, step: Step) -> Prediction:
+        """Power of the present state; its error is taken to last for the whole dropout."""
+        power, sigma, *_ = self._filter.predict(_sample(step))
+        self._unmeasured[0] += sigma * step.dt
+        return Prediction(step.middle_ns, power, sigma, energy_sigma=float(self._unmeasured[0]))
+
+    def combinations(self) -> Mapping[str, Estimate]:
+        """States of the filter."""
+        drag, rolling, mass, back, p_aux = self._filter.mean.tolist()
+        std = np.sqrt(np.diag(self._filter.covariance)).tolist()
+        return {
+            "mass_over_eta": (mass, std[2]),
+            "regeneration": (back, std[3]),
+            "rolling_over_eta": (rolling, std[1]),
+            "drag_area_over_eta": (drag, std[0]),
+            "p_aux": (p_aux, std[4]),
+        }
+
+
+BASELINES: Mapping[str, Factory] = {
+    "prior": PriorAlone,
+    "per_km": EnergyPerKilometre,
+    "batch7": BatchLeastSquares,
+    "weak_ls": WeakFormLeastSquares,
+    "ekf_fast": FastKalman,
+}
+
+
+def _sample(step: Step) -> Sample:
+    """The middle of a step as a sample."""
+    moving = abs(step.speed) > MOVING
+    return Sample(
+        stamp_ns=step.middle_ns,
+        speed=step.speed,
+        acceleration=step.kinetic / step.speed if moving else 0.0,
+        grade=step.grade,
+        air_density=step.density,
+        known_auxiliary=step.known,
+    )

@@ -1,0 +1,178 @@
+"""The cars of the given data folder, each with its drives in order of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from benchmarks.logs import find_logs
+from benchmarks.unseen.lines import Line, Span, battery_power, common, speed_line
+from benchmarks.unseen.splitting import split
+from benchmarks.unseen.sumo_cars import (
+    SUMO_CARS,
+    simulate_sumo,
+    sumo_is_there,
+    sumo_truth,
+)
+from benchmarks.unseen.truth import CARRIED_VEHICLE, carried_drives
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import open_source
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    MotorReading,
+    Reading,
+    TemperatureReading,
+)
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive: its readings in recorded order."""
+
+    name: str
+    readings: tuple[Reading, ...]
+
+    @property
+    def start_ns(self) -> int:
+        """Stamp that times of this drive count from."""
+        return self.readings[0].stamp_ns
+
+    def seconds(self, stamp_ns: int) -> float:
+        """Time since the start, s."""
+        return (stamp_ns - self.start_ns) / NANOSECONDS
+
+    @cached_property
+    def power(self) -> Line:
+        """Measured battery power, W."""
+        return battery_power(self.readings, self.start_ns)
+
+    @cached_property
+    def speed(self) -> Line:
+        """Measured speed, m/s."""
+        return speed_line(self.readings, self.start_ns)
+
+    @cached_property
+    def spans(self) -> list[Span]:
+        """Spans in which speed and battery are both known: these are scored, for every method."""
+        return common(self.power.spans(), self.speed.spans())
+
+    @property
+    def duration(self) -> float:
+        """From the start to the last speed, s."""
+        return float(self.speed.time[-1]) if self.speed.time.size else 0.0
+
+    @property
+    def distance(self) -> float:
+        """Driven, m."""
+        return self.speed.over(Span(0.0, self.duration)) if self.speed.time.size > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Car:
+    """A car and its drives, in order.
+
+    Attributes:
+        key: what `--cars` calls it.
+        vehicle: all that a method knows of it.
+        drives: in order of time.
+        truth: true combinations by the names of `truth.NAMES`, empty where they are unknown.
+    """
+
+    key: str
+    vehicle: Vehicle
+    drives: tuple[Drive, ...]
+    truth: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def hours(self) -> float:
+        """Driving time, h."""
+        return sum(drive.duration for drive in self.drives) / 3600.0
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Folder of a car's drives, with the vehicle file and what of them is hidden."""
+
+    pattern: str
+    vehicle: str
+    hidden: tuple[type, ...] = (MotorReading,)
+
+
+ALL_BUT_SPEED = (AltitudeReading, AuxiliaryReading, MotorReading, TemperatureReading)
+
+# The folders of `../shared/data`; a file name sorts by its date.
+FOLDERS = {
+    "model3": Folder("tesla_model3/*.csv", "tesla_model_3_lr"),
+    "i3": Folder("bmw_i3/*.csv.gz", "bmw_i3"),
+    "i3_speed": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=ALL_BUT_SPEED),
+    "i3_torque": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=()),
+    "e208": Folder("peugeot_e208_car_scanner/*.csv.gz", "generic"),
+    "leaf2013": Folder("nissan_leaf_2013_leafspy/*.csv.gz", "nissan_leaf"),
+    "can_model3": Folder("can/tesla_model3_2019/decoded*.csv", "tesla_model_3_lr"),
+    "can_model_s": Folder("can/tesla_model_s_2017/decoded*.csv", "tesla_model_s"),
+    "can_leaf": Folder("can/nissan_leaf_62kwh/decoded*.csv", "nissan_leaf"),
+}
+
+
+LOG_PART = ":"  # between the name of a log and the number of its drive
+SIMULATED = "simulated"
+
+
+def cars_in(data: str) -> list[str]:
+    """Names of the cars whose drives lie in a folder, and of those that are simulated.
+
+    PATH=VEHICLE is one car of its own. Cars by SUMO are among them where it is installed.
+    """
+    root = Path(data)
+    if not root.exists() and "=" in data:
+        return [data]
+    if not root.is_dir():
+        raise InputError(f"{data}: no such folder")
+    recorded = [key for key, folder in FOLDERS.items() if any(root.glob(folder.pattern))]
+    return [*recorded, SIMULATED, *(SUMO_CARS if sumo_is_there() else ())]
+
+
+def load_car(data: str, key: str) -> Car:
+    """Read or simulate the drives of a car.
+
+    Raises:
+        InputError: none of them can be read.
+    """
+    if key == SIMULATED:
+        drives = tuple(Drive(f"{i}", readings) for i, readings in enumerate(carried_drives()))
+        return Car(key, load_vehicle(CARRIED_VEHICLE), drives)
+    if key in SUMO_CARS:
+        readings, trace = simulate_sumo(key)
+        generic = load_vehicle("generic")
+        return Car(key, generic, (Drive(key, readings),), sumo_truth(key, trace, generic))
+    if key not in FOLDERS:
+        path, _, vehicle = key.rpartition("=")
+        car = load_vehicle(vehicle.partition(",")[0])
+        logs = find_logs(key, vehicle)
+        sources: Iterable[tuple[Path, str | None]] = [(log.path, log.can_profile) for log in logs]
+        return Car(Path(path).name, car, tuple(_drives(sources, car, lambda _: True)))
+    folder = FOLDERS[key]
+    car = load_vehicle(folder.vehicle)
+    paths = sorted(Path(data).glob(folder.pattern))
+    drives = tuple(
+        _drives([(path, None) for path in paths], car, lambda r: not isinstance(r, folder.hidden))
+    )
+    if not drives:
+        raise InputError(f"{data}: no drive of {key} can be read")
+    return Car(key, car, drives)
+
+
+def _drives(
+    sources: Iterable[tuple[Path, str | None]], car: Vehicle, keep: Callable[[Reading], bool]
+) -> Iterator[Drive]:
+    for path, profile in sources:
+        readings = tuple(filter(keep, open_source(path, car, profile).readings()))
+        for number, part in enumerate(split(readings), start=1):
+            drive = Drive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)
+            if drive.spans:
+                yield drive

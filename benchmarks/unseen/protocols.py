@@ -1,0 +1,144 @@
+"""Scoring of a method without the battery: one pass over a car's drives.
+
+At the start of each drive a copy of the method predicts it whole without a battery reading
+("carried"). The method itself then goes through the drive with the battery; at each cut a copy of
+it goes on without ("withheld"). No copy ever gets a battery reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.unseen.drives import Car, Drive
+from benchmarks.unseen.lines import Span
+from benchmarks.unseen.method import Estimate, Factory, Method, Prediction
+from benchmarks.unseen.scores import PartScore, Track, score_part
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+
+FIRST_CUT, CUT_STEP, DROPOUT, LONG_DROPOUT = 250.0, 50.0, 200.0, 600.0  # s
+SPARSE_STEP, MANY_HOURS = 200.0, 0.5  # s between cuts of a car that drove for longer, h
+SHORT_DRIVE = 100.0  # s; a drive too short for any dropout of 200 s is cut once, at its half
+WARM_UP = 120.0  # s of a drive whose online predictions are not scored
+AFTER_END = 10.0  # s that a copy reads on, for predictions that lag
+LEAST_DISTANCE = 100.0  # m; shorter drives are learned from, but not scored as carried
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Cut of the battery: its begin and its length, s."""
+
+    begin: float
+    length: float
+
+    @property
+    def span(self) -> Span:
+        """The part that is predicted."""
+        return Span(self.begin, self.begin + self.length)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A part of a drive that was predicted."""
+
+    drive: str
+    span: Span
+    score: PartScore
+
+
+@dataclass(frozen=True)
+class CarRun:
+    """Results of a method on one car.
+
+    Attributes:
+        carried: each drive whole, from what the drives before it taught.
+        online: each drive with the battery, but for the first `WARM_UP` s.
+        withheld: dropouts of 200 s (shorter where the drive is).
+        long: dropouts of 600 s.
+        combinations: what is known of the car at the end.
+    """
+
+    carried: list[Scored]
+    online: list[Scored]
+    withheld: list[Scored]
+    long: list[Scored]
+    combinations: dict[str, Estimate]
+
+
+def cuts(drive: Drive, step: float) -> list[Cut]:
+    """Cuts every `step` s from 250 s on, the last as late as 200 s allow; 600 s where they fit."""
+    last = drive.duration - DROPOUT
+    if last < FIRST_CUT:
+        half = drive.duration / 2
+        return [Cut(half, min(half, DROPOUT))] if drive.duration >= SHORT_DRIVE else []
+    begins = list(np.arange(FIRST_CUT, last + 1e-6, step))
+    if last - begins[-1] < step / 2 and len(begins) > 1:
+        begins[-1] = np.floor(last)
+    found = [Cut(float(begin), DROPOUT) for begin in begins]
+    apart = np.arange(FIRST_CUT, drive.duration - LONG_DROPOUT, LONG_DROPOUT)
+    return [*found, *(Cut(float(begin), LONG_DROPOUT) for begin in apart)]
+
+
+def run_car(car: Car, factory: Factory, progress: Progress = lambda _: None) -> CarRun:
+    """Predict and learn all drives of a car in order."""
+    method = factory(car.vehicle)
+    found = CarRun([], [], [], [], {})
+    step = SPARSE_STEP if car.hours > MANY_HOURS else CUT_STEP
+    for number, drive in enumerate(car.drives):
+        if number:
+            method.begin_next_drive()
+        if drive.distance >= LEAST_DISTANCE:
+            whole = Span(0.0, drive.duration)
+            track = predicted(copy.deepcopy(method), drive, 0, whole, [])
+            found.carried.append(Scored(drive.name, whole, score_part(drive, track, whole)))
+        for part, scored in _through(method, drive, cuts(drive, step)):
+            getattr(found, part).append(scored)
+        progress(number + 1)
+    found.combinations.update(method.combinations())
+    return found
+
+
+def _through(method: Method, drive: Drive, planned: Sequence[Cut]) -> Iterator[tuple[str, Scored]]:
+    """Go through a drive with the battery; give each dropout and what was predicted online."""
+    waiting = sorted(planned, key=lambda cut: (cut.begin, -cut.length))
+    rows: list[Prediction] = []
+    track, begin = Track(drive, rows), -1.0
+    for index, reading in enumerate(drive.readings):
+        while waiting and drive.seconds(reading.stamp_ns) > waiting[0].begin:
+            cut = waiting.pop(0)
+            if cut.begin != begin:  # else the longer dropout from there holds the shorter
+                track = predicted(copy.deepcopy(method), drive, index, cut.span, rows[-1:])
+                begin = cut.begin
+            part = "long" if cut.length == LONG_DROPOUT else "withheld"
+            yield part, Scored(drive.name, cut.span, score_part(drive, track, cut.span))
+        rows.extend(method.add_reading(reading))
+    if drive.duration > WARM_UP:
+        span = Span(WARM_UP, drive.duration)
+        yield "online", Scored(drive.name, span, score_part(drive, Track(drive, rows), span))
+
+
+def predicted(
+    method: Method, drive: Drive, index: int, span: Span, before: Sequence[Prediction]
+) -> Track:
+    """Let a method go on from a reading without any battery reading.
+
+    Args:
+        method: a copy that may be spoilt.
+        drive: the drive.
+        index: of the first reading that it has not seen.
+        span: what is to be predicted, s.
+        before: the last prediction that was made with the battery, so that the start is covered.
+    """
+    rows = list(before)
+    end_ns = drive.start_ns + int((span.end + AFTER_END) * NANOSECONDS)
+    for reading in drive.readings[index:]:
+        if isinstance(reading, SpeedReading) and reading.stamp_ns > end_ns:
+            break
+        if not isinstance(reading, BatteryReading):
+            rows.extend(method.add_reading(reading))
+    return Track(drive, rows)

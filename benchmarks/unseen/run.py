@@ -1,0 +1,115 @@
+"""All methods over all cars, each pair of them a task for one of some processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import lru_cache
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.truth import VEHICLES
+from benchmarks.unseen.baselines import BASELINES
+from benchmarks.unseen.drives import Car, load_car
+from benchmarks.unseen.method import Factory, OnlineChain
+from benchmarks.unseen.protocols import run_car
+from benchmarks.unseen.summary import summary
+from benchmarks.unseen.truth import (
+    DRIVES,
+    KINDS,
+    SECONDS,
+    errors,
+    run_truth,
+    truth_summary,
+)
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError
+
+CORE = "core"
+METHODS: Mapping[str, Factory] = {**BASELINES, CORE: OnlineChain}
+RECORDED = "core_8a8cbe7"
+
+
+class Task(NamedTuple):
+    """One method on one car."""
+
+    data: str
+    car: str
+    method: str
+
+
+class Result(NamedTuple):
+    """Result of a task, for the table and the JSON."""
+
+    task: Task
+    vehicle: str
+    drives: int
+    hours: float
+    scores: dict[str, Any]
+
+
+def find_method(name: str) -> Factory:
+    """A method of this package by its name, or `FILE.py:CLASS` of anybody's.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name in METHODS:
+        return METHODS[name]
+    path, _, attribute = name.rpartition(":")
+    spec = importlib.util.spec_from_file_location("user_method", path) if path else None
+    if spec is None or spec.loader is None or not Path(path).is_file():
+        raise InputError(f"no method '{name}'; known are {', '.join(METHODS)}, or FILE.py:CLASS")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not hasattr(module, attribute):
+        raise InputError(f"{path}: holds no '{attribute}'")
+    found: Factory = getattr(module, attribute)
+    return found
+
+
+def run_task(task: Task) -> Result:
+    """Score one method on one car."""
+    limit_blas_threads()
+    factory = find_method(task.method)
+    if task.car in KINDS:
+        scores: dict[str, Any] = {"truth": run_truth(task.car, factory)}
+        return Result(task, ", ".join(VEHICLES), DRIVES, DRIVES * SECONDS / 3600.0, scores)
+    car = _car(task.data, task.car)
+    run = run_car(car, factory)
+    scores = summary(run)
+    if car.truth:
+        scores["truth"] = truth_summary([errors(run.combinations, car.truth)])
+    return Result(task, car.vehicle.key, len(car.drives), car.hours, scores)
+
+
+def run_tasks(tasks: Sequence[Task], jobs: int) -> Iterator[Result]:
+    """Score all, each as it is done, in this process or in so many others."""
+    if jobs == 1:
+        yield from map(run_task, tasks)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        running = [pool.submit(run_task, task) for task in tasks]
+        try:
+            for done in as_completed(running):
+                yield done.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def recorded_core(car: str, drives: int) -> dict[str, Any] | None:
+    """Scores of the core at commit 8a8cbe7 on these drives, as they were measured then."""
+    path = Path(__file__).with_name(f"{RECORDED}.json")
+    found = json.loads(path.read_text(encoding="utf-8")).get(car)
+    if found is None or found["drives"] != drives:
+        return None
+    scores: dict[str, Any] = found["scores"]
+    return scores
+
+
+@lru_cache(maxsize=1)
+def _car(data: str, key: str) -> Car:
+    """Tasks of one car follow each other, so its drives are read once a process."""
+    return load_car(data, key)

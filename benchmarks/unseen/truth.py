@@ -1,0 +1,140 @@
+"""Estimates of a method against the truth of simulated cars.
+
+`mass_over_eta` kg, `regeneration` (eta mu), `rolling_over_eta` (C_rr m/eta, kg),
+`drag_area_over_eta` (A C_d/eta, m^2) by the definitions of `simulation.truth`; `p_aux` W is the
+standing load alone: losses that the drivetrain has because it turns are not drawn by a standing
+car.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.truth import PROFILE, VEHICLES
+from benchmarks.unseen.method import Estimate, Factory
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import EPOCH_NS, SimulatedDrive, simulate
+from evpinn_ros.vehicle.files import load_vehicle
+
+NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")
+KINDS = {
+    "truth_town": DriveKind.URBAN,
+    "truth_mixed": DriveKind.MIXED,
+    "truth_motorway": DriveKind.HIGHWAY,
+}
+DRIVES, SECONDS, FIRST_SEED = 12, 600.0, 9000
+QUANTILE_95 = 1.96
+# One simulated car of ours on many drives: its model, the seed, and where it drives in turn.
+CARRIED_VEHICLE, CARRIED_SEED, CARRIED_DRIVES = "nissan_leaf", 9100, 8
+
+
+class Error(NamedTuple):
+    """An estimate against the truth.
+
+    Attributes:
+        percent: of the truth.
+        absolute: in the unit of the quantity.
+        covered: whether the 95 % interval holds the truth; where only positive values are
+            possible it is an interval of the logarithm.
+    """
+
+    percent: float
+    absolute: float
+    covered: bool
+
+
+def errors(found: Mapping[str, Estimate], truth: Mapping[str, float]) -> dict[str, Error]:
+    """Errors of what a method says of a car, by name."""
+    return {name: _error(name, found[name], truth[name]) for name in NAMES if name in found}
+
+
+def truth_summary(drives: Sequence[Mapping[str, Error]]) -> dict[str, dict[str, Any]]:
+    """Bias, median size of the error and coverage of each quantity over drives."""
+    summary = {}
+    for name in NAMES:
+        rows = [each[name] for each in drives if name in each]
+        if rows:
+            percent = np.array([row.percent for row in rows])
+            summary[name] = {
+                "drives": len(rows),
+                "bias_percent": round(float(np.mean(percent)), 3),
+                "median_percent": round(float(np.median(np.abs(percent))), 3),
+                "bias": float(f"{np.mean([row.absolute for row in rows]):.4g}"),
+                "covered_percent": round(100 * float(np.mean([row.covered for row in rows])), 1),
+            }
+    return summary
+
+
+def run_truth(key: str, factory: Factory) -> dict[str, dict[str, Any]]:
+    """Let a fresh method learn each of `DRIVES` drives, each of another car."""
+    found = []
+    for drive in truth_drives(key):
+        method = factory(drive.vehicle)
+        for reading in drive.readings:
+            for _ in method.add_reading(reading):
+                pass
+        found.append(errors(method.combinations(), true_combinations(drive)))
+    return truth_summary(found)
+
+
+@lru_cache(maxsize=1)
+def truth_drives(key: str) -> tuple[SimulatedDrive, ...]:
+    """The drives of a kind, of cars of three models in turn; no height, as on most cars."""
+    vehicles = [load_vehicle(name) for name in VEHICLES]
+    return tuple(
+        simulate(
+            KINDS[key],
+            vehicles[number % len(vehicles)],
+            SECONDS,
+            FIRST_SEED + number,
+            can_profile=PROFILE,
+        )
+        for number in range(DRIVES)
+    )
+
+
+def carried_drives() -> Iterator[tuple[Reading, ...]]:
+    """Drives of one car in town, mixed, on the motorway in turn; with height and temperature."""
+    vehicle, kinds = load_vehicle(CARRIED_VEHICLE), tuple(KINDS.values())
+    car = None
+    for number in range(CARRIED_DRIVES):
+        drive = simulate(
+            kinds[number % len(kinds)],
+            vehicle,
+            SECONDS,
+            CARRIED_SEED + number,
+            car=car,
+            can_profile=PROFILE,
+            altitude=True,
+            temperature=True,
+            start_ns=EPOCH_NS + number * 86_400 * NANOSECONDS,
+        )
+        car = drive.car
+        yield drive.readings
+
+
+def true_combinations(drive: SimulatedDrive) -> dict[str, float]:
+    """The truth of a simulated drive."""
+    found = drive.truth.identifiable
+    return {
+        "mass_over_eta": float(found.mass_over_eta),
+        "regeneration": float(found.regeneration),
+        "rolling_over_eta": float(found.c_rr * found.mass_over_eta),
+        "drag_area_over_eta": float(found.drag_area_over_eta),
+        "p_aux": float(np.mean(drive.trace.auxiliary)),
+    }
+
+
+def _error(name: str, estimate: Estimate, truth: float) -> Error:
+    value, std = estimate
+    if name == "p_aux":
+        covered = abs(value - truth) <= QUANTILE_95 * std
+    else:
+        covered = value > 0 and abs(math.log(value / truth)) <= QUANTILE_95 * std / value
+    return Error(100 * (value / truth - 1), value - truth, covered)

@@ -1,0 +1,33 @@
+"""Folders of the package data: configuration, launch files and bundled bags."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import sys
+
+PACKAGE = "evpinn_ros"
+
+
+def share_directory() -> Path:
+    """The folder that holds `config/`: a source checkout, a colcon install or a pip install.
+
+    Raises:
+        FileNotFoundError: the package was installed without its data files.
+    """
+    for candidate in _candidates():
+        if (candidate / "config" / "vehicles").is_dir():
+            return candidate
+    raise FileNotFoundError(f"{PACKAGE}: config/vehicles is in none of the install locations")
+
+
+def _candidates() -> Iterator[Path]:
+    module = Path(__file__).resolve()
+    yield module.parents[2]
+    for parent in module.parents:
+        yield parent / "share" / PACKAGE
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix) / "share" / PACKAGE
+    yield Path(sys.prefix) / "share" / PACKAGE

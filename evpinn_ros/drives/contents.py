@@ -1,0 +1,180 @@
+"""Contents of a recording: `evpinn info`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag, open_can_log
+from evpinn_ros.bags.convert import reported
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.can.inspection import Inspection
+from evpinn_ros.can.profile import bundled_profiles
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.open_drive import DriveSource
+from evpinn_ros.drives.sources import Source, is_drive_table, open_source
+from evpinn_ros.drives.usable import DataCoverage, ReadingFlow, data_coverage
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
+
+BITRATE = 500_000  # bit/s; the load of the bus is not known here
+INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
+GENERIC = "generic"
+
+Progress = Callable[[float], None]  # takes s of the recording done
+
+
+@dataclass(frozen=True, slots=True)
+class TopicContents:
+    """A topic of a bag, with the log times of its messages."""
+
+    name: str
+    type_name: str
+    flow: ReadingFlow
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """Contents of a recording.
+
+    Attributes:
+        path: of it.
+        kind: `bag`, `CAN log` or `table`.
+        topics: of a bag.
+        columns: of a table that are used.
+        unused: names of those that are not.
+        dated: what tells the day of a table, see `TableDrive`; None of what has stamps.
+        zoned: whether its clock is UTC or names its zone.
+        frames: of a CAN log or a bag, that were looked at for the profile; 0 without.
+        profile: that fits the frames, None when none does, or without frames.
+        vehicles: whose profile that is.
+        drive: what the estimator can use, None when there is nothing of ours in it.
+        dropped: what was not used of the drive, by reason.
+        notes: what could not be read or used, and why.
+    """
+
+    path: Path
+    kind: str
+    topics: tuple[TopicContents, ...] = ()
+    columns: tuple[Column, ...] = ()
+    unused: tuple[str, ...] = ()
+    dated: str | None = None
+    zoned: bool = True
+    frames: int = 0
+    profile: str | None = None
+    vehicles: tuple[str, ...] = ()
+    drive: DataCoverage | None = None
+    dropped: Counter[str] | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """First and last time, of messages or else of readings; None when there is none."""
+        flows = [topic.flow for topic in self.topics if topic.flow.count]
+        if not flows and self.drive is not None:
+            flows = [*self.drive.flows.values()]
+        if not flows:
+            return None
+        return min(flow.first_ns for flow in flows), max(flow.last_ns for flow in flows)
+
+
+def contents(
+    path: Path, columns: Sequence[str] = (), progress: Progress | None = None
+) -> Contents:
+    """Look through a bag, a CAN log or a table.
+
+    Args:
+        path: of it.
+        columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
+        progress: takes the seconds of the drive done.
+
+    Raises:
+        InputError: it is none of these, or nothing can be read.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if is_drive_table(path):
+        return _with_drive(Contents(path, "table"), None, columns, progress)
+    if not is_bag(path):
+        found = Contents(path, "CAN log")
+        return _with_frames(found, open_can_log(path), progress)
+    found = Contents(path, "bag", topics=_topics(path))
+    if holds_frames(path):
+        return _with_frames(found, BagFrames(path), progress)
+    return _with_drive(found, None, columns, progress)
+
+
+def _topics(path: Path) -> tuple[TopicContents, ...]:
+    with BagReader(path) as reader:
+        flows = {name: ReadingFlow() for name in reader.topics}
+        for name, log_time_ns in reader.log_times():
+            flows[name].add(log_time_ns)
+        return tuple(
+            TopicContents(name, info.type_name, flows[name])
+            for name, info in reader.topics.items()
+        )
+
+
+def _with_frames(found: Contents, log: CanLog, progress: Progress | None) -> Contents:
+    """Add the profile that fits, and what the drive is by it."""
+    inspection = Inspection(bundled_profiles(), BITRATE)
+    for frame in islice(log.frames(), INSPECTED):
+        inspection.add_frame(frame)
+    report = inspection.report()
+    profile = report.best.fit.profile if report.best is not None else None
+    names = tuple(car.key for car in _vehicles() if profile and car.can_profile == profile)
+    found = replace(found, frames=report.frames, profile=profile, vehicles=names)
+    if profile is None and found.kind != "bag":
+        return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
+    return _with_drive(found, profile, (), progress)
+
+
+def _with_drive(
+    found: Contents, profile: str | None, columns: Sequence[str], progress: Progress | None
+) -> Contents:
+    """Add what the estimator can use; of a bag its topics, and its frames where there are none."""
+    own = None if found.kind == "bag" and _has_readings(found.path) else profile
+    try:
+        source = open_source(found.path, load_vehicle(GENERIC), own, columns=columns)
+        drive = data_coverage(reported(source.readings(), progress))
+    except InputError as error:
+        if found.kind != "bag":
+            raise
+        return replace(found, notes=(str(error),))
+    return replace(
+        found,
+        **_of_table(source),
+        drive=drive,
+        dropped=source.dropped,
+        notes=(*getattr(source, "notes", ()), *filter(None, [source.problem])),
+    )
+
+
+def _of_table(source: Source) -> dict[str, Any]:
+    """Facts of a table beside its readings."""
+    if not isinstance(source, DriveSource):
+        return {}
+    drive = source.drive
+    return {
+        "columns": drive.rules,
+        "unused": drive.ignored,
+        "dated": drive.dated,
+        "zoned": drive.zoned,
+    }
+
+
+def _has_readings(path: Path) -> bool:
+    """True if a bag has topics of ours, which are preferred to its frames."""
+    try:
+        open_source(path, load_vehicle(GENERIC))
+    except InputError:
+        return False
+    return True
+
+
+def _vehicles() -> Iterator[Vehicle]:
+    yield from map(load_vehicle, vehicle_names())

@@ -1,0 +1,258 @@
+"""The live view as text of a given size, and as one line for where there is no terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import math
+from typing import NamedTuple
+
+from rich.cells import set_cell_size
+from rich.text import Text
+
+from evpinn_ros import topics
+from evpinn_ros.common.errors import printable
+from evpinn_ros.estimation.operating_range import MANNERS
+from evpinn_ros.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
+from evpinn_ros.live.state import POWERS, LiveState, ParameterRow
+from evpinn_ros.replay.parameter_text import MEANINGS, UNITS, number
+from evpinn_ros.topics.messages import Level
+
+TITLE, HEADING, FAINT = "bold reverse", "bold", "dim"
+STATE_STYLES = {
+    "valid": "green",
+    "estimating": "yellow",
+    "stale": "red",
+    "invalid": "bold red",
+}
+LEVEL_STYLES = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "bold red"}
+POWER_STYLES = {"measured": "cyan", "predicted": "magenta"}
+SPEED_HEADINGS = ("<30", "<60", "<90", "<120", ">120")  # of operating_range.SPEEDS
+BARS = "▁▂▃▄▅▆▇█"
+RATES = {
+    "speed": topics.SPEED,
+    "battery": topics.BATTERY,
+    "predicted": topics.POWER_PREDICTED,
+    "parameters": topics.PARAMETERS,
+}
+
+WIDE = 76  # characters from which every column is shown
+AXIS_WIDTH = 6
+MOST_CHART_ROWS, MOST_PROBLEMS = 6, 3
+UNKNOWN = "-"
+GREATEST = 1e7  # shown in full
+
+
+class Column(NamedTuple):
+    """A column of the table of parameters."""
+
+    title: str
+    width: int
+    wide_only: bool = False
+
+
+COLUMNS = (
+    Column("", 6),
+    Column("meaning", 13, wide_only=True),
+    Column("value", 9),
+    Column("1-sigma", 9),
+    Column("bounds", 19, wide_only=True),
+    Column("prior", 6),
+    Column("data", 6),
+)
+
+
+def screen(state: LiveState, now: float, width: int, height: int) -> Text:
+    """The view, never wider or higher than asked; what does not fit is left out, by weight."""
+    problems = state.problems(now)
+    # In the order of their weight, with the rows that each needs.
+    needs = {
+        "title": 1,
+        "problems": min(len(problems), 1),
+        "parameters": 1 + len(state.parameters()),
+        "power": 1 + len(POWERS),
+        "energy": 1,
+        "coverage": 1 + len(MANNERS),
+    }
+    kept, left = set(), height
+    for name, rows in needs.items():
+        if rows <= left:
+            kept.add(name)
+            left -= rows
+    more_problems = min(max(len(problems) - 1, 0), MOST_PROBLEMS - 1, left)
+    chart_rows = min(1 + (left - more_problems) // len(POWERS), MOST_CHART_ROWS)
+    parts: dict[str, Iterable[Text]] = {
+        "title": [_title(state, now, width)],
+        "parameters": _parameters(state, width),
+        "power": _power(state, now, width, chart_rows),
+        "energy": [_energy(state)],
+        "coverage": _coverage(state, now, width),
+        "problems": _problems(problems[: 1 + more_problems]),
+    }
+    lines = [line for name, part in parts.items() if name in kept for line in part]
+    for line in lines:
+        line.truncate(width, overflow="ellipsis")
+    return Text("\n").join(lines)
+
+
+def plain_line(state: LiveState, now: float) -> str:
+    """The state in one line without styles, for pipes and files."""
+    parts = [f"{_number(3.6 * state.fresh_speed(now), 1)} km/h"]
+    for topic, name in POWERS.items():
+        found = state.power(topic, now)
+        parts.append(f"{name} {_kilowatts(found.value)}{_sigma(found.sigma)} kW")
+    parts.append(_energy(state).plain)
+    parts += [
+        f"{row.name} {_parameter(row, row.value)} +- {_parameter(row, row.sigma)}"
+        + (f" {row.state}" if row.state else "")
+        for row in state.parameters()
+        if math.isfinite(row.value)
+    ]
+    return "; ".join(parts)
+
+
+def problem_lines(state: LiveState, now: float) -> list[str]:
+    """Missing inputs and their reasons, one line each."""
+    return [f"{level.name.lower()}: {text}" for level, text in state.problems(now)]
+
+
+def _title(state: LiveState, now: float, width: int) -> Text:
+    battery = state.fresh_battery(now)
+    right = f"{_number(3.6 * state.fresh_speed(now), 1)} km/h "
+    if battery is not None:
+        right = f"{_number(battery.voltage, 0)} V  {_number(battery.current, 1)} A  {right}"
+    room = max(width - len(right) - 1, 0)
+    left = set_cell_size(f" evpinn  {state.activity(now) or 'estimator silent'}", room)
+    return Text(f"{left} {right}", style=TITLE)
+
+
+def _parameters(state: LiveState, width: int) -> Iterable[Text]:
+    columns = [column for column in COLUMNS if width >= WIDE or not column.wide_only]
+    yield Text(f"{_row(columns, {c.title: c.title for c in columns})} state", style=HEADING)
+    for row in state.parameters():
+        bounds = f"{_parameter(row, row.lower, '')} .. {_parameter(row, row.upper, '')}"
+        texts = {
+            "": row.name,
+            "meaning": MEANINGS[row.name].removesuffix(" efficiency"),
+            "value": _parameter(row, row.value),
+            "1-sigma": _parameter(row, row.sigma),
+            "bounds": bounds if math.isfinite(row.lower) else UNKNOWN,
+            "prior": _percent(100 * row.prior_share),
+            "data": _percent(row.progress),
+        }
+        shown = row.state or UNKNOWN
+        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.state, FAINT))
+
+
+def _row(columns: Iterable[Column], texts: Mapping[str, str]) -> str:
+    words = ("", "meaning")
+    return "".join(_cell(texts[c.title], c.width, right=c.title not in words) for c in columns)
+
+
+def _power(state: LiveState, now: float, width: int, rows: int) -> Iterable[Text]:
+    room = max(width - AXIS_WIDTH, 0)
+    bins = room * DOT_COLUMNS
+    lines = {name: state.line.last(name, bins) for name in POWERS.values()}
+    axis = power_axis([value for line in lines.values() for value in line])
+    heading = Text("power kW", style=HEADING)
+    for topic, name in POWERS.items():
+        found = state.power(topic, now)
+        heading.append(f"  {name} ", "not bold")
+        heading.append(f"{_kilowatts(found.value)}{_sigma(found.sigma)}", POWER_STYLES[name])
+    coverage = state.band_coverage()
+    if math.isfinite(coverage):
+        heading.append(f"  {100 * coverage:.0f} % in band", f"not bold {FAINT}")
+    heading.append(f"  {bins * BIN_NS / 1e9:.0f} s", f"not bold {FAINT}")
+    yield heading
+    for name, values in lines.items():
+        for index, dots in enumerate(braille_line(values, room, rows, axis)):
+            ends = {0: axis[1], rows - 1: axis[0]} if rows > 1 else {0: axis[1]}
+            label = f"{ends[index] / 1e3:g}" if index in ends else ""
+            yield Text(_cell(label, AXIS_WIDTH - 1, right=True) + " ", FAINT).append(
+                dots, f"not dim {POWER_STYLES[name]}"
+            )
+
+
+def _energy(state: LiveState) -> Text:
+    energy = state.vector(topics.ENERGY_STATE)
+    consumption = state.vector(topics.ENERGY_CONSUMPTION)
+    reach = state.vector(topics.ENERGY_RANGE)
+    text = Text("energy Wh", style=HEADING)
+    for name in ("consumed", "predicted"):
+        text.append(f"  {name} {_watt_hours(energy, name)}", "not bold")
+    if "wh_per_km_trip" in consumption:
+        text.append(f"  {_number(consumption['wh_per_km_trip'], 0)} Wh/km", "not bold")
+    if "distance_to_empty" in reach:
+        low, high = (
+            _number(reach.get(f"distance_{end}", math.nan) / 1e3, 0) for end in ("lower", "upper")
+        )
+        middle = _number(reach["distance_to_empty"] / 1e3, 0)
+        text.append(f"  range {middle} km ({low}-{high})", "not bold")
+    return text.append(f"  regenerated {_watt_hours(energy, 'regenerated')}", "not bold")
+
+
+def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:
+    """Data coverage, and beside it the rates of messages."""
+    seen = state.seen()
+    most = max([1.0, *(n for row in seen for n in row if math.isfinite(n))])
+    cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")
+    rates = [f"{gap}{name} {state.rate(topic, now):.1f}/s" for name, topic in RATES.items()]
+    heading = "".join(_cell(title, cell, right=True) for title in SPEED_HEADINGS)
+    yield (
+        Text("samples km/h", HEADING)
+        .append(heading, "not bold")
+        .append(rates[0], f"not bold {FAINT}")
+    )
+    for manner, row, rate in zip(MANNERS, seen, rates[1:], strict=True):
+        line = Text(_cell(manner, 12))
+        for count in row:
+            line.append(_cell(_count(count, most), cell, right=True), "" if count > 0 else FAINT)
+        yield line.append(rate, FAINT)
+
+
+def _problems(found: Iterable[tuple[Level, str]]) -> Iterable[Text]:
+    for level, text in found:
+        yield Text(f"! {printable(text)}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
+
+
+def _count(count: float, most: float) -> str:
+    if not math.isfinite(count):
+        return UNKNOWN
+    if count <= 0:
+        return "."
+    short = f"{count:.0f}" if count < 1000 else f"{count / 1000:.3g}k"
+    return BARS[min(int(count / most * len(BARS)), len(BARS) - 1)] + short
+
+
+def _parameter(row: ParameterRow, value: float, unit: str | None = None) -> str:
+    if not abs(value) < GREATEST:
+        return UNKNOWN if not math.isfinite(value) else f"{value:.1e}"
+    text = number(row.name, value)
+    return text if unit is None else text.removesuffix(UNITS.get(row.name, "")) + unit
+
+
+def _percent(value: float) -> str:
+    return f"{value:.0f} %" if abs(value) < GREATEST else UNKNOWN
+
+
+def _watt_hours(energies: Mapping[str, float], name: str) -> str:
+    return _number(energies.get(name, math.nan) / 3600, 0)
+
+
+def _kilowatts(watts: float) -> str:
+    return _number(watts / 1e3, 1)
+
+
+def _sigma(watts: float) -> str:
+    return f" +- {_kilowatts(watts)}" if 50 <= watts < math.inf else ""
+
+
+def _number(value: float, decimals: int) -> str:
+    if not math.isfinite(value):
+        return UNKNOWN
+    return f"{value:.{decimals}f}" if abs(value) < GREATEST else f"{value:.1e}"
+
+
+def _cell(text: str, width: int, *, right: bool = False) -> str:
+    """Text of exactly this many characters."""
+    short = text if len(text) <= width else text[: width - 1] + "…"
+    return short.rjust(width) if right else short.ljust(width)

@@ -1,0 +1,281 @@
+"""Conversion between value types and ROS 2 messages, both ways: what all of them share.
+
+Builders take `new`, which makes a message of any class family, so the same code serves rclpy and
+bags (`evpinn_ros.bags.types.new_message`). They raise ValueError rather than build a message with
+a non-finite number where the message definition does not give NaN a meaning. Readers take a
+message of any class family and raise `BadMessage` where it holds no usable value. The messages of
+all readings are in `reading_messages`, those of plans and their forecasts in `plan_messages`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+import math
+from typing import Any, Protocol
+
+from evpinn_ros import topics
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    SpeedReading,
+)
+
+VEHICLE_FRAME = "base_link"
+FLOAT32_MAX = 3.4028234663852886e38
+
+# Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
+SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
+
+
+class NewMessage(Protocol):
+    """Makes a message: `new("std_msgs/msg/Header", frame_id="base_link")`.
+
+    Fields not given are zero, false or empty. Sequences of numbers are given as lists of float.
+    """
+
+    def __call__(self, type_name: str, /, **fields: Any) -> Any:
+        """A message of the type `package/msg/Type`."""
+
+
+class BadMessage(ValueError):  # noqa: N818  (it is the message that is bad)
+    """A message holds no usable value.
+
+    Attributes:
+        reason: a short snake_case key for counters.
+        usual: it says that there is no value now, with nothing wrong, as GNSS does in a garage.
+        lasting: so is every message of this source: reported when it begins, later counted.
+    """
+
+    def __init__(self, reason: str, *, usual: bool = False, lasting: bool = False) -> None:
+        super().__init__(reason)
+        self.reason, self.usual, self.lasting = reason, usual, lasting
+
+
+class Level(IntEnum):
+    """Level of a diagnostic status."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class NamedVector:
+    """Named quantities of one moment; `sigmas` and `rates` are empty when not given."""
+
+    stamp_ns: int
+    values: Mapping[str, float]
+    sigmas: Mapping[str, float]
+    rates: Mapping[str, float]
+
+
+# --- builders ----------------------------------------------------------------------------------
+
+
+def header(new: NewMessage, stamp_ns: int, frame_id: str = "") -> Any:
+    """std_msgs/Header.
+
+    Raises:
+        ValueError: the stamp is outside what ROS time holds, 1970 to 2038.
+    """
+    return new("std_msgs/msg/Header", stamp=_time(new, stamp_ns), frame_id=frame_id)
+
+
+def _time(new: NewMessage, stamp_ns: int) -> Any:
+    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
+    if not 0 <= seconds < 2**31:
+        raise ValueError(f"{stamp_ns} ns is outside ROS time")
+    return new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+
+def speed_message(new: NewMessage, reading: SpeedReading) -> Any:
+    """Forward speed; an unknown variance is 0, as ROS marks an unknown covariance."""
+    variance = 0.0 if math.isnan(reading.variance) else not_negative(reading.variance)
+    linear = new("geometry_msgs/msg/Vector3", x=finite(reading.speed))
+    twist = new("geometry_msgs/msg/Twist", linear=linear)
+    return new(
+        topics.SPEED_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        twist=new(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=twist,
+            covariance=[variance] + 35 * [0.0],
+        ),
+    )
+
+
+def battery_message(new: NewMessage, reading: BatteryReading) -> Any:
+    """Voltage, current (negative discharges) and state of charge; NaN where not measured.
+
+    The status is never CHARGING: a planner takes that for a charger, and a current into the pack
+    of a moving car is regeneration.
+    """
+    if not (math.isnan(reading.state_of_charge) or 0 <= reading.state_of_charge <= 1):
+        raise ValueError(f"state of charge {reading.state_of_charge} is outside 0..1")
+    return new(
+        topics.BATTERY_TYPE,
+        header=header(new, reading.stamp_ns),
+        voltage=_float32(reading.voltage),
+        current=_float32(reading.current),
+        percentage=float(reading.state_of_charge),
+        **dict.fromkeys(("temperature", "charge", "capacity", "design_capacity"), math.nan),
+        power_supply_status=SUPPLY_DISCHARGING if reading.current < 0 else SUPPLY_UNKNOWN,
+        present=True,
+    )
+
+
+def scalar(new: NewMessage, value: float) -> Any:
+    """std_msgs/Float64."""
+    return new(topics.SCALAR_TYPE, data=finite(value))
+
+
+def named_vector(
+    new: NewMessage,
+    stamp_ns: int,
+    names: Sequence[str],
+    values: Sequence[float],
+    sigmas: Sequence[float] | None = None,
+    rates: Sequence[float] | None = None,
+) -> Any:
+    """sensor_msgs/JointState: position is the value, velocity its rate, effort its 1-sigma.
+
+    Nothing non-finite is published, so effort stays empty when a sigma is unknown (NaN).
+
+    Raises:
+        ValueError: a value or rate is not finite, a sigma is negative or infinite, or the
+            lengths differ.
+    """
+    rates = () if rates is None else rates
+    if sigmas is None or any(math.isnan(sigma) for sigma in sigmas):
+        sigmas = ()
+    if len(values) != len(names) or any(len(x) not in (0, len(names)) for x in (rates, sigmas)):
+        raise ValueError(f"{len(names)} names do not fit the values, sigmas or rates")
+    return new(
+        topics.NAMED_VECTOR_TYPE,
+        header=header(new, stamp_ns),
+        name=list(names),
+        position=[finite(value) for value in values],
+        velocity=[finite(rate) for rate in rates],
+        effort=[not_negative(sigma) for sigma in sigmas],
+    )
+
+
+def diagnostics(
+    new: NewMessage,
+    stamp_ns: int,
+    statuses: Iterable[tuple[str, Level, str, Mapping[str, object]]],
+    hardware: str = "",
+) -> Any:
+    """diagnostic_msgs/DiagnosticArray from (name, level, message, {key: value}).
+
+    `hardware` is the `hardware_id` of all of them.
+    """
+    return new(
+        topics.DIAGNOSTICS_TYPE,
+        header=header(new, stamp_ns),
+        status=[_status(new, hardware, *status) for status in statuses],
+    )
+
+
+def _status(
+    new: NewMessage,
+    hardware: str,
+    name: str,
+    level: Level,
+    message: str,
+    values: Mapping[str, object],
+) -> Any:
+    status = new(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        hardware_id=hardware,
+        name=name,
+        message=message,
+        values=[
+            new("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
+            for key, value in values.items()
+        ],
+    )
+    # rclpy holds a byte as bytes, rosbags as int: the constant of the class is right in both.
+    status.level = getattr(type(status), Level(level).name)
+    return status
+
+
+def finite(value: float) -> float:
+    """The value, for a field that must be finite; ValueError otherwise."""
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite")
+    return float(value)
+
+
+def not_negative(value: float) -> float:
+    """The value, for a variance or a sigma; ValueError when negative or not finite."""
+    if not 0 <= value < math.inf:
+        raise ValueError(f"{value} is no variance or sigma")
+    return float(value)
+
+
+def _float32(value: float) -> float:
+    if abs(value) > FLOAT32_MAX:
+        raise ValueError(f"{value} does not fit a 32-bit number")
+    return float(value)
+
+
+# --- readers -----------------------------------------------------------------------------------
+
+
+def stamp_ns(message: Any) -> int:
+    """The header stamp, ns. A stamp of zero was never set: BadMessage("no_stamp")."""
+    stamp = message.header.stamp
+    nanoseconds = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+    if nanoseconds <= 0:
+        raise BadMessage("no_stamp")
+    return nanoseconds
+
+
+def speed_reading(message: Any) -> SpeedReading:
+    """Speed of a TwistWithCovarianceStamped; a variance of 0 or less is unknown."""
+    variance = float(message.twist.covariance[0])
+    known = 0 < variance < math.inf
+    speed = usable(message.twist.twist.linear.x)
+    return SpeedReading(stamp_ns(message), speed, variance if known else math.nan)
+
+
+def battery_reading(message: Any) -> BatteryReading:
+    """Voltage and current of a BatteryState, each NaN where not measured.
+
+    A percentage outside 0..1 is unknown too: some drivers count to 100, some say -1.
+    """
+    voltage, current, charge = map(float, (message.voltage, message.current, message.percentage))
+    charge = charge if 0 <= charge <= 1 else math.nan
+    if math.isinf(voltage) or math.isinf(current):
+        raise BadMessage("not_finite")
+    if math.isnan(voltage) and math.isnan(current) and math.isnan(charge):
+        raise BadMessage("nothing_measured")
+    return BatteryReading(stamp_ns(message), voltage, current, charge)
+
+
+def read_named_vector(message: Any) -> NamedVector:
+    """A named vector as mappings by name."""
+    values, rates, sigmas = (
+        _by_name(message.name, numbers)
+        for numbers in (message.position, message.velocity, message.effort)
+    )
+    if len(values) != len(message.name):
+        raise BadMessage("lengths_differ")
+    return NamedVector(stamp_ns(message), values, sigmas, rates)
+
+
+def _by_name(names: Sequence[str], numbers: Sequence[float]) -> dict[str, float]:
+    if len(numbers) not in (0, len(names)) or len(set(names)) != len(names):
+        raise BadMessage("lengths_differ")
+    return {name: usable(number) for name, number in zip(names, numbers, strict=False)}
+
+
+def usable(value: float) -> float:
+    """A number of a message; BadMessage("not_finite") when it is none."""
+    if not math.isfinite(value):
+        raise BadMessage("not_finite")
+    return float(value)

@@ -1,0 +1,337 @@
+"""Every parameter of the nodes as data: declared, checked, documented and filed from here.
+
+Knows no ROS, so that `evpinn check-params` and the documentation can read it anywhere. It repeats
+a few words and numbers of the cores, which a test compares, so as not to load torch and scipy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+from typing import TypeAlias
+
+from evpinn_ros.can.bus import INTERFACES
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.vehicle.files import load_vehicle
+
+Value: TypeAlias = bool | int | float | str
+
+TYPE_NAMES: Mapping[type, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number with a decimal point",
+    str: "text",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of a node.
+
+    Attributes:
+        name: as in the parameter file.
+        default: also tells the type.
+        description: one line for people.
+        unit: SI, empty where it has none.
+        lower: smallest value of a number.
+        upper: largest value of a number.
+        choices: every word that a text may be, empty if any.
+        read_only: fixed once the node runs.
+        verify: raises InputError for a text that is wrong otherwise; not asked when empty.
+    """
+
+    name: str
+    default: Value
+    description: str
+    unit: str = ""
+    lower: float = -math.inf
+    upper: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = True
+    verify: Callable[[str], object] | None = None
+
+    def problem(self, value: object) -> str | None:
+        """Reason why a value is refused, None when it is not."""
+        if type(value) is not type(self.default):
+            return f"{self.name} = {value} must be {TYPE_NAMES[type(self.default)]}"
+        if isinstance(value, (int, float)) and not self.lower <= value <= self.upper:
+            return f"{self.name} = {value:g} is outside [{self.lower:g}, {self.upper:g}]"
+        if self.choices and value not in self.choices:
+            return f"{self.name} '{value}' is not one of {', '.join(self.choices)}"
+        if self.verify is not None and value:
+            try:
+                self.verify(str(value))
+            except InputError as error:
+                return f"{self.name}: {error}"
+        return None
+
+
+def _known_interface(name: str) -> None:
+    if name not in INTERFACES:
+        raise InputError(f"known are {', '.join(sorted(INTERFACES))}")
+
+
+VEHICLE = Parameter(
+    "vehicle",
+    "generic",
+    "Vehicle by its name in config/vehicles, or the path of its file.",
+    verify=load_vehicle,
+)
+TIME_JUMP_POLICY = Parameter(
+    "time_jump_policy",
+    "reset",
+    "When stamps go back, as when a bag starts over: reset to how the node started (of energy "
+    "the trip alone, to zero: the lifetime's total never falls), hold what was learned or counted "
+    "and begin a new stretch of time, or ignore what is late.",
+    choices=("reset", "hold", "ignore"),
+    read_only=False,
+)
+TIME_JUMP_THRESHOLD = Parameter(
+    "time_jump_threshold",
+    2.0,
+    "How far stamps must go back to be more than late messages.",
+    "s",
+    0.05,
+    3600.0,
+    read_only=False,
+)
+
+MANAGED = Parameter(
+    "managed",
+    False,
+    "A managed node, which waits to be configured and activated: `ros2 lifecycle set ...`. Until "
+    "it is active it receives and sends nothing but /diagnostics.",
+)
+
+ESTIMATOR = (
+    VEHICLE,
+    MANAGED,
+    Parameter(
+        "mode",
+        "hybrid",
+        "Learner: hybrid (filter and network, the default) or paper (EV-PINN as published).",
+        choices=("hybrid", "paper"),
+    ),
+    Parameter(
+        "regen_form",
+        "recovery",
+        "Reading of the paper's eq. 21; for mode paper alone.",
+        choices=("printed", "recovery", "wheel_power"),
+    ),
+    Parameter(
+        "paper_optimizer",
+        "adam",
+        "How mode paper trains: adam, as published, or gauss_newton, nearer to the least loss.",
+        choices=("adam", "gauss_newton"),
+    ),
+    Parameter(
+        "smoothing_lag",
+        0.3,
+        "How much later speed power/smoothed waits for.",
+        "s",
+        0.0,
+        1.5,
+    ),
+    Parameter(
+        "allowed_lateness",
+        0.3,
+        "How much older than the newest of its kind a reading may be.",
+        "s",
+        0.0,
+        10.0,
+    ),
+    Parameter(
+        "max_gap",
+        2.5,
+        "Dropout of speed or battery across which nothing is joined.",
+        "s",
+        0.1,
+        60.0,
+    ),
+    Parameter(
+        "grade_source",
+        "auto",
+        "Where grade comes from: auto takes vehicle/imu if it speaks, else vehicle/fix.",
+        choices=("auto", "none", "imu", "fix"),
+    ),
+    Parameter(
+        "imu_rotation_rpy",
+        "",
+        "How the IMU is mounted: roll, pitch and yaw from base_link to the frame it reports in, "
+        "as a static transform has them: '0 0 1.571'. Empty: only an IMU in base_link is used.",
+        "rad",
+        verify=lambda text: roll_pitch_yaw(text),
+    ),
+    Parameter("seed", 0, "Of the networks.", lower=0, upper=2**31 - 1),
+    Parameter(
+        "wait_for_update",
+        False,
+        "Wait for each windowed update: same numbers at any speed of replay. Not for live use.",
+    ),
+    Parameter(
+        "state_file",
+        "",
+        "Where what was learned is kept between drives: read at the start, written once a "
+        "minute, at ~/save and at the end. Empty: nowhere.",
+    ),
+    TIME_JUMP_POLICY,
+    TIME_JUMP_THRESHOLD,
+)
+ENERGY = (
+    VEHICLE,
+    MANAGED,
+    Parameter(
+        "integrator",
+        "rknn",
+        "What integrates the predicted power that stands in for the battery, in a dropout and "
+        "between two slow samples: the paper's Runge-Kutta network, or the trapezoid rule. "
+        "energy/state holds both.",
+        choices=("rknn", "trapezoid"),
+    ),
+    Parameter(
+        "max_gap",
+        2.0,
+        "Longest step of power that is integrated.",
+        "s",
+        0.1,
+        2.0,
+    ),
+    Parameter(
+        "nominal_speed",
+        0.0,
+        "Speed of a plan whose poses carry no times; 0: that of the vehicle file, or 50 km/h "
+        "where it names none. For a robot 1.0, or what it drives at.",
+        "m/s",
+        0.0,
+        100.0,
+        read_only=False,
+    ),
+    Parameter(
+        "energy_file",
+        "",
+        "Where totals, consumption and learned capacity are kept between drives: read at the "
+        "start, written once a minute, at ~/save and at the end. Empty: nowhere.",
+    ),
+    TIME_JUMP_POLICY,
+    TIME_JUMP_THRESHOLD,
+)
+CAN_BRIDGE = (
+    VEHICLE,
+    MANAGED,
+    Parameter(
+        "can_profile",
+        "",
+        "CAN profile by its name in config/can, or the path of its file. Empty: the vehicle's.",
+        verify=load_profile,
+    ),
+    Parameter(
+        "trust_profile",
+        False,
+        "Publish also what the traffic of the bus contradicts.",
+    ),
+    Parameter(
+        "interface",
+        "socketcan",
+        "Driver of the CAN adapter, as python-can calls it.",
+        verify=_known_interface,
+    ),
+    Parameter("channel", "can0", "Channel of the adapter: can0, /dev/ttyACM0..."),
+    Parameter("bitrate", 500_000, "Of the bus; 0 leaves it to the driver.", "bit/s", 0, 8_000_000),
+    Parameter(
+        "bus_options",
+        "",
+        "More options of the driver, as 'name=value name=value', for example 'listen_only=true'.",
+        verify=lambda text: bus_options(text),
+    ),
+    Parameter(
+        "poll",
+        False,
+        "Allow to send read requests, for what the profile says the car must be asked for. A car "
+        "that is asked stays awake, at the cost of its 12 V battery: see docs/can.md.",
+    ),
+    Parameter(
+        "log_file", "", "Replay this CAN log, or a bag's raw frames, with its stamps, not a bus."
+    ),
+    Parameter(
+        "log_rate",
+        1.0,
+        "Speed of that replay against real time; 0 is as fast as possible.",
+        lower=0.0,
+        upper=1000.0,
+    ),
+    Parameter(
+        "log_delay",
+        2.0,
+        "Wait before that replay begins, so that its subscribers are there.",
+        "s",
+        0.0,
+        3600.0,
+    ),
+)
+
+TABLES: Mapping[str, tuple[Parameter, ...]] = {
+    "can_bridge": CAN_BRIDGE,
+    "estimator": ESTIMATOR,
+    "energy": ENERGY,
+}
+
+
+def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> None:
+    """Raise InputError when a set of parameters is wrong, each or all together.
+
+    What is not given has its default; names that are not in the table are not looked at.
+    """
+    all_values = {each.name: values.get(each.name, each.default) for each in table}
+    for parameter in table:
+        if problem := parameter.problem(all_values[parameter.name]):
+            raise InputError(problem)
+    late, jump = all_values.get("allowed_lateness"), all_values.get("time_jump_threshold")
+    if isinstance(late, float) and isinstance(jump, float) and jump <= late:
+        raise InputError(
+            f"time_jump_threshold = {jump:g} must be above allowed_lateness = {late:g}"
+        )
+
+
+def roll_pitch_yaw(text: str) -> tuple[float, float, float] | None:
+    """The three angles of `imu_rotation_rpy`, rad; None when it is empty.
+
+    Raises:
+        InputError: it is not three numbers within one turn.
+    """
+    if not text.strip():
+        return None
+    try:
+        roll, pitch, yaw = map(float, text.replace(",", " ").split())
+    except ValueError as error:
+        raise InputError(f"'{text}' is not three angles in rad") from error
+    if not all(abs(angle) <= 2 * math.pi for angle in (roll, pitch, yaw)):
+        raise InputError(f"'{text}': an angle is more than a turn; rad, not degrees")
+    return roll, pitch, yaw
+
+
+def bus_options(text: str) -> dict[str, Value]:
+    """The options of `bus_options`, numbers and truth values as such.
+
+    Raises:
+        InputError: not of the form `name=value name=value`.
+    """
+    options: dict[str, Value] = {}
+    for word in text.split():
+        name, equals, value = word.partition("=")
+        if not (name.isidentifier() and equals and value):
+            raise InputError(f"'{word}' is not of the form name=value")
+        options[name] = _value(value)
+    return options
+
+
+def _value(text: str) -> Value:
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

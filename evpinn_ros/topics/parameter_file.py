@@ -1,0 +1,111 @@
+"""Checks a parameter file of ROS 2 against the table, without ROS and before anything starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import yaml
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.yaml_section import Section, compose, plain
+from evpinn_ros.topics.node_parameters import TABLES, Value, refuse_wrong
+
+Item: TypeAlias = tuple[yaml.Node, yaml.Node]
+
+PARAMETERS_KEY = "ros__parameters"
+WILDCARDS = ("*", "**")
+OF_EVERY_NODE = ("use_sim_time", "qos_overrides", "start_type_description_service")
+
+
+def check_parameter_file(path: Path) -> None:
+    """Check every parameter of a file as `--params-file` takes it.
+
+    Raises:
+        InputError: unreadable, an unknown node or parameter, or a value that the node would
+            refuse; the text is `file:line: reason`.
+    """
+    _read(path)
+
+
+def read_parameter_file(path: Path, node: str) -> dict[str, Value]:
+    """The parameters that a file gives to one node of `TABLES`; what it does not give is absent.
+
+    Raises:
+        InputError: as `check_parameter_file` does.
+    """
+    return _read(path)[node]
+
+
+def _read(path: Path) -> dict[str, dict[str, Value]]:
+    root = compose(path, "parameter file")
+    sections = list(_sections(root, root.node, ""))
+    if not sections:
+        raise root.error(f"no '{PARAMETERS_KEY}' in this file: not a parameter file")
+    found: dict[str, dict[str, Value]] = {node: {} for node in TABLES}
+    for name, key, parameters in sections:
+        if name not in (*TABLES, *WILDCARDS):
+            raise root.error(f"unknown node '{name}'; known are {', '.join(TABLES)}", key)
+        nodes = list(TABLES) if name in WILDCARDS else [name]
+        values = _checked(root, nodes, parameters)
+        for node in nodes:
+            found[node] |= {p.name: values[p.name] for p in TABLES[node] if p.name in values}
+            _refuse(root, node, found[node], parameters)
+    return found
+
+
+def _sections(
+    root: Section, node: yaml.Node, name: str
+) -> Iterator[tuple[str, yaml.Node, yaml.Node]]:
+    """Name of the node, where that stands, and parameters of every section in the file."""
+    for key, value in _items(root, node):
+        if key.value == PARAMETERS_KEY:
+            yield name, node, value
+        else:
+            # `/ev/estimator:` and `ev: estimator:` name the same node, as does `/**/estimator:`.
+            yield from _sections(root, value, str(key.value).rpartition("/")[2])
+
+
+def _checked(root: Section, nodes: list[str], section: yaml.Node) -> dict[str, Any]:
+    """The values of a section that is for one or for all nodes, each checked by itself."""
+    known = {parameter.name: node for node in nodes for parameter in TABLES[node]}
+    values: dict[str, Any] = {}
+    for key, node in _items(root, section):
+        name = str(key.value)
+        if name.partition(".")[0] in OF_EVERY_NODE:
+            continue
+        if name not in known:
+            raise root.error(f"unknown parameter '{name}'; known are {', '.join(known)}", key)
+        try:
+            values[name] = _value(node)
+        except ValueError as error:
+            raise root.error(f"{name}: {error}", node) from error
+        table = TABLES[known[name]]
+        if problem := next(p for p in table if p.name == name).problem(values[name]):
+            raise root.error(problem, node)
+    return values
+
+
+def _refuse(root: Section, node: str, values: dict[str, Value], place: yaml.Node) -> None:
+    try:
+        refuse_wrong(TABLES[node], values)
+    except InputError as error:
+        raise root.error(str(error), place) from None
+
+
+def _items(root: Section, node: yaml.Node) -> list[Item]:
+    if not isinstance(node, yaml.MappingNode):
+        raise root.error("expected 'name: value' lines", node)
+    return list(node.value)
+
+
+def _value(node: yaml.Node) -> object:
+    """The value as ROS reads it: unlike YAML 1.1, `1e5` is a number."""
+    value = plain(node)
+    if isinstance(value, str) and isinstance(node, yaml.ScalarNode) and node.style is None:
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value

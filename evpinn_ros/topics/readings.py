@@ -1,0 +1,277 @@
+"""The messages of readings, both ways; see `messages` for how builders and readers behave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+import math
+from typing import Any, NamedTuple
+
+from evpinn_ros import topics
+from evpinn_ros.signals.readings import (
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    GradeReading,
+    MotorReading,
+    PressureReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+    WindReading,
+)
+from evpinn_ros.topics.messages import (
+    VEHICLE_FRAME,
+    BadMessage,
+    NewMessage,
+    battery_message,
+    battery_reading,
+    finite,
+    header,
+    named_vector,
+    read_named_vector,
+    speed_message,
+    speed_reading,
+    stamp_ns,
+    usable,
+)
+
+HEATING = "heating"
+TORQUE, MOTOR_SPEED = "torque", "speed"
+UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an unset quaternion not
+
+# Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
+STATUS_FIX, COVARIANCE_UNKNOWN = 0, 0
+NOT_PROVIDED = -1.0  # first element of a covariance: the quantity was not measured
+
+
+def imu_message(new: NewMessage, reading: GradeReading) -> Any:
+    """Attitude alone: uphill is negative pitch (REP-103); rates and accelerations not provided."""
+    half = -finite(reading.grade) / 2
+    not_provided = [NOT_PROVIDED] + 8 * [0.0]
+    return new(
+        topics.IMU_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        orientation=new("geometry_msgs/msg/Quaternion", y=math.sin(half), w=math.cos(half)),
+        angular_velocity_covariance=not_provided,
+        linear_acceleration_covariance=not_provided,
+    )
+
+
+def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
+    """Altitude alone: latitude and longitude are NaN.
+
+    The status is FIX because by its definition a value is valid from there on; NO_FIX would void
+    the altitude. The altitude is that of the source, not surely above the WGS 84 ellipsoid.
+    """
+    return new(
+        topics.FIX_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        status=new("sensor_msgs/msg/NavSatStatus", status=STATUS_FIX, service=0),
+        latitude=math.nan,
+        longitude=math.nan,
+        altitude=finite(reading.altitude),
+        position_covariance_type=COVARIANCE_UNKNOWN,
+    )
+
+
+def temperature_message(new: NewMessage, reading: TemperatureReading) -> Any:
+    """Ambient temperature; variance 0 is unknown."""
+    return new(
+        topics.TEMPERATURE_TYPE,
+        header=header(new, reading.stamp_ns),
+        temperature=finite(reading.celsius),
+    )
+
+
+def pressure_message(new: NewMessage, reading: PressureReading) -> Any:
+    """Pressure of the air outside; variance 0 is unknown."""
+    return new(
+        topics.PRESSURE_TYPE,
+        header=header(new, reading.stamp_ns),
+        fluid_pressure=finite(reading.pascal),
+    )
+
+
+def wind_message(new: NewMessage, reading: WindReading) -> Any:
+    """Velocity of the air over ground in the frame of the car: a head wind blows towards -x."""
+    return new(
+        topics.WIND_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        vector=new("geometry_msgs/msg/Vector3", x=-finite(reading.head)),
+    )
+
+
+def auxiliary_message(new: NewMessage, reading: AuxiliaryReading) -> Any:
+    """Named vector of the loads `heating` and `others`, W."""
+    loads = [reading.heating, reading.others]
+    return named_vector(new, reading.stamp_ns, [HEATING, "others"], loads)
+
+
+def motor_message(new: NewMessage, reading: MotorReading) -> Any:
+    """Named vector of `torque`, N m, and of `speed`, rad/s, where it is known."""
+    values = {TORQUE: reading.torque}
+    if not math.isnan(reading.speed):
+        values[MOTOR_SPEED] = reading.speed
+    return named_vector(new, reading.stamp_ns, [*values], [*values.values()])
+
+
+def reading_message(new: NewMessage, reading: Reading) -> Any:
+    """The message of any reading, the inverse of `to_reading`."""
+    match reading:
+        case SpeedReading():
+            return speed_message(new, reading)
+        case BatteryReading():
+            return battery_message(new, reading)
+        case GradeReading():
+            return imu_message(new, reading)
+        case AltitudeReading():
+            return altitude_message(new, reading)
+        case TemperatureReading():
+            return temperature_message(new, reading)
+        case PressureReading():
+            return pressure_message(new, reading)
+        case WindReading():
+            return wind_message(new, reading)
+        case AuxiliaryReading():
+            return auxiliary_message(new, reading)
+        case MotorReading():
+            return motor_message(new, reading)
+
+
+def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
+    """The reading in a message of one of the input types.
+
+    Args:
+        type_name: of the message.
+        message: of rclpy or of a bag.
+        mounting: of an Imu, see `grade_reading`.
+
+    Raises:
+        BadMessage: no usable value, no stamp, or no input type; `reason` says which.
+    """
+    if type_name == topics.IMU_TYPE:
+        return grade_reading(message, mounting)
+    try:
+        reader = _READERS[type_name]
+    except KeyError:
+        raise BadMessage("unknown_type") from None
+    return reader(message)
+
+
+class Rotation(NamedTuple):
+    """A unit quaternion."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Rotation:
+    """The rotation by roll, then pitch, then yaw about fixed axes, rad (REP-103)."""
+    sx, sy, sz = (math.sin(angle / 2) for angle in (roll, pitch, yaw))
+    cx, cy, cz = (math.cos(angle / 2) for angle in (roll, pitch, yaw))
+    return Rotation(
+        sx * cy * cz - cx * sy * sz,
+        cx * sy * cz + sx * cy * sz,
+        cx * cy * sz - sx * sy * cz,
+        cx * cy * cz + sx * sy * sz,
+    )
+
+
+def grade_reading(message: Any, mounting: Rotation | None = None) -> GradeReading:
+    """Grade of an Imu. Positive pitch is nose down (REP-103), so grade = -pitch.
+
+    Args:
+        message: sensor_msgs/Imu.
+        mounting: rotation from `base_link` to the frame of the message; without it only an
+            orientation of `base_link` itself is used.
+    """
+    if message.orientation_covariance[0] == NOT_PROVIDED:
+        raise BadMessage("no_orientation", lasting=True)
+    q = message.orientation
+    # Products, for a power of a huge number raises where its product is infinite.
+    square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
+    if not abs(square - 1) <= UNIT_TOLERANCE:
+        raise BadMessage("quaternion_not_unit")
+    stamp, frame = stamp_ns(message), message.header.frame_id
+    in_car = frame.rpartition("/")[2] == VEHICLE_FRAME  # `robot1/base_link` too
+    if not in_car and mounting is None:
+        raise BadMessage(f"frame '{frame}' is not base_link: set imu_rotation_rpy", lasting=True)
+    if not in_car and mounting is not None:
+        q = _undo(q, mounting)
+    sine = 2 * (q.w * q.y - q.z * q.x) / square
+    return GradeReading(stamp, -math.asin(max(-1.0, min(1.0, sine))))
+
+
+def _undo(q: Any, mounting: Rotation) -> Rotation:
+    """The orientation of the car, from that of what is mounted on it: q times its inverse."""
+    x, y, z, w = -mounting.x, -mounting.y, -mounting.z, mounting.w
+    return Rotation(
+        q.w * x + q.x * w + q.y * z - q.z * y,
+        q.w * y - q.x * z + q.y * w + q.z * x,
+        q.w * z + q.x * y - q.y * x + q.z * w,
+        q.w * w - q.x * x - q.y * y - q.z * z,
+    )
+
+
+def altitude_reading(message: Any) -> AltitudeReading:
+    """Altitude of a NavSatFix, which is valid from STATUS_FIX on."""
+    if message.status.status < STATUS_FIX:
+        raise BadMessage("no_fix", usual=True)
+    return AltitudeReading(stamp_ns(message), usable(message.altitude))
+
+
+def temperature_reading(message: Any) -> TemperatureReading:
+    """Ambient temperature of a Temperature."""
+    return TemperatureReading(stamp_ns(message), usable(message.temperature))
+
+
+def pressure_reading(message: Any) -> PressureReading:
+    """Pressure of a FluidPressure."""
+    return PressureReading(stamp_ns(message), usable(message.fluid_pressure))
+
+
+def wind_reading(message: Any) -> WindReading:
+    """Head wind of a Vector3Stamped in `base_link`."""
+    if message.header.frame_id != VEHICLE_FRAME:
+        raise BadMessage("wind_not_in_base_link")
+    return WindReading(stamp_ns(message), -usable(message.vector.x))
+
+
+def auxiliary_reading(message: Any) -> AuxiliaryReading:
+    """The named loads, W: what is named after heating, and the sum of all others."""
+    vector = read_named_vector(message)
+    if not vector.values:
+        raise BadMessage("nothing_measured")
+    heating, others = (
+        sum(load for name, load in vector.values.items() if (HEATING in name.lower()) is wanted)
+        for wanted in (True, False)
+    )
+    return AuxiliaryReading(vector.stamp_ns, heating, others)
+
+
+def motor_reading(message: Any) -> MotorReading:
+    """Torque, N m, and speed, rad/s, of a named vector; other names are ignored."""
+    vector = read_named_vector(message)
+    if TORQUE not in vector.values:
+        raise BadMessage("nothing_measured")
+    speed = vector.values.get(MOTOR_SPEED, math.nan)
+    return MotorReading(vector.stamp_ns, vector.values[TORQUE], speed)
+
+
+def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
+    """Two inputs share the type: motors name a `torque`, loads do not."""
+    return motor_reading(message) if TORQUE in message.name else auxiliary_reading(message)
+
+
+_READERS: Mapping[str, Callable[[Any], Reading]] = {
+    topics.SPEED_TYPE: speed_reading,
+    topics.ODOMETRY_TYPE: speed_reading,  # its twist is in the frame of the car by definition
+    topics.BATTERY_TYPE: battery_reading,
+    topics.FIX_TYPE: altitude_reading,
+    topics.TEMPERATURE_TYPE: temperature_reading,
+    topics.PRESSURE_TYPE: pressure_reading,
+    topics.WIND_TYPE: wind_reading,
+    topics.NAMED_VECTOR_TYPE: _named_vector_reading,
+}

@@ -1,0 +1,42 @@
+"""From the parameters of a node to the settings of its core. Knows no ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.signals.road import GradeSource
+from evpinn_ros.signals.stream import StreamSettings
+from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
+from evpinn_ros.topics.node_parameters import roll_pitch_yaw
+from evpinn_ros.topics.readings import Rotation, rotation
+from evpinn_ros.vehicle.physics import RegenForm
+
+
+def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
+    """Settings of the estimator from all parameters of its table, by name and checked."""
+    return EstimatorSettings(
+        mode=Mode(values["mode"]),
+        regen_form=RegenForm(values["regen_form"]),
+        paper_optimizer=PaperOptimizer(values["paper_optimizer"]),
+        seed=values["seed"],
+        stream=StreamSettings(
+            smoothing_lag=values["smoothing_lag"],
+            allowed_lateness=values["allowed_lateness"],
+            max_gap=values["max_gap"],
+            grade_source=GradeSource(values["grade_source"]),
+        ),
+    )
+
+
+def imu_mounting(values: Mapping[str, Any]) -> Rotation | None:
+    """Mounting of the IMU, from all parameters of the estimator; None if not given."""
+    angles = roll_pitch_yaw(values["imu_rotation_rpy"])
+    return None if angles is None else rotation(*angles)
+
+
+def jump_rule(values: Mapping[str, Any]) -> JumpRule:
+    """Rule for jumps of time, from all parameters of a node."""
+    return JumpRule(JumpPolicy(values["time_jump_policy"]), values["time_jump_threshold"])

@@ -1,0 +1,85 @@
+"""`evpinn bench energy` as a person meets it: a short drive twice, real processes, real DDS."""
+
+import json
+import math
+import subprocess
+import sys
+
+from typer.testing import CliRunner
+
+from benchmarks import energy_integration, integrators
+from evpinn_ros.cli.main import app
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.simulation.drive import DriveKind
+
+
+def write_drive(path, seconds=60):
+    rows = ["t_s,speed_mps,power_w,elevation_m"]
+    for i in range(seconds * 10):
+        speed = 10 + 5 * math.sin(i / 40)
+        power = 1000 + speed * (300 + 0.4 * speed**2 + 2000 * 5 / 40 * 10 * math.cos(i / 40))
+        rows.append(f"{i / 10},{speed},{power},{100 + i / 100}")
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_a_short_run_measures_all(tmp_path):
+    drives = tmp_path / "drives"
+    drives.mkdir()
+    for name in ("first.csv", "second.csv"):
+        write_drive(drives / name)
+    command = [sys.executable, "-m", "evpinn_ros", "bench", "energy", f"{drives}=bmw_i3"]
+    parts = [f"--part={name}" for name in ("forecasts", "library", "plans")]
+    done = subprocess.run(
+        [*command, *parts, "--plans", "10", "--json", str(tmp_path / "out.json")],
+        cwd=share_directory(), capture_output=True, text=True, timeout=170,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for line in ("second.csv", "learned model, numpy", "p99"):
+        assert line in done.stdout
+    found = json.loads((tmp_path / "out.json").read_text())
+    (car,) = found["forecasts"]
+    assert car["vehicle"] == "bmw_i3" and len(car["drives"]) == 2
+    _, _, covered, counted = car["totals"]
+    assert counted == 1 and 0 <= covered <= 1
+    plans = found["plans"]
+    assert plans["plans"] == 10 and plans["points"] == 600
+    assert 0 < plans["p50_ms"] <= plans["p99_ms"] <= plans["largest_ms"]
+    assert found["library"]["vehicle_file_ms"] > 0
+    assert "integrators" not in found and "counting" not in found
+
+
+def test_integrators_alone(tmp_path, monkeypatch):
+    """In this process, so that the simulated drives can be shorter."""
+    monkeypatch.setattr(integrators, "SIMULATED_TIME", 60.0)
+    write_drive(tmp_path / "drive.csv", seconds=160)
+    (tmp_path / "short.csv").write_text("t_s,speed_mps,power_w\n0,1,1\n1,1,1\n")
+    arguments = ["bench", "energy", f"{tmp_path / 'drive.csv'}=bmw_i3"]
+    arguments += [f"{tmp_path / 'short.csv'}=bmw_i3", "--part=integrators", "--epochs=20"]
+    out = tmp_path / "out.json"
+    done = CliRunner().invoke(app, [*arguments, f"--json={out}"])
+    assert done.exit_code == 0, done.output
+    assert "short.csv: no 150 s of power" in done.output
+    found = json.loads(out.read_text())
+    assert set(found) == {"load_average", "integrators"}
+    cars = {row["car"] for row in found["integrators"]["rows"]}
+    assert cars == {"bmw_i3", "simulated"}
+    (agreement,) = found["integrators"]["agreement"]
+    assert abs(agreement["percent"]) < 0.1
+    assert "1 whole logs" in done.output and "trapezoid" in done.output
+
+
+def test_counting_alone(tmp_path, monkeypatch):
+    """In this process, so that a day, the silences and the simulated drives can be less."""
+    monkeypatch.setattr(energy_integration, "DAY", 60)
+    monkeypatch.setattr(energy_integration, "DriveKind", [DriveKind.URBAN])
+    monkeypatch.setattr(energy_integration, "STRIDE", 20.0)
+    monkeypatch.setattr(energy_integration, "DROPOUT", 20.0)
+    write_drive(tmp_path / "drive.csv")
+    out = tmp_path / "out.json"
+    arguments = ["bench", "energy", f"{tmp_path / 'drive.csv'}=bmw_i3", "--part=counting"]
+    done = CliRunner().invoke(app, [*arguments, f"--json={out}"])
+    assert done.exit_code == 0, done.output
+    names = [row["name"] for row in json.loads(out.read_text())["counting"]]
+    for start in ("drift in 24 h", "quadrature of 10 Hz", "1 Hz with 10% missing", "bmw_i3, "):
+        assert any(name.startswith(start) for name in names), start
+    assert "bmw_i3, battery silent for 20 s: median" in names

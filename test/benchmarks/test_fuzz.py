@@ -1,0 +1,100 @@
+"""The table of parsers under hypothesis, for seconds; `evpinn bench fuzz` is the long run."""
+
+from random import Random
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+import pytest
+
+from benchmarks.fuzz_targets import TARGETS, Target
+from evpinn_ros.common.errors import InputError
+
+EXAMPLES = 25
+NAMES = [target.name for target in TARGETS]
+
+
+@st.composite
+def damage(draw, seeds):
+    """A sound input with bytes changed, cut out, said twice, or its end missing."""
+    data = bytearray(draw(st.sampled_from(seeds)))
+    for _ in range(draw(st.integers(1, 8))):
+        at = draw(st.integers(0, len(data)))
+        end = at + draw(st.integers(0, 16))
+        change = draw(st.sampled_from(("write", "remove", "repeat", "insert", "cut")))
+        if change == "write":
+            data[at:end] = draw(st.binary(min_size=1, max_size=16))
+        elif change == "remove":
+            del data[at:end]
+        elif change == "repeat":
+            data[at:at] = data[at:end] * draw(st.integers(1, 4))
+        elif change == "insert":
+            data[at:at] = draw(st.text(max_size=12)).encode()
+        else:
+            del data[at:]
+    return bytes(data)
+
+
+@pytest.fixture(scope="module", params=TARGETS, ids=NAMES)
+def target(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def seeds(target):
+    return target.seeds()
+
+
+@pytest.fixture(scope="module")
+def folder(target, tmp_path_factory):
+    made = tmp_path_factory.mktemp("target")
+    target.beside(made)
+    return made
+
+
+def test_names_are_one_each():
+    assert len({*NAMES}) == len(NAMES)
+
+
+def test_a_seed_is_sound(target, seeds, folder):
+    """Else the fuzzer would never come behind the first check."""
+    for seed in seeds:
+        path = folder / target.file_name
+        path.write_bytes(seed)
+        target.parse(path)
+
+
+@given(data=st.data())
+@settings(
+    max_examples=EXAMPLES,
+    deadline=10_000,  # a hang is a failure too
+    suppress_health_check=[*HealthCheck],
+)
+def test_damage_is_refused_in_one_line(target, seeds, folder, data):
+    target.run(folder, data.draw(damage(seeds)))
+
+
+@pytest.mark.parametrize(
+    "target", [target for target in TARGETS if target.mutate], ids=lambda t: t.name, indirect=True
+)
+@given(seed=st.integers(0, 2**32), turns=st.integers(1, 3))
+@settings(max_examples=EXAMPLES, deadline=10_000, suppress_health_check=[*HealthCheck])
+def test_damage_that_keeps_the_structure_is_refused_in_one_line(
+    target, seeds, folder, seed, turns
+):
+    chance = Random(seed)
+    data = chance.choice(seeds)
+    for _ in range(turns):
+        data = target.mutate(data, chance)
+    target.run(folder, data)
+
+
+def test_what_is_no_refusal_is_a_crash(tmp_path):
+    def crash(path):
+        raise KeyError(path)
+
+    def says_nothing(path):
+        raise InputError("")
+
+    for parse in (crash, says_nothing):
+        with pytest.raises((KeyError, AssertionError)):
+            Target("t", "f", list, parse).run(tmp_path, b"")

@@ -1,0 +1,98 @@
+"""The five-state filter finds the car that made the data, and knows what it does not know."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.kalman import FiveStateFilter
+from evpinn_ros.vehicle.identifiable import Identifiable, combined_power, identifiable
+from evpinn_ros.vehicle.physics import GRAVITY
+
+TRUE = Identifiable(2450.0, 0.78, 0.0105, 0.5, 900.0)
+
+
+def true_power(sample):
+    return 300.0 + combined_power(
+        sample.speed,
+        sample.acceleration,
+        TRUE,
+        air_density=sample.air_density,
+        grade=sample.grade,
+        rotating_mass_factor=1.03,
+    )
+
+
+def test_prior_is_that_of_the_vehicle_file(vehicle):
+    method = FiveStateFilter(vehicle)
+    initial = identifiable(vehicle.initial, vehicle.frontal_area)
+    assert method.mean[[0, 2, 3, 4]] == pytest.approx(
+        [
+            initial.drag_area_over_eta,
+            initial.mass_over_eta,
+            initial.regeneration,
+            initial.p_aux,
+        ]
+    )
+    # k_m = m / eta: 120 kg of 1930 kg and 0.06 of 0.9 together.
+    share = np.hypot(120 / 1930, 0.06 / 0.9)
+    assert np.sqrt(method.covariance[2, 2]) == pytest.approx(share * method.mean[2])
+    assert np.sqrt(method.covariance[4, 4]) == pytest.approx(400.0)
+    assert np.linalg.eigvalsh(method.covariance)[0] >= -1e-9
+
+
+def test_it_predicts_the_prior_before_driving(vehicle, samples):
+    initial = identifiable(vehicle.initial, vehicle.frontal_area)
+    for sample in samples[::500]:
+        power = combined_power(
+            sample.speed,
+            sample.acceleration,
+            initial,
+            air_density=sample.air_density,
+            grade=sample.grade,
+            rotating_mass_factor=vehicle.rotating_mass_factor,
+        )
+        assert FiveStateFilter(vehicle).predict(sample).power == pytest.approx(power + 300.0)
+
+
+def test_it_finds_the_car(vehicle, samples, teach):
+    method = teach(FiveStateFilter(vehicle), samples, true_power)
+    rolling = TRUE.c_rr * TRUE.mass_over_eta
+    wanted = [TRUE.drag_area_over_eta, rolling, TRUE.mass_over_eta, TRUE.regeneration, TRUE.p_aux]
+    assert method.mean == pytest.approx(wanted, rel=0.05)
+
+
+def test_its_gradient_is_the_slope_of_its_model(vehicle, samples):
+    for sample in samples[::300]:
+        method = FiveStateFilter(vehicle)
+        _, gradient = method._model(sample)
+        for index in range(5):
+            step = 1e-5 * method.mean[index]
+            method.mean[index] += step
+            above = method.predict(sample).power
+            method.mean[index] -= 2 * step
+            below = method.predict(sample).power
+            method.mean[index] += step
+            assert gradient[index] == pytest.approx((above - below) / (2 * step), rel=1e-4, abs=1)
+
+
+def test_sigma_shrinks_by_driving_and_grows_with_speed(vehicle, samples, teach):
+    method = FiveStateFilter(vehicle)
+    before = method.predict(samples[0]).sigma
+    teach(method, samples, true_power)
+    assert method.predict(samples[0]).sigma < before
+    still = replace(samples[-1], speed=0.0, acceleration=0.0)
+    assert method.predict(still).sigma < method.predict(samples[-1]).sigma
+
+
+def test_the_fast_one_follows_the_last_residuals(vehicle, samples, teach):
+    def with_head_wind(sample):
+        return true_power(sample) + 0.02 * TRUE.mass_over_eta * GRAVITY * sample.speed
+
+    errors = []
+    for pace in (1.0, 100.0):
+        method = teach(FiveStateFilter(vehicle, pace=pace), samples[:3000], true_power)
+        teach(method, samples[3000:3100], with_head_wind)
+        wanted = with_head_wind(samples[3100])
+        errors.append(abs(method.predict(samples[3100]).power - wanted))
+    assert errors[1] < 0.5 * errors[0]

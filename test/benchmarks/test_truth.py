@@ -1,0 +1,58 @@
+"""Simulated cars against their truth: the sums, the intervals and the floor of the data."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from benchmarks.floor import ASKED, median_floor
+from benchmarks.truth import PROFILE, Comparison, compare, summaries
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import RMS_GRADE, simulate
+from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+
+ONE = Comparison("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
+
+
+def test_a_comparison_by_hand():
+    assert ONE.error_percent == pytest.approx(10.0)
+    assert ONE.covered and not dataclasses.replace(ONE, std=40.0).covered
+    assert not dataclasses.replace(ONE, name="mu", truth=-0.1).covered
+    zero = dataclasses.replace(ONE, name="p_aux", value=0.0, truth=100.0)
+    assert zero.covered
+    (summary,) = summaries([ONE, dataclasses.replace(ONE, value=980.0)])
+    assert summary.bias_percent == pytest.approx(4.0)
+    assert summary.median_percent == pytest.approx(6.0)
+    assert (summary.drives, summary.coverage_percent) == (2, 100.0)
+
+
+def test_intervals_of_cars_drawn_from_the_priors_are_true():
+    """Twenty cars for two minutes; `evpinn bench truth --from-priors` has the figures."""
+    found = list(
+        compare(DriveKind.URBAN, ["tesla_model_3_lr"], range(20), marks=(120,), from_priors=True)
+    )
+    assert {one.name for one in found} == {*PARAMETER_NAMES, *IDENTIFIABLE_NAMES}
+    covered = np.mean([one.covered for one in found])
+    # 180 intervals, at least 20 of them independent: 1-sigma of the share is at most 5 %.
+    assert covered >= 0.95 - 3 * 0.05
+
+
+@pytest.fixture(scope="module")
+def town():
+    vehicle = load_vehicle("tesla_model_3_lr")
+    return simulate(DriveKind.URBAN, vehicle, 120.0, 7, can_profile=PROFILE)
+
+
+def test_the_oracle_knows_more_of_a_road_that_it_knows(town):
+    hilly = median_floor(town, 120.0, RMS_GRADE)
+    told = median_floor(town, 120.0, RMS_GRADE, altitude=True)
+    known = median_floor(town, 120.0, 0.0)
+    assert all(known[name] < told[name] < hilly[name] for name in ASKED)
+    assert hilly["c_rr"] > 5.0 > 1.0 > hilly["mass_over_eta"]
+
+
+def test_the_oracle_knows_less_of_half_a_drive(town):
+    half, whole = (median_floor(town, seconds, RMS_GRADE) for seconds in (60.0, 120.0))
+    assert all(whole[name] < half[name] for name in ASKED)

@@ -1,0 +1,157 @@
+"""What is withheld stays withheld, and a method that knows all has no error."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.unseen.drives import Car, Drive
+from benchmarks.unseen.lines import Span
+from benchmarks.unseen.method import OnlineChain, Prediction
+from benchmarks.unseen.protocols import cuts, predicted, run_car
+from benchmarks.unseen.scores import QUANTILE_90, score_part
+from benchmarks.unseen.summary import summary
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+
+START_NS = 1_700_000_000 * NANOSECONDS
+
+
+class Oracle:
+    """Knows the power, with an error that is `bias` W for ever and a sigma of energy."""
+
+    def __init__(self, power, bias=0.0, sigma=0.0):
+        self.power, self.bias, self.sigma = power, bias, sigma
+
+    def add_reading(self, reading):
+        if isinstance(reading, SpeedReading):
+            time = (reading.stamp_ns - START_NS) / NANOSECONDS
+            power = float(self.power(np.array([time]))[0]) + self.bias
+            yield Prediction(reading.stamp_ns, power, energy_sigma=self.sigma)
+
+    def begin_next_drive(self):
+        pass
+
+    def combinations(self):
+        return {}
+
+
+class Forked(Oracle):
+    """Its copies go on without the battery, so none of them may ever see a battery reading."""
+
+    is_copy = False
+    copies = 0
+
+    def __deepcopy__(self, memo):
+        Forked.copies += 1
+        copy = Forked(self.power)
+        copy.is_copy = True
+        return copy
+
+    def add_reading(self, reading):
+        assert not (self.is_copy and isinstance(reading, BatteryReading)), "a battery reading"
+        return super().add_reading(reading)
+
+
+def test_no_copy_of_a_method_ever_gets_a_battery_reading(car, true_power):
+    Forked.copies = 0
+    found = run_car(car, lambda vehicle: Forked(true_power))
+    drives = len(car.drives)
+    assert len(found.carried) == drives
+    # One copy a drive that is carried, and one at each moment where the battery is cut.
+    moments = sum(len({cut.begin for cut in cuts(drive, 50.0)}) for drive in car.drives)
+    assert Forked.copies == drives + moments
+
+
+def test_a_later_battery_changes_nothing_that_is_predicted(car, vehicle):
+    """The current tripled after the cut: the prediction of our own estimator stays to the bit."""
+    drive = car.drives[0]
+    cut_ns = drive.start_ns + 250 * NANOSECONDS
+    method, rows = OnlineChain(vehicle), []
+    other = Drive(
+        "tripled",
+        tuple(
+            BatteryReading(each.stamp_ns, each.voltage, 3 * each.current)
+            if isinstance(each, BatteryReading) and each.stamp_ns > cut_ns
+            else each
+            for each in drive.readings
+        ),
+    )
+    index = next(i for i, each in enumerate(drive.readings) if each.stamp_ns > cut_ns)
+    for reading in drive.readings[:index]:
+        rows.extend(method.add_reading(reading))
+    span = Span(250.0, 450.0)
+    one, two = (
+        predicted(copy.deepcopy(method), each, index, span, rows[-1:]) for each in (drive, other)
+    )
+    assert np.array_equal(one.power.value, two.power.value)
+    assert len(one.power.value) > 1900
+
+
+def test_a_perfect_method_has_no_error(car, true_power):
+    found = summary(run_car(car, lambda vehicle: Oracle(true_power)))
+    for part in ("carried", "withheld"):
+        assert found[part]["gross_mean_percent"] == pytest.approx(0.0, abs=1e-9)
+        assert found[part]["rmse_w"] == pytest.approx(0.0, abs=1e-6)
+    assert all(each is None or each["rmse_w"] < 1e-6 for each in found["by_battery_age"].values())
+
+
+def test_an_error_of_power_is_found_in_every_score(car, true_power):
+    bias = 100.0
+    found = summary(run_car(car, lambda vehicle: Oracle(true_power, bias)))
+    assert found["withheld"]["rmse_w"] == pytest.approx(bias)
+    assert found["carried"]["means_w"]["60"] == pytest.approx(bias)
+    drive = car.drives[1]
+    gross = drive.power.gross(Span(0.0, drive.duration))
+    expected = 100 * bias * drive.duration / gross
+    assert found["carried"]["gross_mean_percent"] == pytest.approx(expected, rel=1e-5)
+    assert found["by_battery_age"]["60"]["rmse_w"] == pytest.approx(bias)
+
+
+@pytest.mark.parametrize(("share", "inside"), [(0.99, 100.0), (1.01, 0.0)])
+def test_coverage_counts_errors_within_the_90_percent_interval(car, true_power, share, inside):
+    """A bias of 10 W for 200 s is 2 kJ."""
+    error, quantile = 10.0 * 200.0, QUANTILE_90
+    factory = lambda vehicle: Oracle(true_power, 10.0, error / quantile / share)  # noqa: E731
+    found = summary(run_car(car, factory))
+    assert found["withheld"]["inside_90_percent"] == inside
+
+
+def test_a_method_that_says_nothing_has_no_score(car, true_power):
+    class Silent(Oracle):
+        def add_reading(self, reading):
+            return ()
+
+    found = summary(run_car(car, lambda vehicle: Silent(true_power)))
+    assert found["carried"] is None
+    assert found["withheld"] is None
+
+
+def test_cuts_are_those_of_the_findings(make_drive):
+    """Model 3: 757 s are cut every 50 s from 250 s on, the last time at 557 s."""
+    found = [cut.begin for cut in cuts(make_drive(757.3), 50.0)]
+    assert found == [250, 300, 350, 400, 450, 500, 557]
+    assert [cut.length for cut in cuts(make_drive(300.0), 50.0)] == [pytest.approx(150.0, abs=0.1)]
+    assert {cut.length for cut in cuts(make_drive(1000.0), 50.0)} == {200.0, 600.0}
+
+
+def test_gaps_of_the_battery_are_not_scored(make_drive, true_power):
+    whole = make_drive(300.0)
+    lost = tuple(
+        each
+        for each in whole.readings
+        if not (isinstance(each, BatteryReading) and 100 < whole.seconds(each.stamp_ns) < 200)
+    )
+    drive = Drive("lost", lost)
+    track = predicted(Oracle(true_power, 50.0), drive, 0, Span(0.0, 300.0), [])
+    found = score_part(drive, track, Span(0.0, drive.duration))
+    assert found.error == pytest.approx(50.0 * (drive.duration - 100.0), rel=1e-3)
+    assert math.isclose(found.covered, 1.0)
+
+
+def test_drives_of_a_polled_car_have_their_energy(make_drive, vehicle):
+    """Voltage and current each every 1.2 s at other moments tell the energy of 10 Hz."""
+    often, seldom = make_drive(600.0), make_drive(600.0, period=1.2, polled=True)
+    span = Span(5.0, 590.0)
+    assert seldom.power.over(span) == pytest.approx(often.power.over(span), rel=2e-3)
+    assert Car("polled", vehicle, (seldom,)).hours == pytest.approx(1 / 6, rel=0.01)

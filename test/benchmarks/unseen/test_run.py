@@ -1,0 +1,78 @@
+"""Tasks, methods of anybody's, and cars by SUMO."""
+
+import numpy as np
+import pytest
+
+from benchmarks.unseen import run
+from benchmarks.unseen.sumo_cars import simulate_sumo, sumo_is_there, sumo_truth
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.vehicle.files import load_vehicle
+
+MINE = '''
+"""A method of somebody else."""
+from benchmarks.unseen.method import Prediction
+from evpinn_ros.signals.readings import SpeedReading
+
+class Flat:
+    """Ten kilowatts, always."""
+
+    def __init__(self, vehicle):
+        """Take nothing from it."""
+
+    def add_reading(self, reading):
+        """Ten kilowatts."""
+        if isinstance(reading, SpeedReading):
+            yield Prediction(reading.stamp_ns, 1e4)
+
+    def begin_next_drive(self):
+        """Nothing to forget."""
+
+    def combinations(self):
+        """Nothing is known."""
+        return {}
+'''
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A CSV drive of 400 s at a steady 20 kW."""
+    rows = (f"{t / 10},{15 + t % 7 / 10},360,{2e4 / 360}\n" for t in range(4000))
+    path = tmp_path / "drive.csv"
+    path.write_text("t_s,speed_mps,voltage_v,current_a\n" + "".join(rows))
+    return tmp_path
+
+
+def test_anybodys_method_is_scored(folder):
+    (folder / "mine.py").write_text(MINE)
+    task = run.Task(f"{folder / 'drive.csv'}=generic", f"{folder / 'drive.csv'}=generic", "")
+    task = task._replace(method=f"{folder / 'mine.py'}:Flat")
+    found = run.run_task(task).scores
+    assert found["carried"]["gross_mean_percent"] == pytest.approx(50.0, abs=0.1)
+    assert found["withheld"]["rmse_w"] == pytest.approx(1e4, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["nobody", "nobody.py:Flat"])
+def test_a_method_that_is_not_there_is_refused(name):
+    with pytest.raises(InputError, match="nobody"):
+        run.find_method(name)
+
+
+def test_the_recorded_core_counts_for_the_same_drives_alone():
+    found = run.recorded_core("model3", 1)
+    assert found["withheld"]["rmse_w"] == pytest.approx(1141, abs=1)
+    assert run.recorded_core("model3", 2) is None
+    assert run.recorded_core("nobody's car", 1) is None
+
+
+@pytest.mark.skipif(not sumo_is_there(), reason="eclipse-sumo and libsumo are optional")
+def test_a_car_by_sumo_drives_and_has_its_truth(monkeypatch):
+    monkeypatch.setattr("benchmarks.unseen.sumo_cars.SECONDS", 400)
+    readings, trace = simulate_sumo("sumo_i3")
+    assert trace.shape == (4000, 4)
+    power = [each.power for each in readings if isinstance(each, BatteryReading)]
+    assert np.allclose(power, trace[:, 3])
+    truth = sumo_truth("sumo_i3", trace, load_vehicle("generic"))
+    # 1417 kg and 12.5 kg m^2 at wheels of 0.35 m are 1519 kg that are accelerated.
+    assert 1519 / 1.03 < truth["mass_over_eta"] < 1519 / 1.03 / 0.8
+    assert truth["p_aux"] == 360.0
