@@ -82,4 +82,4 @@ def test_counting_alone(tmp_path, monkeypatch):
     names = [row["name"] for row in json.loads(out.read_text())["counting"]]
     for start in ("drift in 24 h", "quadrature of 10 Hz", "1 Hz with 10% missing", "bmw_i3, "):
         assert any(name.startswith(start) for name in names), start
-    assert "bmw_i3, battery silent for 20 s: median" in names
+    assert "bmw_i3, battery dropout of 20 s: median" in names

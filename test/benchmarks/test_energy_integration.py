@@ -37,7 +37,7 @@ def test_a_drive_gives_every_figure_of_a_car(tmp_path, monkeypatch):
     write(simulate(DriveKind.URBAN, vehicle, 120.0, 1), tmp_path / "drive")
     logs = find_logs(str(tmp_path / "drive"), vehicle.key)
     rows = {row.name: row for row in integration_rows([logs], time.thread_time)}
-    silent = "tesla_model_3_lr, battery silent for 40 s"
+    silent = "tesla_model_3_lr, battery dropout of 40 s"
     assert rows[f"{silent}: median"].cases >= 2
     assert 0.0 < rows[f"{silent}: median"].figure <= rows[f"{silent}: worst"].figure < 50.0
     assert 0.0 <= rows[f"{silent}: in the 90 % band"].figure <= 100.0
