@@ -18,7 +18,8 @@ POWER_SWING = 30e3  # W that a car at one speed does not go through in that time
 FINE = 0.1  # m/s, a step of finer speeds
 COARSE_LONG, COARSE_SWING = 5.0, 60e3
 # Before that is long enough, a speed that repeats is in doubt: nothing is learned until it moves.
-DOUBTED_AFTER, COARSE_DOUBTED_AFTER = 0.35, 2.0  # s
+# A cruise control keeps even a fine speed for a second, now and then for two.
+DOUBTED_AFTER, COARSE_DOUBTED_AFTER = 1.0, 2.0  # s
 COARSE_DOUBT_SWING = 20e3  # W
 SETTLES_NS = NANOSECONDS // 2  # before and after, which smoothing reaches and in which it leaps
 SPOILT_KEPT = 20

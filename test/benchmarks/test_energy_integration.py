@@ -34,7 +34,7 @@ def test_a_drive_gives_every_figure_of_a_car(tmp_path, monkeypatch):
     monkeypatch.setattr(energy_integration, "STRIDE", 40.0)
     monkeypatch.setattr(energy_integration, "DROPOUT", 40.0)
     vehicle = load_vehicle("tesla_model_3_lr")
-    write(simulate(DriveKind.URBAN, vehicle, 120.0, 1), tmp_path / "drive")
+    write(simulate(DriveKind.URBAN, vehicle, 130.0, 1), tmp_path / "drive")
     logs = find_logs(str(tmp_path / "drive"), vehicle.key)
     rows = {row.name: row for row in integration_rows([logs], time.thread_time)}
     silent = "tesla_model_3_lr, battery dropout of 40 s"

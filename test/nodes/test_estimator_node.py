@@ -177,7 +177,7 @@ def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
 
 def test_a_fault_of_ours_is_told_and_the_node_lives(bench, monkeypatch):
     node = bench.start(EstimatorNode)
-    monkeypatch.setattr(node.estimator, "push", lambda reading: 1 / 0)
+    monkeypatch.setattr(node.estimator, "add_reading", lambda reading: 1 / 0)
     bench.deliver(node, topics.SPEED, speed(0.0))
     bench.deliver(node, topics.SPEED, speed(0.1))
     level, text, values = said(bench, node)

@@ -93,16 +93,16 @@ def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
     """Half a second on both sides; long before it is suspected, and once it is no longer."""
     suspicion = StuckSuspicion()
     judge(10, waves(15, 8), waves(-50, 20), suspicion)
-    judge(1, lambda _: 15.0, waves(-50, 20), suspicion, begin=10.0)
+    judge(1.5, lambda _: 15.0, waves(-50, 20), suspicion, begin=10.0)
     assert suspicion.suspected is None
-    judge(5, waves(15, 8), waves(-50, 20), suspicion, begin=11.0)
+    judge(5, waves(15, 8), waves(-50, 20), suspicion, begin=11.5)
 
     def why_not(*span):
         return suspicion.why_not(*(round(each * NANOSECONDS) for each in span))
 
-    assert why_not(9.6, 9.6) == why_not(10.5, 10.5) == why_not(11.3, 11.3) == SPEED_REPEATS
-    assert why_not(8.0, 9.6) == why_not(11.3, 13.0) == why_not(9.0, 12.0) == SPEED_REPEATS
-    assert why_not(0.0, 9.4) is why_not(11.5, 14.0) is None
+    assert why_not(9.6, 9.6) == why_not(10.5, 10.5) == why_not(11.8, 11.8) == SPEED_REPEATS
+    assert why_not(8.0, 9.6) == why_not(11.8, 13.0) == why_not(9.0, 12.0) == SPEED_REPEATS
+    assert why_not(0.0, 9.4) is why_not(12.0, 14.0) is None
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**11), st.floats(), st.floats(), st.booleans())))
