@@ -68,7 +68,7 @@ class LearnedCar:
         loads: what the car reports of heating and cooling.
         gated: intervals not learned from, by reason.
         end_ns: of the last interval.
-        measured: whether the battery was measured in it.
+        known_ns: up to where the battery was measured: before `end_ns` during a dropout.
         stretches: of road and drives begun so far; what began meanwhile outdates an update.
     """
 
@@ -77,7 +77,7 @@ class LearnedCar:
         self.filter, self.sums, self.rehearsal = CarFilter(vehicle), EnergySums(), Rehearsal()
         self.payload, self.grade, self.loads = PayloadDetector(), GradeSuspicion(), ReportedLoads()
         self.gated: Counter[str] = Counter()
-        self.end_ns, self.measured, self.stretches = 0, True, 0
+        self.end_ns = self.known_ns = self.stretches = 0
 
     def after(self, intervals: list[Interval]) -> LearnedCar:
         """The car after some more intervals; this one is left as it is."""
@@ -88,7 +88,7 @@ class LearnedCar:
         other.grade, other.loads = GradeSuspicion(), ReportedLoads.restored(self.loads.export())
         other.grade.restore(self.grade.export())
         other.gated = Counter()
-        other.end_ns, other.measured = self.end_ns, self.measured
+        other.end_ns, other.known_ns = self.end_ns, self.known_ns
         other.stretches = self.stretches
         for interval in intervals:
             other.learn(interval)
@@ -111,14 +111,22 @@ class LearnedCar:
         )
         self.rehearsal.learn(self.filter, interval)
         learned = self.filter.learn(interval)
-        self.end_ns, self.measured = interval.end_ns, learned is not None
+        if self.measured:  # before it; a gap between two intervals is not accounted for
+            self.known_ns = interval.start_ns
+        self.end_ns = interval.end_ns
         if learned is None:
             return
+        self.known_ns = interval.end_ns
         self.sums.add(interval, found, self.filter.weights, self.filter.warmth.tyres)
         mean = self.filter.mixture().mean
         weight = GRAVITY * math.exp(mean[State.MASS] - mean[State.ETA])
         self.grade.learn(interval, learned.residual, weight)
         self.filter = self.payload.learn(self.filter, self.sums, interval)
+
+    @property
+    def measured(self) -> bool:
+        """True while no energy is predicted without a battery."""
+        return self.known_ns == self.end_ns
 
     def forget_road(self) -> None:
         """After a jump of time: another place on the road, and the car may have stood."""
@@ -126,7 +134,7 @@ class LearnedCar:
         self.payload.forget_time()
         self.rehearsal.end()
         self.filter.forget_road()
-        self.measured = True
+        self.known_ns = self.end_ns
 
     def begin_drive(self) -> None:
         """Another drive of this car."""
@@ -154,6 +162,7 @@ class EnergyDebt:
         """Nothing owed."""
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY)
         self._energy = self._start = self._paid = self._owed = 0.0
+        self._start_ns = 0
 
     def repay(self, stamp_ns: int, power: float) -> float:
         """Correction to add to a power, W, at a moment."""
@@ -166,12 +175,10 @@ class EnergyDebt:
         self._paid += rate * step
         return rate
 
-    def settle(self, end_ns: int) -> None:
-        """The battery was measured until here: nothing is owed."""
-        self._start, self._owed, self._paid = self._at(end_ns), 0.0, 0.0
-
-    def owe(self, end_ns: int, energy: float) -> None:
-        """Energy that the intervals account for since the last settlement, J."""
+    def owe(self, start_ns: int, end_ns: int, energy: float) -> None:
+        """Account for the energy, J, of the intervals of a dropout: from its begin until now."""
+        if start_ns != self._start_ns:
+            self._start_ns, self._start, self._paid = start_ns, self._at(start_ns), 0.0
         self._owed = energy - (self._at(end_ns) - self._start)
 
     def _at(self, stamp_ns: int) -> float:
@@ -264,10 +271,8 @@ class PinnLearner:
             return "outdated"
         self.gated.update(candidate.gated)
         self._use(candidate)
-        if candidate.measured:
-            self._debt.settle(candidate.end_ns)
-        else:
-            self._debt.owe(candidate.end_ns, self._unmeasured[0])
+        energy = 0.0 if candidate.measured else self._unmeasured[0]
+        self._debt.owe(candidate.known_ns, candidate.end_ns, energy)
         return None
 
     def parameters(self) -> ParameterSet:
