@@ -107,7 +107,7 @@ def _change_records(records: list[tuple[int, int, bytes]], chance: Random) -> No
     elif what == 3:
         records[at] = chance.randrange(256), size, body
     elif what == 4:
-        records[at] = opcode, chance.choice((*SIZES, size + 1, max(size - 1, 0))), body
+        records[at] = opcode, chance.choice((*SIZES, (size + 1) % 2**64, max(size - 1, 0))), body
     elif what == 5 and opcode == Opcode.CHUNK and len(body) >= CHUNK.size + 12:
         changed = _chunk(body, chance)
         records[at] = opcode, len(changed), changed
