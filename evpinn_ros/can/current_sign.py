@@ -7,8 +7,8 @@ import math
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.sample import MeasuredSample
+from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, ChargeSuspicion, SignSuspicion
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.signals.suspicion import CURRENT_SIGN, ChargeSuspicion, SignSuspicion
 from evpinn_ros.signals.time_jump import Jump, StampGuard
 
 PERIOD_NS = NANOSECONDS // 11

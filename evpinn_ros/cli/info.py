@@ -16,7 +16,7 @@ from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.contents import Contents, contents
-from evpinn_ros.drives.usable import DataCoverage, ReadingFlow, Span
+from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_SPANS = 10  # on the terminal; --json has them all

@@ -12,7 +12,7 @@ import typer
 
 from evpinn_ros.bags.foxglove import LOOPBACK, PORT
 from evpinn_ros.bags.writer import Split
-from evpinn_ros.cli.afterwards import reported
+from evpinn_ros.cli.drive_report import reported
 from evpinn_ros.cli.options import (
     CanProfileOption,
     Elm327Option,
@@ -21,7 +21,7 @@ from evpinn_ros.cli.options import (
     elm327_bus,
 )
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.nodes.state_keeper import state_path
+from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 

@@ -16,9 +16,9 @@ from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.profile import bundled_profiles
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.drives.sources import Source, is_drive_table, open_source
-from evpinn_ros.drives.usable import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here

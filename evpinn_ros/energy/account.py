@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, Uncertain
+from evpinn_ros.energy.dropout import Dropout
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState
 from evpinn_ros.energy.plausible import (
     MAX_POWER,
@@ -26,7 +27,6 @@ from evpinn_ros.energy.plausible import (
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
 from evpinn_ros.energy.saved import numbers, or_none, section
-from evpinn_ros.energy.silence import Dropout
 from evpinn_ros.energy.trip import Stretch, TripLog
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 

@@ -1,9 +1,9 @@
 """Energy consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
-The measured integral stays where it is while the battery is silent; the predicted ones go on
-from speed alone, and bridge the dropout. Between two samples of a slow battery the prediction
-tells the course of power (`energy.course`). When speed is silent as well, nothing is known of
-what was taken: that time is counted, and no line is drawn across it.
+The measured integral stays where it is during a battery dropout; the predicted ones go on from
+speed alone, and bridge it. Between two samples of a slow battery the prediction shapes the power
+(`energy.power_interpolation`). When speed drops out as well, nothing is known of what was taken:
+that time is counted, and no line is drawn across it.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import math
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.course import (
+from evpinn_ros.energy.dropout import Bridge, Dropout, Dropouts
+from evpinn_ros.energy.plausible import MAX_POWER, MOST_ENERGY, MOST_SECONDS, ROUNDING
+from evpinn_ros.energy.power_interpolation import (
     LONGEST,
     EnergyCorrection,
     MeasuredStep,
     PowerInterpolation,
     PredictedPower,
 )
-from evpinn_ros.energy.plausible import MAX_POWER, MOST_ENERGY, MOST_SECONDS, ROUNDING
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, Step
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.saved import number, numbers, or_none, section
-from evpinn_ros.energy.silence import Bridge, Dropout, Dropouts
 from evpinn_ros.energy.uncertainty import CORRELATION_TIME, CorrelatedError, LastingShare
 from evpinn_ros.signals.readings import NANOSECONDS
 

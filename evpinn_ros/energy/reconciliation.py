@@ -16,7 +16,7 @@ import math
 from typing import NamedTuple
 
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.silence import Dropout
+from evpinn_ros.energy.dropout import Dropout
 
 LEAST_DROPOUT = 60.0  # s; in less the state of charge hardly moves a step
 MOST_UNKNOWN = 2.0  # s without speed that a prediction may lack

@@ -12,7 +12,8 @@ three hidden layers of 32 tanh units. Three choices the paper leaves open:
   it the steps of a series are independent, so a whole series is one batched evaluation.
 - **P(t + dt/2)** is an argument; by default the mean of both ends, which is linear interpolation.
   Where samples lie between the ends, as those of a prediction between two of a slow battery do,
-  the middle is known: `energy.course` passes it; `along` takes two pieces of a series at a time.
+  the middle is known: `energy.power_interpolation` passes it; `along` takes two pieces of a
+  series at a time.
 
 `evpinn_ros.energy.rknn_training` makes the shipped weights. With them the network differs from
 the quadrature of the same power by less than 0.01 % of the net energy of real drives. Without a

@@ -27,7 +27,7 @@ from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.forecast_model import linear_power
-from evpinn_ros.estimation.grade_suspicion import GRADE_SIGN, GradeSuspicion
+from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeSuspicion
 from evpinn_ros.estimation.learner import (
     LearnerReport,
     PowerPrediction,
@@ -44,7 +44,7 @@ from evpinn_ros.estimation.weak_form import spent, unit_step
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.signals.suspicion import CURRENT_SIGN, SignSuspicion
+from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, SignSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import GRAVITY

@@ -29,7 +29,7 @@ from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer
 from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
+from evpinn_ros.nodes.saved_state import SAVE_PERIOD, StateFile, state_path
 from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.signals.road import why_impossible

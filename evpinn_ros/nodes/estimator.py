@@ -22,7 +22,7 @@ from evpinn_ros.nodes.estimator_diagnosis import (
 )
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.state_keeper import SAVE_PERIOD, StateFile, state_path
+from evpinn_ros.nodes.saved_state import SAVE_PERIOD, StateFile, state_path
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic

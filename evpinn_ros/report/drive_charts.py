@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replay.foretold import ForecastOutcome
+from evpinn_ros.replay.forecasts import ForecastOutcome
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import DECIMALS
 from evpinn_ros.replay.scoring import longest_step, measured_at

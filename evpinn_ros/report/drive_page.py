@@ -13,7 +13,7 @@ import numpy as np
 
 from evpinn_ros.energy.quadrature import trapezoid
 from evpinn_ros.replay.events import Event, EventKind, drive_events
-from evpinn_ros.replay.foretold import ForecastOutcome, forecast_outcomes
+from evpinn_ros.replay.forecasts import ForecastOutcome, forecast_outcomes
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import Span, baseline_scores
 from evpinn_ros.replay.tables import (

@@ -9,7 +9,7 @@ from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.replay.events import EventKind, drive_events
 from evpinn_ros.replay.history import Detection, Drive, PowerSeries
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.suspicion import CURRENT_SIGN
+from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 
 START_NS = 1_700_000_000 * NANOSECONDS
 

@@ -27,9 +27,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.energy.dropout import Bridge
 from evpinn_ros.energy.quadrature import Step
 from evpinn_ros.energy.rknn import Rknn
-from evpinn_ros.energy.silence import Bridge
 from evpinn_ros.signals.readings import NANOSECONDS
 
 LEAST_INSIDE = 2  # predictions in a step; with fewer they are no denser than the battery

@@ -12,7 +12,7 @@ from evpinn_ros.estimation.pinn import LearnedCar
 from evpinn_ros.estimation.weak_form import Warmth, spent
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.signals.suspicion import SignSuspicion
+from evpinn_ros.signals.sign_detectors import SignSuspicion
 
 
 class Hills:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from evpinn_ros.signals.suspicion import ChargeSuspicion
+from evpinn_ros.signals.sign_detectors import ChargeSuspicion
 
 
 def fed(power, charges, *, speed=math.nan, step=1.0):

@@ -12,7 +12,7 @@ import typer
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.afterwards import CUT_SHORT_S, reported
+from evpinn_ros.cli.drive_report import CUT_SHORT_S, reported
 from evpinn_ros.cli.run import learned_before
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory

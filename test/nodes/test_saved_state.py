@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.state_keeper import REFUSED_KEPT, StateFile, state_path
+from evpinn_ros.nodes.saved_state import REFUSED_KEPT, StateFile, state_path
 
 
 class Counter:

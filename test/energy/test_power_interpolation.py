@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.course import (
+from evpinn_ros.energy.dropout import Bridge
+from evpinn_ros.energy.power_interpolation import (
     MEMORY,
     WAITING,
     MeasuredStep,
@@ -14,7 +15,6 @@ from evpinn_ros.energy.course import (
 )
 from evpinn_ros.energy.quadrature import EnergyIntegral, Step
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.energy.silence import Bridge
 
 START = 1_700_000_000_000_000_000
 powers = st.floats(-1e5, 1e5)

@@ -10,7 +10,7 @@ import pytest
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.foretold import drive_plan, forecast_outcomes
+from evpinn_ros.replay.forecasts import drive_plan, forecast_outcomes
 from evpinn_ros.replay.history import MODEL_STEP, History, KnownModel
 from evpinn_ros.replay.scoring import Span, energy_score
 
