@@ -26,7 +26,7 @@ import numpy as np
 # and twelve BMW i3 drives, with parameters fitted to the first half: median 4.5 s, 1.8 to 30 s.
 CORRELATION_TIME = 5.0  # s
 # Twelve BMW i3 trips, each without its battery after learning on those before:
-# docs/project/benchmarks.md.
+# docs/project/benchmark_history.md.
 PRIOR_SHARE = 0.06
 PRIOR_DROPOUTS = 10
 
