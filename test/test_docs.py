@@ -9,12 +9,12 @@ import subprocess
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [  # all of the checkout, or of an export of it, which git knows nothing of
+PAGES = [  # all that git tracks; of an export, which it knows nothing of, the documents
     ROOT / name
     for name in subprocess.run(
         ["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=False
     ).stdout.split()
-] or sorted(ROOT.rglob("*.md"))
+] or [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 
 
 def generator():
@@ -51,10 +51,16 @@ def anchors(text: str) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings}
 
 
-def test_readme_names_every_topic():
-    readme = (ROOT / "README.md").read_text()
+def test_the_index_has_every_page():
+    docs = ROOT / "docs"
+    named = re.findall(r"^- \[.+?\]\((.+?)\): ", (docs / "README.md").read_text(), re.MULTILINE)
+    assert sorted(named) == sorted(str(page.relative_to(docs)) for page in docs.glob("*/*.md"))
+
+
+def test_the_ros_guide_names_every_topic():
+    guide = (ROOT / "docs" / "guides" / "ros.md").read_text()
     missing = [
-        t.name for t in GENERATOR.TOPICS if t.name not in readme and "estimate/" not in t.name
+        t.name for t in GENERATOR.TOPICS if t.name not in guide and "estimate/" not in t.name
     ]
     assert not missing
 
