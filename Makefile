@@ -83,7 +83,7 @@ bags: $(INSTALLED)
 golden: $(INSTALLED)
 	@$(BIN)/python test/replay/golden.py --renew
 
-# The pictures of the README and the reference pages, from code; that of the report needs Chromium.
+# The pictures of the documents and the reference pages, from code; that of the report needs Chromium.
 docs: demo
 	@cp out/demo/demo.png docs/demo.png
 	@$(BIN)/python docs/eco_speed.py

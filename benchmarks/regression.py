@@ -24,7 +24,7 @@ from evpinn_ros.vehicle.identifiable import identifiable
 from evpinn_ros.vehicle.physics import GRAVITY
 
 FIVE_TERMS, SEVEN_TERMS = 5, 7
-FORGETTING = 0.995  # per sample: a memory of 200; best of 0.99 to 1 on the drives of benchmarks.md
+FORGETTING = 0.995  # per sample: a memory of 200; best of 0.99 to 1, docs/project/benchmarks.md
 START_SPREAD = 0.5  # 1-sigma of a coefficient before driving, relative to its start
 LOSS_SPREAD = (20.0, 600.0)  # 1-sigma of th6, W/(m/s)^2, and th7, W/(m/s^2)^2, about zero
 NOISE = 1500.0  # W, 1-sigma of what the terms leave: how much data outweigh the start

@@ -1,4 +1,4 @@
-"""The picture of the README: what the example planner asks, and what the energy node answers.
+"""The picture of docs/guides/planning.md: what the planner asks, what the energy node answers.
 
 Run: python docs/eco_speed.py (`make docs` does)
 """

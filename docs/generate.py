@@ -59,7 +59,7 @@ for several. A part in <> stands for any name. What cannot be known is `null`: n
 or too short. Every score of power and energy is predict-then-update; `power` is of
 `power/smoothed` and `power_now` of `power/predicted`, both after `--warm-up`. `withheld` is
 there with `--withhold-battery-after` alone, and then `power`, `power_now` and `energy` outside
-of it are of the part before. How to read them: [read the uncertainty](guides/uncertainty.md).
+of it are of the part before. How to read them: [read the uncertainty](../guides/uncertainty.md).
 """
 
 
@@ -151,7 +151,7 @@ def vehicles_page() -> str:
     lines += [
         "How the quantities come: *broadcast*, or *asked* for with read requests, which needs"
     ]
-    lines += ["`poll` ([why, and what it costs](can.md#asking-the-car)).", ""]
+    lines += ["`poll` ([why, and what it costs](../explanation/can.md#asking-the-car)).", ""]
     lines += ["| profile | cars | broadcast | asked | verified by |", "|---|---|---|---|---|"]
     lines += [_profile_row(load_profile(name)) for name in profile_names()]
     return "\n".join([*lines, ""])
@@ -275,11 +275,11 @@ def _default(value: Any) -> str:
 
 
 PAGES = {
-    "topics.md": topics_page,
-    "parameters.md": parameters_page,
-    "vehicles.md": vehicles_page,
-    "commands.md": commands_page,
-    "metrics.md": metrics_page,
+    "reference/topics.md": topics_page,
+    "reference/parameters.md": parameters_page,
+    "reference/vehicles.md": vehicles_page,
+    "reference/commands.md": commands_page,
+    "reference/metrics.md": metrics_page,
 }
 
 

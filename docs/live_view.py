@@ -1,4 +1,4 @@
-"""The picture of the README: the live view, late in a bundled drive.
+"""The picture of docs/guides/viewing.md: the live view, late in a bundled drive.
 
 Run: python docs/live_view.py (`make docs` does)
 """

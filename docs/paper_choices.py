@@ -1,4 +1,4 @@
-"""Effect of each choice that the paper leaves open: the table in `docs/paper.md`.
+"""Effect of each choice that the paper leaves open: the table in `docs/explanation/paper.md`.
 
 python docs/paper_choices.py LOG VEHICLE [EPOCHS]
 """

@@ -1,4 +1,4 @@
-"""The picture of a report in the README: a simulated drive, replayed, in a headless Chromium.
+"""The picture of docs/guides/replay.md: a simulated drive, replayed, in a headless Chromium.
 
 Run: python docs/report.py (`make docs` does)
 """

@@ -24,7 +24,8 @@ from evpinn_ros.cli.main import app
 
 ROOT = Path(__file__).parents[1]
 GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
-PAGES = [*GUIDES, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NOTHING_RUNS = {"planning", "ros", "viewing"}  # their blocks need ROS, nodes or a window
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 REASON = re.compile(r"<!-- not run: (\S.*) -->\n\Z")
 COMMAND = typer.main.get_command(app)
@@ -108,7 +109,7 @@ def test_blocks_run_as_they_stand(page, checkout):
         "OMP_NUM_THREADS": "1",
     }
     ran = [block for block in blocks(page.read_text()) if block.reason is None]
-    assert ran, "a page of which nothing is run is not tested"
+    assert bool(ran) == (page.stem not in NOTHING_RUNS), "a page of which nothing is run"
     for block in ran:
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", block.text],
@@ -139,7 +140,7 @@ def test_commands_are_ones_that_the_command_line_takes(page):
 def test_every_fence_is_one_that_is_understood(page):
     text = page.read_text()
     found = FENCED.findall(text)
-    assert {language for language, _ in found} <= {"bash", "python", "yaml", ""}
+    assert {language for language, _ in found} <= {"bash", "csv", "python", "yaml", ""}
     assert text.count("```") == 2 * len(found), "indented, or not closed: it would not be run"
 
 

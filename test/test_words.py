@@ -1,4 +1,4 @@
-"""The words of docs/glossary.md in the package: one thing, one word, and the word of the field."""
+"""Words of docs/explanation/glossary.md in the package: one thing, one word, the field's."""
 
 import ast
 from collections.abc import Iterator

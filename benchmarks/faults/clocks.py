@@ -25,7 +25,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 CLOCK = "rosgraph_msgs/msg/Clock"
 BEGIN_NS = 5000 * NANOSECONDS
 LONGEST = 15.0  # s in which a fault must be named
-DEAF = 2.0  # s without messages when the system's clock is set; see docs/benchmarks
+DEAF = 2.0  # s without messages when the clock is set: docs/project/benchmark_history.md
 
 
 def clock_faults() -> Iterator[Fault]:

@@ -1,5 +1,5 @@
 """Prediction without the battery, scored on recorded and simulated drives.
 
 Every method sees the same readings and is scored on the same samples; the battery readings that it
-is scored against never reach it. See `docs/benchmarks.md`, "Unseen".
+is scored against never reach it. See `docs/project/benchmarks.md`, "Unseen".
 """

@@ -71,7 +71,10 @@ def refusal(tx_id: int, rx_id: int, target: int | None, source: int | None) -> s
         source: first byte of every answer, or None.
     """
     if tx_id not in _ANSWERS:
-        return f"0x{tx_id:X} is no diagnostic id (ISO 15765-4, or on the list in docs/can.md)"
+        return (
+            f"0x{tx_id:X} is no diagnostic id (ISO 15765-4, or on the list in "
+            "docs/explanation/can.md)"
+        )
     if rx_id not in _ANSWERS[tx_id]:
         return f"0x{rx_id:X} does not answer what is sent to 0x{tx_id:X}"
     if tx_id != BMW_GATEWAY:

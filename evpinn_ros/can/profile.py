@@ -123,7 +123,7 @@ def load_profile(name_or_path: str | Path) -> CanProfile:
     if path.suffix.lower() == ".dbc":
         raise InputError(
             f"{path}: a DBC file says neither sign nor range; write a profile (.yaml) that names "
-            "it, see docs/can.md"
+            "it, see docs/explanation/can.md"
         )
     if path.suffix not in (".yaml", ".yml"):
         if str(name_or_path) not in profile_names():

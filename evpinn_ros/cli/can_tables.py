@@ -122,7 +122,7 @@ def _verdict(best: ProfileReport | None) -> list[str]:
     if best is None:
         return [
             "No profile fits this traffic. Cars that must be asked are not known by listening: "
-            "docs/can.md, asking the car"
+            "docs/explanation/can.md, asking the car"
         ]
     lines = [f"Fits: {best.fit.profile}"]
     dropped = ", ".join(f"{count} {reason}" for reason, count in sorted(best.dropped.items()))

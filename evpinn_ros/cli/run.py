@@ -63,7 +63,7 @@ def run(
         typer.Option(
             "--poll",
             help="Send read requests for what the profile says must be asked for. Keeps the car "
-            "awake: see docs/can.md.",
+            "awake: see docs/explanation/can.md.",
         ),
     ] = False,
     mode: Annotated[Mode | None, typer.Option(help="How to learn.")] = None,

@@ -216,7 +216,8 @@ QUALIFIERS = frozenset(_phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since jou
 # By an unmistakable column of an app: what its other names do not tell. LeafSpy writes the ambient
 # temperature in degrees F beside packs in both ("LeafSpy Log file format", lstech.io). Its Speed
 # is the phone's GPS, which freezes and is silent in pockets; Speed2 is the car's own, in 0.01
-# km/h: it agrees with the odometer within 1 % (docs/benchmarks.md, "Reading logs of apps").
+# km/h: it agrees with the odometer within 1 % ("Reading logs of apps" in
+# docs/project/benchmarks.md).
 UNITS_OF_APPS: Mapping[str, Mapping[str, str]] = {"Gids": {"Ambient": "f", "Speed2": "0.01 km/h"}}
 COLUMNS_OF_APPS: Mapping[str, Mapping[str, str]] = {"Gids": {"speed": "Speed2"}}
 

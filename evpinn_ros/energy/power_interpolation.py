@@ -12,9 +12,9 @@ tau: r is the mean of an Ornstein-Uhlenbeck bridge, nearly zero in the middle.
 
 The Runge-Kutta network takes two pieces of that course at a time, the sample between them being
 the known midpoint; one step from battery sample to battery sample, with the middle alone, was
-worse than all samples (docs/benchmarks.md). The trapezoid rule is the cross-check. What stays
-uncertain of a step: r at both ends tells two errors of a moment, and their mean stands for the
-step with half the variance of one.
+worse than all samples (docs/project/benchmark_history.md). The trapezoid rule is the cross-check.
+What stays uncertain of a step: r at both ends tells two errors of a moment, and their mean stands
+for the step with half the variance of one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 LEAST_INSIDE = 2  # predictions in a step; with fewer they are no denser than the battery
 WAITING = 1000  # samples kept at most
 LONGEST = 59.0  # s; of a longer dropout the ends tell nothing, and the state of charge may
-MEMORY = 0.5  # s, tau: of errors of the prediction; docs/benchmarks.md has others
+MEMORY = 0.5  # s, tau: of errors of the prediction; docs/project/benchmark_history.md has others
 
 
 class PredictedPower(NamedTuple):

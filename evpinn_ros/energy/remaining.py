@@ -23,7 +23,7 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import energy_sigma
 
-MEMORY = 30e3  # m; twelve BMW i3 trips do not tell it well: docs/benchmarks.md
+MEMORY = 30e3  # m; twelve BMW i3 trips do not tell it well: docs/project/benchmark_history.md
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre

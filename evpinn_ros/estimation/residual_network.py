@@ -11,7 +11,7 @@ is zero, and the two are weighted by their evidence.
 The prior is also what weights return to, within `MEMORY`: the network holds what this road, this
 wind and this place in the map of efficiency have beside the physics. So the last seconds are its
 window, the prior its arrival cost, and it is gone soon after a dropout begins. A network
-that lasts was measured beside it and makes dropouts worse (docs/benchmarks.md).
+that lasts was measured beside it and makes dropouts worse (docs/project/benchmark_history.md).
 """
 
 from __future__ import annotations

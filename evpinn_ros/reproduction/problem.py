@@ -1,6 +1,6 @@
 """The loss of the paper on one drive: what every optimiser minimises (eq. 21 to 25).
 
-What the paper leaves open is settled here; `docs/paper.md` has the effect of each choice:
+What the paper leaves open is settled here; the effects are in `docs/explanation/paper.md`:
 
 - inputs are speed in m/s and time in s since the start, as they are, or each mapped to [-1, 1];
 - power is mapped to [-1, 1] between its extremes on the drive, for both terms alike;

@@ -249,7 +249,7 @@ CAN_BRIDGE = (
         "poll",
         False,
         "Allow to send read requests, for what the profile says the car must be asked for. A car "
-        "that is asked stays awake, at the cost of its 12 V battery: see docs/can.md.",
+        "that is asked stays awake, at the cost of its 12 V battery: see docs/explanation/can.md.",
     ),
     Parameter(
         "log_file", "", "Replay this CAN log, or a bag's raw frames, with its stamps, not a bus."

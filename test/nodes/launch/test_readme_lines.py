@@ -1,12 +1,14 @@
-"""A newcomer's run of each line of the README that begins with `ros2`, as written."""
+"""A newcomer's run of each line of README and ROS guide that begins with `ros2`, as written."""
 
+from itertools import chain
 from pathlib import Path
 import re
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-LINES = re.findall(r"^ros2 (.+)$", (ROOT / "README.md").read_text(), re.M)
+PAGES = {page: (ROOT / page).read_text() for page in ("README.md", "docs/guides/ros.md")}
+LINES = {page: re.findall(r"^ros2 (.+)$", text, re.M) for page, text in PAGES.items()}
 UP = {  # what the nodes of a line say when they are up
     "evpinn.launch.py": "waiting for vehicle/speed",
     "replay.launch.py": "measuring",
@@ -15,10 +17,10 @@ UP = {  # what the nodes of a line say when they are up
 }
 
 
-@pytest.mark.parametrize("line", LINES)
-def test_a_line_of_the_readme_works(ros2, bench, line, monkeypatch):
+@pytest.mark.parametrize("line", dict.fromkeys(chain(*LINES.values())))
+def test_a_line_of_a_page_works(ros2, bench, line, monkeypatch):
     words = line.split()
-    source = ros2.folder / "src" / "evpinn_ros"  # from the workspace that the README builds
+    source = ros2.folder / "src" / "evpinn_ros"  # from the workspace that the guide builds
     if not source.exists():
         source.parent.mkdir()
         source.symlink_to(ROOT)
@@ -42,6 +44,8 @@ def _type(full_name):
     return message_class(topic_of(full_name).type_name)
 
 
-def test_the_readme_has_such_lines():
-    assert len(LINES) >= 5
-    assert any("eco_speed" in line and "deadline:=" in line for line in LINES)
+def test_the_pages_have_such_lines():
+    assert len(LINES["README.md"]) >= 2
+    guide = LINES["docs/guides/ros.md"]
+    assert len(guide) >= 5
+    assert any("eco_speed" in line and "deadline:=" in line for line in guide)
