@@ -56,11 +56,15 @@ class CarChain:
         """Take one reading."""
         for event in self._stream.add_reading(reading):
             if isinstance(event, Interval):
-                self.car.learn(event)
-                steps = event.steps
-                moves = steps.distance > STANDSTILL_SPEED * steps.duration
-                self.motion += float(steps.duration @ moves)
-                self._newest_ns = event.end_ns
+                self.take(event)
+
+    def take(self, interval: Interval) -> None:
+        """Learn from an interval."""
+        self.car.learn(interval)
+        steps = interval.steps
+        moves = steps.distance > STANDSTILL_SPEED * steps.duration
+        self.motion += float(steps.duration @ moves)
+        self._newest_ns = interval.end_ns
 
     def parameters(self) -> ParameterSet:
         """Present estimate."""

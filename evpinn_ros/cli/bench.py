@@ -24,6 +24,7 @@ COMMANDS = (
     "ablation",
     "settings",
     "truth",
+    "breakdown",
     "can",
     "energy",
     "soak",

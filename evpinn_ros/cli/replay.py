@@ -20,7 +20,7 @@ from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, wr
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
-from evpinn_ros.cli.tables import parameter_table, score_table
+from evpinn_ros.cli.tables import breakdown_table, parameter_table, score_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source, open_source
@@ -28,6 +28,7 @@ from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.replay.breakdown_text import breakdown_lines
 from evpinn_ros.replay.chain import Chain
 from evpinn_ros.replay.run import (
     WARM_UP,
@@ -224,6 +225,10 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
     for line in energy_lines(found):
         say(line)
     show(parameter_table(found, read_truth(source.path)))
+    if found["breakdown"]["unknown"] is None:
+        show(breakdown_table(found["breakdown"]))
+    for line in breakdown_lines(found["breakdown"]):
+        say(line)
 
 
 def _write(

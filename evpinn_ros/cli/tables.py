@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.replay.breakdown_text import COLUMNS, breakdown_rows
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import MEANINGS, number
 from evpinn_ros.replay.run import WARM_UP
@@ -45,6 +46,16 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
             "-" if true is None else f"{(estimate.value - true) / estimate.std:+.1f} sigma",
             f"{100 * estimate.prior_share:.0f} %",
         )
+    return table
+
+
+def breakdown_table(found: Mapping[str, Any]) -> PlainTable:
+    """Breakdown of the energy: kWh, 1-sigma, kWh/100 km and share of each part."""
+    table = titled_table("Where the energy went")
+    for name in COLUMNS:
+        table.add_column(name, justify="left" if name == COLUMNS[0] else "right")
+    for row in breakdown_rows(found):
+        table.add_row(*row)
     return table
 
 

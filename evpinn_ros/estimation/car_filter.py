@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.estimation.breakdown import FAST, PartSums, loss_shares
 from evpinn_ros.estimation.car_state import (
     CABIN_TIME,
     CAR,
@@ -33,6 +34,7 @@ from evpinn_ros.estimation.car_state import (
     State,
     prior_of,
 )
+from evpinn_ros.estimation.energy_parts import COUNT
 from evpinn_ros.estimation.gaussian import (
     Gaussian,
     Innovation,
@@ -44,13 +46,8 @@ from evpinn_ros.estimation.gaussian import (
     predict,
     replace_states,
 )
-from evpinn_ros.estimation.weak_form import (
-    Constants,
-    Spent,
-    Warmth,
-    motor_energy,
-    spent,
-)
+from evpinn_ros.estimation.passage import ROAD, passage
+from evpinn_ros.estimation.weak_form import Constants, Spent, Warmth, motor_energy, spent
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
@@ -89,6 +86,7 @@ class CarFilter:
     Attributes:
         state: means and covariances of the K hypotheses.
         intervals: how many this drive was learned from.
+        parts: where the energy of this drive went, None in a copy that need not know.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -106,6 +104,7 @@ class CarFilter:
         self._drive_variance = {state: std**2 for state, std in DRIVE_STD.items()}
         self._drives = PRIOR_DRIVES
         self.intervals = 0
+        self.parts: PartSums | None = PartSums.none(count)
         self._seconds = 0.0  # of this drive
         self.state = replace_states(self.state, self._drive_variance)
         self._begin_road(height_known=False)
@@ -129,6 +128,7 @@ class CarFilter:
                 keep[state], fresh[state] = DRIVE_KEPT, (1.0 - DRIVE_KEPT**2) * variance
             self.state = predict(self.state, np.diag(keep), np.diag(fresh))
         self.intervals, self._seconds = 0, 0.0
+        self.parts = PartSums.none(len(self._scale))
         self._begin_road(height_known=self._height_known)
 
     def forget_road(self) -> None:
@@ -150,9 +150,11 @@ class CarFilter:
             self._accumulate(found, noise)
             return None
         self.state = replace_states(self.state, {State.ENERGY: 0.0})
-        seen = innovate(self.state, found.gradient, interval.energy - found.energy, noise)
         weights = self.weights
-        self.state = condition(self.state, seen, outlier_variance(seen, noise, OUTLIER))
+        lost = (self._scale * _lost(found))[:, None] * loss_shares(found)
+        seen = self._see(found.gradient, interval.energy - found.energy, noise, lost)
+        known = self.state, weights, self.warmth, self._constants
+        self.parts = self.parts and self.parts.plus(interval, *known)
         if abs(interval.distance) > STANDSTILL_SPEED * interval.duration:
             self._judge(seen)  # a standing car is not informative on slopes, winds and their noise
         self.intervals += 1
@@ -164,6 +166,7 @@ class CarFilter:
         """A copy that knows the mass less well, by this 1-sigma of its logarithm."""
         other = self.copy()
         other.state.covariance[:, State.MASS, State.MASS] += mass_std**2
+        other.parts = None
         return other
 
     def copy(self) -> CarFilter:
@@ -291,6 +294,7 @@ class CarFilter:
                 State.ENERGY: 0.0,
             },
         )
+        self.parts = self.parts and self.parts.without(FAST)
 
     @property
     def _slope_length(self) -> float:
@@ -312,24 +316,14 @@ class CarFilter:
         distance, duration = abs(interval.distance), interval.duration
         self._seconds += duration
         slopes, forces, loads = self._scales()
+        kept = {
+            State.AUX: (math.exp(-duration / LOAD_TIME), loads),
+            State.FORCE: (math.exp(-distance / FORCE_LENGTH), forces),
+        }
         rate = math.sqrt(3.0) / self._slope_length
-        keep_load = math.exp(-duration / LOAD_TIME)
-        keep_force = math.exp(-distance / FORCE_LENGTH)
-        road = _matern(rate, distance)
-        transition = np.eye(SIZE)
-        transition[State.AUX, State.AUX] = keep_load
-        transition[State.FORCE, State.FORCE] = keep_force
-        transition[State.HEIGHT : State.CLIMB, State.HEIGHT : State.CLIMB] = road
-        transition[State.CLIMB] = transition[State.HEIGHT]
-        transition[State.CLIMB, State.HEIGHT] -= 1.0
-        noise = np.zeros((len(slopes), SIZE, SIZE))
-        noise[:, State.AUX, State.AUX] = loads**2 * (1.0 - keep_load**2)
-        noise[:, State.FORCE, State.FORCE] = forces**2 * (1.0 - keep_force**2)
-        still = np.diag([1.0 / rate**2, 1.0])
-        added = (still - road @ still @ road.T)[[0, 1, 0]][:, [0, 1, 0]]
-        block = slice(State.HEIGHT, State.CLIMB + 1)
-        noise[:, block, block] = slopes[:, None, None] ** 2 * added
+        transition, noise = passage(rate, distance, slopes, kept)
         self.state = predict(self.state, transition, noise)
+        self.parts = self.parts and self.parts.passed(transition)
 
     def _change_height(self, height_known: bool) -> None:
         """Height came or went: what is unseen of the road is of another kind."""
@@ -338,6 +332,7 @@ class CarFilter:
         rate = math.sqrt(3.0) / self._slope_length
         road = {State.HEIGHT: (slopes / rate) ** 2, State.SLOPE: slopes**2, State.CLIMB: 0.0}
         self.state = replace_states(self.state, road)
+        self.parts = self.parts and self.parts.without(ROAD)
 
     def _spent(self, interval: Interval) -> Spent:
         return spent(
@@ -348,8 +343,7 @@ class CarFilter:
         """Variance of an interval's energy that no state explains, J^2, shape (K,)."""
         speed = interval.distance / interval.duration
         base = (STANDING_NOISE**2 + (FORCE_NOISE * speed) ** 2) * interval.duration * NOISE_TIME
-        share = (SHARE_NOISE * found.throughput) ** 2 + (BRAKE_NOISE * found.wheel_brake) ** 2
-        own = self._scale * (base + share)
+        own = self._scale * (base + _lost(found))
         sampling = 0.0 if math.isnan(interval.sampling_variance) else interval.sampling_variance
         return np.asarray(own + sampling)
 
@@ -363,8 +357,18 @@ class CarFilter:
             duration = interval.duration
             base = (FORCE_NOISE * interval.distance / duration) ** 2 * duration * NOISE_TIME
             noise = self._scale * base + (MOTOR_NOISE * np.maximum(energy, measured)) ** 2 + 1.0
-            seen = innovate(self.state, gradient, measured - energy, noise)
-            self.state = condition(self.state, seen, outlier_variance(seen, noise, OUTLIER))
+            self._see(gradient, measured - energy, noise, np.zeros((1, COUNT)))
+
+    def _see(
+        self, gradient: np.ndarray, residual: np.ndarray, noise: np.ndarray, lost: np.ndarray
+    ) -> Innovation:
+        """Condition on an energy, of whose noise this much is lost in parts, J^2, (K, COUNT)."""
+        seen = innovate(self.state, gradient, residual, noise)
+        extra = outlier_variance(seen, noise, OUTLIER)
+        self.state = condition(self.state, seen, extra)
+        heavy = lost * (1.0 + extra / noise)[:, None]
+        self.parts = self.parts and self.parts.given(seen, gradient, extra, heavy)
+        return seen
 
     def _accumulate(self, found: Spent, noise: np.ndarray) -> None:
         """Add the energy of an interval to what is predicted, with its covariances."""
@@ -386,12 +390,7 @@ class CarFilter:
         self._scale = np.clip(self._scale * growth, *SCALE_RANGE)
 
 
-def _matern(rate: float, distance: float) -> np.ndarray:
-    """Transition of height and slope along the road, shape (2, 2)."""
-    decay = math.exp(-rate * distance)
-    return decay * np.array(
-        [
-            [1.0 + rate * distance, distance],
-            [-(rate**2) * distance, 1.0 - rate * distance],
-        ]
-    )
+def _lost(found: Spent) -> np.ndarray:
+    """Variance of what drivetrain and brakes lose beyond what the states say, J^2, shape (K,)."""
+    share = (SHARE_NOISE * found.throughput) ** 2 + (BRAKE_NOISE * found.wheel_brake) ** 2
+    return np.asarray(share)

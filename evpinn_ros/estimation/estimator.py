@@ -15,6 +15,7 @@ from enum import Enum
 import math
 from typing import Any, TypeAlias
 
+from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import BandCalibration
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
 from evpinn_ros.estimation.evidence import Evidence
@@ -148,8 +149,7 @@ class OnlineEstimator:
         self._stream = SampleStream(
             self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
         )
-        kinds = (PowerKind.PREDICTED, PowerKind.SMOOTHED)
-        self._bands = {kind: BandCalibration() for kind in kinds}
+        self._bands = {k: BandCalibration() for k in (PowerKind.PREDICTED, PowerKind.SMOOTHED)}
         self._seen = OperatingRange()
         self._begin_time()
 
@@ -209,6 +209,10 @@ class OnlineEstimator:
     def linear_power(self) -> LinearPower | None:
         """Linear power model for forecasts of plans; None in the paper's mode."""
         return self._learner.linear_power(self._stream.celsius)
+
+    def breakdown(self) -> Breakdown | None:
+        """Energy of this drive by where it went; None in the paper's mode, and before any."""
+        return self._learner.breakdown()
 
     def evidence(self) -> Evidence:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""

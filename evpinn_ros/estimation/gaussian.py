@@ -7,6 +7,7 @@ Arrays carry leading axes for the hypotheses of a bank: means have shape (..., n
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,6 +99,26 @@ def mixture(weights: np.ndarray, state: Gaussian) -> Gaussian:
     away = state.mean - mean
     covariance = np.einsum("k,kij->ij", weights, state.covariance)
     return Gaussian(mean, covariance + np.einsum("k,ki,kj->ij", weights, away, away))
+
+
+def matern(rate: float, distance: float) -> tuple[np.ndarray, np.ndarray]:
+    """A Matern-3/2 process and its derivative, of variance 1, after a distance.
+
+    Gives their transition and the covariance of what it adds, shape (2, 2) each.
+
+    Args:
+        rate: of forgetting, over distance.
+        distance: passed.
+    """
+    decay = math.exp(-rate * distance)
+    transition = decay * np.array(
+        [
+            [1.0 + rate * distance, distance],
+            [-(rate**2) * distance, 1.0 - rate * distance],
+        ]
+    )
+    still = np.diag([1.0 / rate**2, 1.0])
+    return transition, still - transition @ still @ transition.T
 
 
 def outlier_variance(seen: Innovation, noise: np.ndarray, limit: float) -> np.ndarray:

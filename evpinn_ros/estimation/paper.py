@@ -216,6 +216,9 @@ class PaperLearner:
         std = _combined_std(combined, self._trained.covariance, prior.std)
         return ParameterSet(self._last_ns or 0, estimates, combined, std, reliable=False)
 
+    def breakdown(self) -> None:
+        """None: eq. 21 alone does not tell losses and loads apart."""
+
     def linear_power(self, celsius: float | None) -> None:
         """Nothing: the network that predicts knows no speed that was not driven."""
 

@@ -181,6 +181,7 @@ class PayloadDetector:
             if decided and (best is None or trial.significance > best[0].significance):
                 best = trial, fork, std
         if best is not None:
+            best[1].parts = current.parts  # what went before the stop is known as it was
             return self._take(*best)
         self._give_up(sums, moved)
         return current

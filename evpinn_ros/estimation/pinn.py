@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.car_filter import STANDING_NOISE, CarFilter
 from evpinn_ros.estimation.car_state import State
@@ -122,6 +123,14 @@ class LearnedCar:
         weight = GRAVITY * math.exp(mean[State.MASS] - mean[State.ETA])
         self.grade.learn(interval, learned.residual, weight)
         self.filter = self.payload.learn(self.filter, self.sums, interval)
+
+    def breakdown(self) -> Breakdown | None:
+        """Energy of this drive by where it went, None before the first interval."""
+        car = self.filter
+        if car.parts is None:
+            return None
+        weight = GRAVITY * math.exp(car.mixture().mean[State.MASS])
+        return car.parts.breakdown(car.weights, weight, car.hilliness)
 
     @property
     def measured(self) -> bool:
@@ -280,6 +289,10 @@ class PinnLearner:
         found = published(self._car.filter, self._car.sums)
         now = parameter_set(self._last_ns or 0, found)
         return self._states.judge(now, deviations(found), suspected=self._suspicion.suspected)
+
+    def breakdown(self) -> Breakdown | None:
+        """Energy of this drive by where it went."""
+        return self._car.breakdown()
 
     def linear_power(self, celsius: float | None) -> LinearPower:
         """Linear power model of the car for forecasts."""

@@ -51,6 +51,7 @@ class Rehearsal:
             self.end()
             return
         without = self._without = self._without or now.copy()
+        without.parts = None
         without.learn(replace(interval, energy=math.nan))
         self._drawn += interval.energy
         self._seconds += interval.duration

@@ -75,7 +75,7 @@ class Spent(NamedTuple):
     recovered: np.ndarray
 
 
-class _Wheels(NamedTuple):
+class Wheels(NamedTuple):
     """Energy at the wheels by step, shape (K, n), its parts, and what one unit costs."""
 
     total: np.ndarray
@@ -98,7 +98,7 @@ def spent(
         warmth: of tyres and cabin.
         car: constants.
     """
-    wheels = _wheels(mean, steps, conditions, warmth, car)
+    wheels = wheels_at(mean, steps, conditions, warmth, car)
     eta, mu = (np.exp(mean[:, i])[:, None] for i in (State.ETA, State.MU))
     rate = np.where(wheels.driving, 1.0 / eta, mu * wheels.fade)
     traction = rate * wheels.total
@@ -108,13 +108,13 @@ def spent(
     gradient[:, State.MASS] = (rate * (wheels.total - wheels.drag)).sum(1)
     gradient[:, State.C_D] = (rate * wheels.drag).sum(1)
     if not np.isnan(steps.motor_drive).any():
-        traction = _by_motor(mean, steps, gradient)
+        traction = by_motor(mean, steps, gradient)
         gradient[:, : State.C_RR] = 0.0
         gradient[:, State.C_D] = 0.0
         gradient[:, State.ETA] = gradient[:, State.TORQUE]
         rate = np.zeros_like(rate)
-    _rolling_gradient(gradient, mean, rate * wheels.weight, steps, conditions, warmth, car)
-    rest = _standing(mean, steps, conditions, warmth, gradient)
+    rolling_gradient(gradient, mean, rate * wheels.weight, steps, conditions, warmth, car)
+    rest = standing(mean, steps, conditions, warmth, gradient)
     moving = float(steps.duration @ (steps.distance > CREEPING * steps.duration))
     gradient[:, State.NO_LOAD] = moving
     gradient[:, State.COPPER] = wheels.square.sum(1)
@@ -137,7 +137,7 @@ def motor_energy(
     mean: np.ndarray, steps: Steps, conditions: Conditions, warmth: Warmth, car: Constants
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Energy of the motor where it drives, and where it brakes, J, each with its gradient."""
-    wheels = _wheels(mean, steps, conditions, warmth, car)
+    wheels = wheels_at(mean, steps, conditions, warmth, car)
     share = np.exp(mean[:, State.TORQUE])[:, None]
     back = np.exp(mean[:, State.MU] - mean[:, State.GENERATOR])[:, None]
     found = []
@@ -153,7 +153,7 @@ def motor_energy(
             gradient[:, State.GENERATOR] = -energy
         gradient[:, State.MASS] = (rate * (wheels.total - wheels.drag)).sum(1)
         gradient[:, State.C_D] = (rate * wheels.drag).sum(1)
-        _rolling_gradient(gradient, mean, rate * wheels.weight, steps, conditions, warmth, car)
+        rolling_gradient(gradient, mean, rate * wheels.weight, steps, conditions, warmth, car)
         found.append((energy, gradient))
     return found[0], found[1]
 
@@ -182,9 +182,10 @@ def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
     return Steps(*(np.array([column]) for column in columns)), conditions
 
 
-def _wheels(
+def wheels_at(
     mean: np.ndarray, steps: Steps, conditions: Conditions, warmth: Warmth, car: Constants
-) -> _Wheels:
+) -> Wheels:
+    """Energy at the wheels by step."""
     mass, c_d = (np.exp(mean[:, i])[:, None] for i in (State.MASS, State.C_D))
     weight = mass * GRAVITY
     rolling = car.c_rr * _rolling(mean, conditions, warmth)[:, None]
@@ -198,7 +199,7 @@ def _wheels(
     )
     speed = steps.distance / steps.duration
     force = np.clip(total / mass / np.maximum(steps.distance, LEAST_STEP), -MOST_FORCE, MOST_FORCE)
-    return _Wheels(
+    return Wheels(
         total=total,
         drag=drag,
         weight=weight,
@@ -215,7 +216,7 @@ def _rolling(mean: np.ndarray, conditions: Conditions, warmth: Warmth) -> np.nda
     return np.asarray(own + mean[:, State.ROLL_DRIVE] + mean[:, State.ROLL_START] * warmth.tyres)
 
 
-def _rolling_gradient(
+def rolling_gradient(
     gradient: np.ndarray,
     mean: np.ndarray,
     rate: np.ndarray,
@@ -235,7 +236,7 @@ def _rolling_gradient(
     gradient[:, State.CLIMB] = along / max(float(steps.distance.sum()), 1e-6)
 
 
-def _by_motor(mean: np.ndarray, steps: Steps, gradient: np.ndarray) -> np.ndarray:
+def by_motor(mean: np.ndarray, steps: Steps, gradient: np.ndarray) -> np.ndarray:
     """Traction energy of the battery by that of the motor, J, shape (K, 2); its gradient."""
     drive = np.exp(-mean[:, State.ETA] - mean[:, State.TORQUE]) * steps.motor_drive.sum()
     brake = -np.exp(mean[:, State.GENERATOR]) * steps.motor_brake.sum()
@@ -244,7 +245,7 @@ def _by_motor(mean: np.ndarray, steps: Steps, gradient: np.ndarray) -> np.ndarra
     return np.stack((drive, brake), axis=1)
 
 
-def _standing(
+def standing(
     mean: np.ndarray,
     steps: Steps,
     conditions: Conditions,

@@ -10,6 +10,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from evpinn_ros import topics
 from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
 from evpinn_ros.estimation.worker import ThreadWorker
 from evpinn_ros.nodes.arrivals import StampWatch
@@ -26,7 +27,7 @@ from evpinn_ros.nodes.saved_state import SAVE_PERIOD, StateFile, state_path
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.estimates import output_messages
+from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
@@ -149,6 +150,9 @@ class EstimatorNode(GuardedNode):
     def _learn(self, reading: Reading) -> None:
         for output in self.estimator.add_reading(reading):
             self.publish(output_messages(new_message, output))
+            if isinstance(output, ParameterSet):  # once a second
+                found = self.estimator.breakdown()
+                self.publish(breakdown_messages(new_message, output.stamp_ns, found))
 
     def _on_jump(self, jump: Jump) -> None:
         policy = self.values["time_jump_policy"]

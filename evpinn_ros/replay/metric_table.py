@@ -50,6 +50,12 @@ _PARAMETER = (
     ("upper", "", "likewise"),
     ("state", "", "`unestimated`, `estimating`, `valid`, `stale` or `invalid`"),
 )
+_AMOUNT = (
+    ("kwh", "kWh", "energy of this part of the drive; see the guide to replays for the parts"),
+    ("sigma_kwh", "kWh", "its 1-sigma"),
+    ("kwh_per_100km", "kWh/100 km", "the same over distance, null below 100 m"),
+    ("share", "", "of the measured energy, null where that is not above 0"),
+)
 
 
 def _under(prefix: str, rows: tuple[tuple[str, str, str], ...]) -> tuple[Metric, ...]:
@@ -83,6 +89,11 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric("by_battery_age.<seconds>.bias_w", "W", "mean error likewise"),
     Metric("by_battery_age.<seconds>.last_value_rmse_w", "W", "RMSE of the last value held"),
+    *_under("breakdown.<part>", _AMOUNT),
+    Metric("breakdown.together", "", "groups of parts not told apart: `parts` and their sum"),
+    Metric("breakdown.distance_m", "m", "of the intervals in it, whose battery was measured"),
+    Metric("breakdown.duration_s", "s", "likewise"),
+    Metric("breakdown.unknown", "", "why there is none, else null"),
     Metric("updates.count", "", "updates of the car's states, one a second with new intervals"),
     Metric("updates.accepted", "", "of them finite, so used"),
     Metric("updates.rejected.<reason>", "", "the others, by reason"),

@@ -27,7 +27,12 @@ from evpinn_ros.replay.scoring import metrics
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.topics import NAMESPACE
-from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
+from evpinn_ros.topics.estimates import (
+    breakdown_messages,
+    energy_messages,
+    output_messages,
+    summary_messages,
+)
 
 WARM_UP = 120.0  # s at the start that are not scored
 STRAGGLING = 10.0  # s by which readings may come in another order than their stamps
@@ -93,7 +98,9 @@ def replay(
     for item in _paced(items, history, options.rate, progress):
         outputs = _outputs(item, history, chain, options)
         if writer is not None and not isinstance(item, Jump):
-            not_recorded.update(_record(writer, item, outputs, history.moment(item.stamp_ns)))
+            not_recorded.update(
+                _record(writer, item, outputs, history.moment(item.stamp_ns), chain)
+            )
     wall = time.perf_counter() - started
     drive = history.drive()
     where = "" if options.start == 0 and options.duration is None else " in that span"
@@ -115,6 +122,7 @@ def replay(
         warm_up=options.warm_up,
         withheld_from=options.withhold_battery_after,
         wall=wall,
+        breakdown=chain.estimator.breakdown(),
     )
     return Replayed(drive, found, source.problem)
 
@@ -190,7 +198,11 @@ def _paced(
 
 
 def _record(
-    writer: BagWriter, reading: Reading, outputs: list[ChainOutput], log_time_ns: int
+    writer: BagWriter,
+    reading: Reading,
+    outputs: list[ChainOutput],
+    log_time_ns: int,
+    chain: Chain,
 ) -> Iterator[str]:
     """Write a reading and its outputs; gives a reason for each that no message holds."""
     try:
@@ -205,6 +217,9 @@ def _record(
             messages += summary_messages(new_message, output)
         else:
             messages += output_messages(new_message, output)
+            if isinstance(output, ParameterSet):  # once a second, as the node does
+                found = chain.estimator.breakdown()
+                messages += breakdown_messages(new_message, output.stamp_ns, found)
     for topic, message in messages:
         writer.write(topic.under(NAMESPACE), message, log_time_ns)
 

@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.energy.quadrature import trapezoid
+from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorStatus, Mode
+from evpinn_ros.replay.breakdown_text import breakdown_metrics
 from evpinn_ros.replay.history import Drive, PowerSeries
 
 MAX_MEASURED_STEP = 2.5  # s; power is not known between readings further apart
@@ -158,6 +160,7 @@ def metrics(
     warm_up: float,
     withheld_from: float | None,
     wall: float,
+    breakdown: Breakdown | None = None,
 ) -> dict[str, Any]:
     """All scores of one drive under the contract's keys; JSON holds it as it is."""
     found: dict[str, Any] = {
@@ -176,6 +179,7 @@ def metrics(
     found["power"]["floor_w"] = floor
     found["by_battery_age"] = battery_age_scores(drive, warm_up, withheld_from)
     found["parameters"] = _parameters(drive)
+    found["breakdown"] = breakdown_metrics(breakdown, mode)
     found["updates"] = _updates(status)
     found["replay"] = {
         "wall_s": wall,

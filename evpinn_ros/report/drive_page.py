@@ -27,6 +27,7 @@ from evpinn_ros.replay.tables import (
     watts,
 )
 from evpinn_ros.report import drive_charts, drive_maps
+from evpinn_ros.report.breakdown_bar import breakdown_section
 from evpinn_ros.report.drive_knowledge import knowledge
 from evpinn_ros.report.html import table, write_page
 from evpinn_ros.vehicle.files import Vehicle
@@ -170,6 +171,7 @@ def _summary(reported: ReportedDrive, events: Sequence[Event]) -> str:
     return (
         "<section class='first'>"
         + "".join(f"<p class='muted'>{escape(line)}</p>" for line in lines)
+        + breakdown_section(found["breakdown"])
         + f"<div class='tiles'>{''.join(_tiles(reported, events))}</div>"
         + f"<div class='pair'><div>{scores}</div><div>{parameters}</div></div></section>"
     )

@@ -266,6 +266,16 @@ ENERGY_STATE = Topic(
     "possible, predicted elsewhere): position J, velocity W, effort 1-sigma J",
     "J",
 )
+ENERGY_BREAKDOWN = Topic(
+    "energy/breakdown",
+    NAMED_VECTOR_TYPE,
+    "estimator",
+    False,
+    "1 Hz: where the energy of this drive went: `air, tyres, slope, speed, brakes, drivetrain, "
+    "climate, standing, unexplained`, which add up to `measured`; beside them `regained`. effort "
+    "1-sigma; not published in `mode: paper`",
+    "J",
+)
 ENERGY_CONSUMED = Topic(
     "energy/consumed", SCALAR_TYPE, "energy", False, "energy drawn since the last reset", "J"
 )
@@ -347,6 +357,7 @@ TOPICS = (
     POWER_MEASURED,
     POWER_PREDICTED,
     POWER_SMOOTHED,
+    ENERGY_BREAKDOWN,
     ENERGY_STATE,
     ENERGY_CONSUMED,
     ENERGY_TOTALS,

@@ -10,6 +10,7 @@ from evpinn_ros import topics
 from evpinn_ros.energy.account import AccountSummary, Totals
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState, Flow
+from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import NewMessage, named_vector, scalar
@@ -73,6 +74,18 @@ def _parameter_messages(new: NewMessage, found: ParameterSet) -> Iterator[tuple[
     for topic in topics.PARAMETER_SCALARS:
         name = topic.name.rpartition("/")[2]
         yield topic, scalar(new, found.parameters[name].value)
+
+
+def breakdown_messages(
+    new: NewMessage, stamp_ns: int, found: Breakdown | None
+) -> Iterator[tuple[Topic, Any]]:
+    """The message of a breakdown; none while there is none."""
+    if found is None:
+        return
+    amounts = {**found.amounts(), "measured": found.total()}
+    names, energies = list(amounts), [each.kwh * JOULES_PER_KWH for each in amounts.values()]
+    sigmas = [each.sigma_kwh * JOULES_PER_KWH for each in amounts.values()]
+    yield topics.ENERGY_BREAKDOWN, named_vector(new, stamp_ns, names, energies, sigmas)
 
 
 def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:

@@ -12,7 +12,6 @@ from evpinn_ros.estimation.car_filter import (
     FORCE_LENGTH,
     LOAD_TIME,
     CarFilter,
-    _matern,
 )
 from evpinn_ros.estimation.car_state import (
     CAR,
@@ -22,6 +21,7 @@ from evpinn_ros.estimation.car_state import (
     SIZE,
     State,
 )
+from evpinn_ros.estimation.gaussian import matern
 from evpinn_ros.estimation.weak_form import spent
 from evpinn_ros.simulation.drive import DriveKind
 
@@ -45,7 +45,6 @@ class World:
         """The intervals with the energy that this car draws on this road."""
         slopes, forces, loads = (scale[self.which] for scale in self.car._scales())
         rate = math.sqrt(3.0) / self.car._slope_length
-        still = slopes**2 * np.diag([1.0 / rate**2, 1.0])
         found = []
         for one in intervals:
             for state, scale, keep in (
@@ -54,8 +53,8 @@ class World:
             ):
                 fresh = scale * math.sqrt(1.0 - keep**2) * self.rng.standard_normal()
                 self.state[state] = keep * self.state[state] + fresh
-            road = _matern(rate, one.distance)
-            noise = still - road @ still @ road.T
+            road, wandered = matern(rate, one.distance)
+            noise = slopes**2 * wandered
             before = self.state[State.HEIGHT]
             fresh = self.rng.multivariate_normal(np.zeros(2), noise, check_valid="ignore")
             here = slice(State.HEIGHT, State.CLIMB)

@@ -12,7 +12,12 @@ from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.forecaster import prior_identifiable
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.topics.messages import Level, battery_message, speed_message
+from evpinn_ros.topics.messages import (
+    Level,
+    battery_message,
+    read_named_vector,
+    speed_message,
+)
 from evpinn_ros.vehicle.files import load_vehicle
 
 START = 1_700_000_000 * NANOSECONDS
@@ -65,6 +70,19 @@ def test_prediction_goes_on_without_the_battery(bench):
         assert all(v.effort[0] > 0 for v in vectors)
     newest = bench.heard[topics.POWER_PREDICTED][-1].header.stamp
     assert (newest.sec, newest.nanosec) == (1_700_000_008, 900_000_000)
+
+
+def test_the_breakdown_is_told_live_and_adds_up(bench):
+    node = bench.start(EstimatorNode)
+    bench.listen(topics.ENERGY_BREAKDOWN)
+    drive(bench, node, 0.0, 30.0)
+    bench.settle()
+    found = read_named_vector(bench.heard[topics.ENERGY_BREAKDOWN][-1])
+    parts = dict(found.values)
+    measured, _ = parts.pop("measured"), parts.pop("regained")
+    assert sum(parts.values()) == pytest.approx(measured)
+    assert measured == pytest.approx(350.0 * 30.0 * 30.0, rel=0.3)
+    assert all(sigma >= 0.0 for sigma in found.sigmas.values())
 
 
 def test_enable_pauses_learning_alone(bench):

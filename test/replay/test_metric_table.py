@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
+import re
 import time
 
 from evpinn_ros.estimation.estimator import EstimatorSettings
@@ -12,6 +13,7 @@ from evpinn_ros.replay.run import ReplayOptions, replay
 
 ANY_NAME = {
     "parameters": "<name>",
+    "breakdown": "<part>",
     "input.dropped": "<reason>",
     "updates.rejected": "<reason>",
     "by_battery_age": "<seconds>",
@@ -37,7 +39,8 @@ def keys(value, path: str = "") -> Iterator[str]:
         yield path
         return
     for name, below in value.items():
-        name = ANY_NAME.get(path, name)
+        if path != "breakdown" or "kwh" in (below if isinstance(below, dict) else ()):
+            name = ANY_NAME.get(path, name)
         yield from keys(below, f"{path}.{name}" if path else name)
 
 
@@ -57,6 +60,7 @@ def test_every_key_is_told_once_and_has_a_meaning():
 
 def test_units_are_those_that_the_keys_end_with():
     ends = {"w": "W", "j": "J", "s": "s", "ms": "ms", "mb": "MB", "percent": "%"}
+    ends |= {"kwh": "kWh", "100km": "kWh/100 km", "m": "m"}
     for metric in METRICS:
-        _, _, end = metric.key.rpartition("_")
+        end = re.split("[._]", metric.key)[-1]
         assert metric.unit == ends.get(end, ""), metric.key

@@ -166,6 +166,7 @@ def test_output_bag_holds_the_contract_topics(withheld):
         "power/measured",
         "power/predicted",
         "power/smoothed",
+        "energy/breakdown",
         "energy/state",
         "energy/consumed",
     } <= names

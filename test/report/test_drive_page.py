@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 
+from evpinn_ros.replay.breakdown_text import PAPER, breakdown_metrics, shown
 from evpinn_ros.replay.history import PowerSeries
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.report.html import BROWSER, UPLOT
@@ -80,8 +81,11 @@ def test_the_whole_story_is_told(reported, tmp_path):
         "baseline: random split",
         "unestimated",
         "battery dropout",
+        "Where the energy went",
+        "other standing load",
     ):
         assert text in found.text
+    assert "svg" in [tag for tag, _ in found.tags]
     assert len(found.data[0]["events"]) == 2
 
 
@@ -168,3 +172,21 @@ def test_uplot_is_the_release_that_it_says():
     assert "MIT License" in (UPLOT / "LICENSE").read_text("utf-8")
     for path in BROWSER.rglob("*.js"):
         assert "</script" not in path.read_text("utf-8").lower()
+
+
+def test_the_bar_is_as_long_as_what_took_energy(reported, tmp_path):
+    """Boxes stand side by side without a gap, each as wide as its share of what took energy."""
+    found = page(tmp_path, reported)
+    boxes = [a for tag, a in found.tags if tag == "rect" and a["class"].startswith("part")]
+    begins, widths = (np.array([float(box[side]) for box in boxes]) for side in ("x", "width"))
+    assert begins == pytest.approx(np.concatenate(([0.0], np.cumsum(widths)[:-1])), abs=0.5)
+    breakdown = reported.found["breakdown"]
+    took = [part["kwh"] for _, part in shown(breakdown) if part["kwh"] > 0.0]
+    assert widths / widths.sum() == pytest.approx(np.array(took) / sum(took), abs=1e-3)
+
+
+def test_a_drive_without_a_breakdown_says_why(reported, tmp_path):
+    nothing = breakdown_metrics(None, "paper")
+    found = page(tmp_path, replace(reported, found=dict(reported.found) | {"breakdown": nothing}))
+    assert PAPER in found.text
+    assert "rect" not in [tag for tag, _ in found.tags]

@@ -1,0 +1,180 @@
+"""Breakdowns of energy compared with the ledger of simulated cars.
+
+Readings go through the stream and the learning of the car (`benchmarks.truth.CarChain`). Each part
+of the breakdown, with its 1-sigma, is compared with the energy that this part truly took over the
+very intervals that were learned from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.truth import INTERVAL, PROFILE, CarChain
+from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
+from evpinn_ros.estimation.energy_parts import WHOLE, Part
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.ledger import true_parts
+from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, simulate
+from evpinn_ros.simulation.truth import prior_parameters
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class PartCheck:
+    """One part, or the name of several together, of one drive: kWh, 1-sigma, the truth, share."""
+
+    vehicle: str
+    kind: str
+    seed: int
+    name: str
+    kwh: float
+    sigma_kwh: float
+    true_kwh: float
+    total_kwh: float
+
+    @property
+    def covered(self) -> bool:
+        """True if the interval of 95 % holds the truth."""
+        return abs(self.kwh - self.true_kwh) <= INTERVAL * self.sigma_kwh
+
+
+class SpanChain(CarChain):
+    """A chain that notes the intervals learned from, as s since the start of the simulation."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start at the priors of a vehicle file."""
+        super().__init__(vehicle)
+        self.spans: list[tuple[float, float]] = []
+
+    def take(self, interval: Interval) -> None:
+        """Learn from an interval."""
+        before = self.seconds
+        super().take(interval)
+        if self.seconds > before:
+            begin, end = interval.start_ns - EPOCH_NS, interval.end_ns - EPOCH_NS
+            self.spans.append((begin / NANOSECONDS, end / NANOSECONDS))
+
+    @property
+    def seconds(self) -> float:
+        """Of all intervals in the breakdown."""
+        found = self.breakdown
+        return 0.0 if found is None else found.seconds
+
+    @property
+    def breakdown(self) -> Breakdown | None:
+        """Present breakdown."""
+        return self.car.breakdown()
+
+
+def part_checks(
+    kinds: Sequence[DriveKind],
+    vehicles: Sequence[str],
+    seeds: Iterable[int],
+    *,
+    seconds: float = 900.0,
+    from_priors: bool = False,
+    rms_grade: float = RMS_GRADE,
+    altitude: bool = False,
+    temperature: bool = False,
+    motor_torque: bool = False,
+) -> Iterator[PartCheck]:
+    """Drive one car per seed and hold each part of its breakdown against the truth.
+
+    Args:
+        kinds: where to drive, in turn.
+        vehicles: models, in turn.
+        seeds: of the drives.
+        seconds: length of each.
+        from_priors: whether the car is drawn from the priors instead of from plausible cars.
+        rms_grade: of the road.
+        altitude: whether there is a barometer.
+        temperature: whether there is a thermometer.
+        motor_torque: whether the car tells the torque of its motor.
+    """
+    for number, seed in enumerate(seeds):
+        vehicle = load_vehicle(vehicles[number % len(vehicles)])
+        wish = prior_parameters(vehicle, np.random.default_rng(seed)) if from_priors else None
+        kind = kinds[number // len(vehicles) % len(kinds)]
+        drive = simulate(
+            kind,
+            vehicle,
+            seconds,
+            seed,
+            car=wish._asdict() if wish else None,
+            can_profile=PROFILE,
+            altitude=altitude,
+            temperature=temperature,
+            motor_torque=motor_torque,
+            rms_grade=rms_grade,
+        )
+        chain = SpanChain(vehicle)
+        for reading in drive.readings:
+            chain.add_reading(reading)
+        found = chain.breakdown
+        if found is None:
+            continue
+        truth = true_parts(drive.car, drive.trace, chain.spans)
+        # No load of a simulated car is heating: climate and standing load have one truth.
+        loads = Part.CLIMATE, Part.STANDING
+        groups: list[tuple[Part, ...]] = [(part,) for part in Part if part not in loads]
+        groups += [loads, tuple(list(Part)[WHOLE])]
+        groups += [group for group in found.together() if group not in groups]
+        for group in groups:
+            amount = found.of(*group)
+            true = sum(truth[part.name.lower()] for part in group) / JOULES_PER_KWH
+            yield PartCheck(
+                vehicle.key,
+                kind.value,
+                seed,
+                "+".join(part.name.lower() for part in group),
+                amount.kwh,
+                amount.sigma_kwh,
+                true,
+                found.total().kwh,
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class PartSummary:
+    """One part over many drives; percent are of the energy of a drive, but for the coverage.
+
+    `deviation` is the root mean square of the errors in sigmas: 1 where sigmas are right.
+    """
+
+    name: str
+    drives: int
+    coverage_percent: float
+    deviation: float
+    share_percent: float
+    bias_percent: float
+    rms_percent: float
+    sigma_percent: float
+
+
+def part_summaries(found: Iterable[PartCheck]) -> list[PartSummary]:
+    """Coverage and errors of each part, groups that data do not separate last."""
+    parts: dict[str, list[PartCheck]] = {}
+    for one in found:
+        parts.setdefault(one.name, []).append(one)
+    return [_summary(name, group) for name, group in parts.items()]
+
+
+def _summary(name: str, group: list[PartCheck]) -> PartSummary:
+    rows = [(each.kwh, each.sigma_kwh, each.total_kwh, each.true_kwh) for each in group]
+    kwh, sigma, total, true = np.array(rows).T
+    error = kwh - true
+    return PartSummary(
+        name=name,
+        drives=len(group),
+        coverage_percent=100.0 * float(np.mean([each.covered for each in group])),
+        deviation=float(np.sqrt(np.mean((error / np.maximum(sigma, 1e-12)) ** 2))),
+        share_percent=100.0 * float(np.mean(true / total)),
+        bias_percent=100.0 * float(np.mean(error / total)),
+        rms_percent=100.0 * float(np.sqrt(np.mean((error / total) ** 2))),
+        sigma_percent=100.0 * float(np.median(sigma / total)),
+    )

@@ -1,0 +1,250 @@
+"""Breakdown of the energy of a drive by where it went, with what is not known of it.
+
+Sums of the parts (`energy_parts`) over the intervals so far are linear in the states, so they are
+smoothed with them: each sum keeps its covariance with the states of every hypothesis, and what
+later intervals teach of a car or of the slope of a road moves the sums of before. That is exact
+for a linear model, and no interval is kept.
+
+The parts need not add up to what was measured: what is left is shown as unexplained. Parts that
+the data tell apart worse than they tell their sum are to be read together (`together`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+
+from evpinn_ros.estimation.car_state import SIZE, State
+from evpinn_ros.estimation.energy_parts import COUNT, WHOLE, Part, parts
+from evpinn_ros.estimation.gaussian import Gaussian, Innovation, mixture
+from evpinn_ros.estimation.weak_form import Constants, Spent, Warmth
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.vehicle.physics import GRAVITY
+
+FAST = slice(State.AUX, State.ENERGY)  # states that pass
+LOST = [Part.BRAKES, Part.DRIVETRAIN, Part.REGAINED]  # what noise of losses is of
+UNEXPLAINED, REGAINED = "unexplained", "regained"
+JOULES_PER_KWH = 3.6e6
+# Hills longer than the filter's own look like tyres. A road whose slope wanders gains height by
+# the root of its length; this much of it, for long hills are less steep.
+LONG_HILLS, HILL_LENGTH = 0.15, 600.0
+REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold driving and braking
+EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
+LONG_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
+TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
+LEAST_DISTANCE = 100.0  # m; over less no consumption is told
+LEAST_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
+
+
+@dataclass(frozen=True, slots=True)
+class Amount:
+    """An energy: kWh, 1-sigma, kWh/100 km (None over no distance), share (None of nothing)."""
+
+    kwh: float
+    sigma_kwh: float
+    kwh_per_100km: float | None
+    share: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Breakdown:
+    """The energy of a drive, by part.
+
+    Attributes:
+        energy: of each `Part`, J, shape (COUNT,).
+        covariance: of these, J^2, shape (COUNT, COUNT).
+        measured: at the battery, over the same intervals, J.
+        measured_variance: of that, due to the rate of its readings, J^2.
+        distance: m.
+        seconds: s.
+    """
+
+    energy: np.ndarray
+    covariance: np.ndarray
+    measured: float
+    measured_variance: float
+    distance: float
+    seconds: float
+
+    def amounts(self) -> dict[str, Amount]:
+        """The parts, what they leave unexplained, and what braking brought back beside them."""
+        found = {part.name.lower(): self.of(part) for part in list(Part)[WHOLE]}
+        explained = float(self.energy[WHOLE].sum())
+        unsure = float(self.covariance[WHOLE, WHOLE].sum()) + self.measured_variance
+        found[UNEXPLAINED] = self._amount(self.measured - explained, unsure)
+        found[REGAINED] = self.of(Part.REGAINED)
+        return found
+
+    def of(self, *chosen: Part) -> Amount:
+        """Some parts together."""
+        index = list(chosen)
+        variance = float(self.covariance[np.ix_(index, index)].sum())
+        return self._amount(float(self.energy[index].sum()), variance)
+
+    def total(self) -> Amount:
+        """Energy measured over the same intervals."""
+        return self._amount(self.measured, self.measured_variance)
+
+    def together(self) -> list[tuple[Part, ...]]:
+        """Groups of parts that the data do not tell apart: their sum is much surer than they."""
+        scale = LEAST_SHARE * float(np.abs(self.energy[WHOLE]).sum())
+        groups: list[tuple[Part, ...]] = [(part,) for part in list(Part)[WHOLE]]
+        while True:
+            joined = [
+                (self._sigma(a + b) / max(self._sigma(a), self._sigma(b)), a, b)
+                for i, a in enumerate(groups)
+                for b in groups[i + 1 :]
+                if min(self._sigma(a), self._sigma(b)) > scale
+            ]
+            if not joined or min(joined)[0] > TOGETHER:
+                return [group for group in groups if len(group) > 1]
+            _, a, b = min(joined)
+            groups = [tuple(sorted(a + b)), *(g for g in groups if g not in (a, b))]
+
+    def _sigma(self, group: tuple[Part, ...]) -> float:
+        return self.of(*group).sigma_kwh * JOULES_PER_KWH
+
+    def _amount(self, energy: float, variance: float) -> Amount:
+        known = self.distance >= LEAST_DISTANCE
+        kwh = energy / JOULES_PER_KWH
+        return Amount(
+            kwh=kwh,
+            sigma_kwh=math.sqrt(max(0.0, variance)) / JOULES_PER_KWH,
+            kwh_per_100km=kwh / self.distance * 1e5 if known else None,
+            share=energy / self.measured if self.measured > 0.0 else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PartSums:
+    """Sums of the parts over intervals, for each of K hypotheses; a value that is replaced.
+
+    Attributes:
+        mean: J, shape (K, COUNT).
+        covariance: J^2, shape (K, COUNT, COUNT).
+        cross: covariance with the states, shape (K, COUNT, SIZE).
+        measured: J of the battery over the same intervals.
+        measured_variance: due to the rate of its readings, J^2.
+        distance: m.
+        seconds: s.
+        unseen: m of it where no height was known.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    cross: np.ndarray
+    measured: float = 0.0
+    measured_variance: float = 0.0
+    distance: float = 0.0
+    seconds: float = 0.0
+    unseen: float = 0.0
+
+    @classmethod
+    def none(cls, hypotheses: int) -> PartSums:
+        """Of no interval."""
+        count = hypotheses, COUNT
+        return cls(np.zeros(count), np.zeros((*count, COUNT)), np.zeros((*count, SIZE)))
+
+    def passed(self, transition: np.ndarray) -> PartSums:
+        """After a step of the states, of which all but `FAST` stay."""
+        cross = self.cross.copy()
+        cross[:, :, FAST] = cross[:, :, FAST] @ transition[FAST, FAST].T
+        return replace(self, cross=cross)
+
+    def without(self, states: slice) -> PartSums:
+        """After these states were forgotten."""
+        cross = self.cross.copy()
+        cross[:, :, states] = 0.0
+        return replace(self, cross=cross)
+
+    def given(
+        self, seen: Innovation, gradient: np.ndarray, extra: np.ndarray, lost: np.ndarray
+    ) -> PartSums:
+        """After the states were conditioned on a measured energy.
+
+        Args:
+            seen: the innovation.
+            gradient: of the energy by the states, shape (K, SIZE).
+            extra: variance added to the measurement's, shape (K,).
+            lost: how much of the noise is of each part, J^2, shape (K, COUNT).
+        """
+        variance = (seen.variance + extra)[:, None]
+        along = np.matmul(self.cross, gradient[:, :, None])[:, :, 0] + lost
+        gain = along / variance
+        covariance = self.covariance - gain[:, :, None] * along[:, None, :]
+        covariance[:, LOST, LOST] += np.abs(lost[:, LOST])
+        covariance[:, Part.BRAKES, Part.REGAINED] -= lost[:, Part.BRAKES]
+        covariance[:, Part.REGAINED, Part.BRAKES] -= lost[:, Part.BRAKES]
+        return replace(
+            self,
+            mean=self.mean + gain * seen.residual[:, None],
+            covariance=covariance,
+            cross=self.cross - gain[:, :, None] * seen.along[:, None, :],
+        )
+
+    def plus(
+        self,
+        interval: Interval,
+        state: Gaussian,
+        weights: np.ndarray,
+        warmth: Warmth,
+        car: Constants,
+    ) -> PartSums:
+        """With one more interval, whose battery was measured and learned from.
+
+        Args:
+            interval: to add.
+            state: given this interval.
+            weights: of the hypotheses; the parts are linear about their mean.
+            warmth: of tyres and cabin.
+            car: constants.
+        """
+        about = weights @ state.mean
+        energy, gradient = parts(about, interval.steps, interval.conditions, warmth, car)
+        own = gradient @ state.covariance
+        shared = self.cross @ gradient.T
+        added = own @ gradient.T + shared + np.swapaxes(shared, 1, 2)
+        return PartSums(
+            mean=self.mean + energy + (state.mean - about) @ gradient.T,
+            covariance=self.covariance + added,
+            cross=self.cross + own,
+            measured=self.measured + interval.energy,
+            measured_variance=self.measured_variance + max(0.0, interval.sampling_variance),
+            distance=self.distance + abs(interval.distance),
+            seconds=self.seconds + interval.duration,
+            unseen=self.unseen + (0.0 if interval.height_known else abs(interval.distance)),
+        )
+
+    def breakdown(self, weights: np.ndarray, weight: float, hilliness: float) -> Breakdown | None:
+        """The sums over all hypotheses, None before the first interval.
+
+        Args:
+            weights: of the hypotheses, shape (K,).
+            weight: of the car, N.
+            hilliness: 1-sigma of the unseen slope.
+        """
+        if self.seconds == 0.0:
+            return None
+        mean, covariance = mixture(weights, Gaussian(self.mean, self.covariance))
+        height = LONG_HILLS * hilliness * math.sqrt(HILL_LENGTH * self.unseen)
+        covariance += (weight * height) ** 2 * np.outer(LONG_HILL, LONG_HILL)
+        covariance[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * mean[Part.REGAINED]) ** 2
+        mass = weight / GRAVITY
+        edges = 2.0 * mass * EDGE_SPEED**2 * abs(mean[Part.SPEED])  # (m v dv)^2
+        covariance[Part.SPEED, Part.SPEED] += edges
+        counts = self.measured, self.measured_variance, self.distance, self.seconds
+        return Breakdown(mean, covariance, *counts)
+
+
+def loss_shares(found: Spent) -> np.ndarray:
+    """Share of an interval's losses by part, those of `LOST`, shape (K, COUNT).
+
+    What braking loses it does not bring back.
+    """
+    shares = np.zeros((len(found.energy), COUNT))
+    braked = found.wheel_brake / np.maximum(found.wheel_drive + found.wheel_brake, 1.0)
+    shares[:, Part.BRAKES], shares[:, Part.REGAINED] = braked, -braked
+    shares[:, Part.DRIVETRAIN] = 1.0 - braked
+    return shares

@@ -1,0 +1,132 @@
+"""Breakdown of the energy of a drive as metrics, and these as rows and sentences for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
+from evpinn_ros.estimation.energy_parts import WHOLE, Part
+from evpinn_ros.estimation.estimator import Mode
+
+NAMES = tuple(part.name.lower() for part in list(Part)[WHOLE])
+MEANINGS: Mapping[str, str] = {
+    "air": "air and wind",
+    "tyres": "tyres",
+    "slope": "slopes, up less down",
+    "speed": "speed the car now has",
+    "brakes": "lost while braking",
+    "drivetrain": "motor and drivetrain",
+    "climate": "heating and cooling",
+    "standing": "other standing load",
+    UNEXPLAINED: "unexplained",
+    "measured": "measured",
+    REGAINED: "brought back by braking",
+}
+COLUMNS = ("where it went", "kWh", "1-sigma", "kWh/100 km", "share")
+PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
+NOTHING = "the battery was measured over no interval that could be learned from"
+
+
+def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
+    """The values of `--metrics` under `breakdown`; null with the reason where nothing is known."""
+    if found is None:
+        nothing = dict.fromkeys(Amount.__dataclass_fields__)
+        rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}
+        why = PAPER if mode == Mode.PAPER.value else NOTHING
+        return {**rows, "together": [], "distance_m": None, "duration_s": None, "unknown": why}
+    amounts = {**found.amounts(), "measured": found.total()}
+    return {
+        **{name: asdict(amounts[name]) for name in MEANINGS},
+        "together": [
+            {"parts": [part.name.lower() for part in group], **asdict(found.of(*group))}
+            for group in found.together()
+        ],
+        "distance_m": found.distance,
+        "duration_s": found.seconds,
+        "unknown": None,
+    }
+
+
+def shown(found: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """The parts by the names people read; those that data do not separate as one.
+
+    What no input tells of is left out: heating of a car that knows no temperature, say.
+
+    Args:
+        found: the metrics under `breakdown`.
+    """
+    groups = {group["parts"][0]: group for group in found["together"]}
+    hidden = {name for group in found["together"] for name in group["parts"]}
+    rows = []
+    for name in (*NAMES, UNEXPLAINED):
+        if name in groups:
+            rows.append((_together(groups[name]["parts"]), groups[name]))
+        elif name not in hidden and (found[name]["kwh"] or found[name]["sigma_kwh"]):
+            rows.append((MEANINGS[name], found[name]))
+    return rows
+
+
+def breakdown_rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of text under `COLUMNS`: what is `shown`, what was measured, what was brought back."""
+    if found["unknown"] is not None:
+        return []
+    beside = [(MEANINGS[name], found[name]) for name in ("measured", REGAINED)]
+    return [_row(name, amount) for name, amount in (*shown(found), *beside)]
+
+
+def breakdown_lines(found: Mapping[str, Any]) -> list[str]:
+    """Sentences for people: what took most beside driving, and what the figures are of."""
+    if found["unknown"] is not None:
+        return [f"Where the energy went: {found['unknown']}."]
+    lines = [sentence] if (sentence := _sentence(found)) else []
+    lines += [
+        f"{_together(group['parts'])} cannot be told apart on this drive: given together."
+        for group in found["together"]
+    ]
+    minutes, km = found["duration_s"] / 60, found["distance_m"] / 1000
+    lines.append(f"Of the {km:.1f} km and {minutes:.0f} min whose battery was measured.")
+    return lines
+
+
+def _sentence(found: Mapping[str, Any]) -> str:
+    """The largest row that is known to two sigmas, in words."""
+    known = [
+        (name, part)
+        for name, part in shown(found)
+        if name != UNEXPLAINED and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
+    ]
+    if not known:
+        return ""
+    name, most = max(known, key=lambda row: row[1]["kwh"])
+    digits = 1 if most["sigma_kwh"] >= 0.095 else 2 if most["sigma_kwh"] >= 0.0095 else 3
+    amount = f"{most['kwh']:.{digits}f} +- {most['sigma_kwh']:.{digits}f} kWh"
+    return f"{name.capitalize()} took {amount}, {_share(most['share'])} of this drive."
+
+
+def _share(share: float) -> str:
+    """A share in words where a plain one is within 2 percent of the whole, else in percent."""
+    plain = {1 / 10: "a tenth", 1 / 5: "a fifth", 1 / 4: "a quarter", 1 / 3: "a third"}
+    plain |= {1 / 2: "half", 2 / 3: "two thirds", 3 / 4: "three quarters"}
+    near = min(plain, key=lambda each: abs(each - share))
+    return plain[near] if abs(near - share) < 0.02 else f"{100 * share:.0f} %"
+
+
+def _together(names: list[str]) -> str:
+    *first, last = (MEANINGS[name] for name in names)
+    return f"{', '.join(first)} and {last}, together"
+
+
+def _row(name: str, amount: Mapping[str, float | None]) -> tuple[str, ...]:
+    def text(value: float | None, form: str) -> str:
+        return "-" if value is None else format(round(value, 6) + 0.0, form)
+
+    share = amount["share"]
+    return (
+        name,
+        text(amount["kwh"], ".3f"),
+        text(amount["sigma_kwh"], ".3f"),
+        text(amount["kwh_per_100km"], ".2f"),
+        text(None if share is None else 100 * share, ".1f") + (" %" if share is not None else ""),
+    )

@@ -1,0 +1,60 @@
+"""Where the energy went, for people: rows that add up, parts told together, plain sentences."""
+
+import numpy as np
+import pytest
+
+from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
+from evpinn_ros.estimation.energy_parts import COUNT, Part
+from evpinn_ros.replay.breakdown_text import (
+    NAMES,
+    NOTHING,
+    PAPER,
+    breakdown_lines,
+    breakdown_metrics,
+    breakdown_rows,
+    shown,
+)
+
+
+def breakdown(correlation: float = 0.0) -> Breakdown:
+    """Heating takes 2 of 10 kWh; air and drivetrain are told apart, or not."""
+    energy = np.array([3.0, 2.0, -0.5, 0.0, 1.0, 1.5, 2.0, 0.9, 4.0]) * JOULES_PER_KWH
+    covariance = np.diag(np.full(COUNT, (0.02 * JOULES_PER_KWH) ** 2))
+    big = (0.5 * JOULES_PER_KWH) ** 2
+    for part in (Part.AIR, Part.DRIVETRAIN, Part.TYRES):
+        covariance[part, part] = big
+    covariance[Part.AIR, Part.DRIVETRAIN] = correlation * big
+    covariance[Part.DRIVETRAIN, Part.AIR] = correlation * big
+    return Breakdown(energy, covariance, 10.0 * JOULES_PER_KWH, 0.0, 5e4, 3000.0)
+
+
+def test_rows_add_up_to_what_was_measured():
+    for correlation in (0.0, -0.99):
+        found = breakdown_metrics(breakdown(correlation), "hybrid")
+        assert sum(part["kwh"] for _, part in shown(found)) == pytest.approx(10.0)
+        assert found["unexplained"]["kwh"] == pytest.approx(0.1)
+        assert found["air"]["kwh_per_100km"] == pytest.approx(6.0)
+
+
+def test_what_cannot_be_told_apart_is_one_row_and_says_so():
+    found = breakdown_metrics(breakdown(-0.99), "hybrid")
+    names = [row[0] for row in breakdown_rows(found)]
+    assert "air and wind and motor and drivetrain, together" in names
+    assert "air and wind" not in names
+    assert any("cannot be told apart" in line for line in breakdown_lines(found))
+    apart = breakdown_metrics(breakdown(), "hybrid")
+    assert not any("cannot be told apart" in line for line in breakdown_lines(apart))
+
+
+def test_a_sentence_tells_the_largest_part_that_is_known():
+    first = breakdown_lines(breakdown_metrics(breakdown(), "hybrid"))[0]
+    assert first == "Air and wind took 3.0 +- 0.5 kWh, 30 % of this drive."
+
+
+@pytest.mark.parametrize(("mode", "why"), [("paper", PAPER), ("hybrid", NOTHING)])
+def test_no_breakdown_is_null_with_the_reason(mode, why):
+    found = breakdown_metrics(None, mode)
+    assert found["unknown"] == why
+    assert all(found[name]["kwh"] is None for name in NAMES)
+    assert breakdown_rows(found) == []
+    assert why in breakdown_lines(found)[0]
