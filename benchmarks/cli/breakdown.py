@@ -16,7 +16,7 @@ from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
 
-TABLE_WIDTH = 150  # characters; narrower ones would cut the names of what is told together
+TABLE_WIDTH = 150  # characters; narrower ones would cut the names of what is given together
 FIRST_SEED = 12_000  # none of those that constants were chosen by
 
 

@@ -182,7 +182,7 @@ class _Restart:
         status = (
             rig.status("energy", "no power/smoothed", begin) if self.name == "estimator" else None
         )
-        named = f"silence of {self.name}" if status is None and silent else _text(status)
+        named = f"dropout of {self.name}" if status is None and silent else _text(status)
         lost = f"{fresh.name} for {ready - begin:.1f} s; mass/eta moved {moved:.1%}"
         kept = moved < 0.05 and rig.faulty(begin) is None
         return Finding(lost, kept, took, named)

@@ -34,7 +34,7 @@ REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold drivi
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
 LONG_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
-LEAST_DISTANCE = 100.0  # m; over less no consumption is told
+LEAST_DISTANCE = 100.0  # m; over less no consumption is known
 LEAST_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
-LEAST_INFORMED = 0.1  # of the prior's variance; less is rounding, held states and forgetting
+LEAST_INFORMED = 0.1  # of the prior's variance; less is rounding, frozen states and forgetting
 MOST_PRECISE = 1e-9  # of the prior's variance: a posterior narrower than this is no measurement
 SIZE = len(PARAMETER_NAMES)
 

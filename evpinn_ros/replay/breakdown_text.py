@@ -82,7 +82,7 @@ def breakdown_lines(found: Mapping[str, Any]) -> list[str]:
         return [f"Where the energy went: {found['unknown']}."]
     lines = [sentence] if (sentence := _sentence(found)) else []
     lines += [
-        f"{_together(group['parts'])} cannot be told apart on this drive: given together."
+        f"{_together(group['parts'])} cannot be separated on this drive: given together."
         for group in found["together"]
     ]
     minutes, km = found["duration_s"] / 60, found["distance_m"] / 1000

@@ -90,7 +90,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("by_battery_age.<seconds>.bias_w", "W", "mean error likewise"),
     Metric("by_battery_age.<seconds>.last_value_rmse_w", "W", "RMSE of the last value held"),
     *_under("breakdown.<part>", _AMOUNT),
-    Metric("breakdown.together", "", "groups of parts not told apart: `parts` and their sum"),
+    Metric("breakdown.together", "", "groups of parts not separated: `parts` and their sum"),
     Metric("breakdown.distance_m", "m", "of the intervals in it, whose battery was measured"),
     Metric("breakdown.duration_s", "s", "likewise"),
     Metric("breakdown.unknown", "", "why there is none, else null"),

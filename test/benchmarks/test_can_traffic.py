@@ -1,4 +1,4 @@
-"""The full bus of the benchmark: what is on it, and that its readings can be told apart."""
+"""The full bus of the benchmark: what is on it, and that its readings can be separated."""
 
 from collections import Counter
 

@@ -39,9 +39,9 @@ def drawn(seed: int, motor: bool) -> tuple[np.ndarray, Steps]:
     spread[[State.AUX, State.FORCE, State.CLIMB]] = 300.0, 0.004, 0.5
     count = int(rng.integers(1, 7))
     speed, duration = rng.uniform(0.0, 35.0, count), rng.uniform(1.0, 2.0, count)
-    told = rng.uniform(0.0, 4e4, (2, count)) if motor else np.full((2, count), math.nan)
+    motor_energy = rng.uniform(0.0, 4e4, (2, count)) if motor else np.full((2, count), math.nan)
     kinetic, climb = speed * rng.normal(0.0, 1.0, count), speed * rng.normal(0.0, 0.02, count)
-    steps = Steps(duration, duration * speed, duration * speed**3, kinetic, climb, *told)
+    steps = Steps(duration, duration * speed, duration * speed**3, kinetic, climb, *motor_energy)
     return PRIOR.mean + rng.normal(0.0, 1.0, SIZE) * spread, steps
 
 
@@ -126,7 +126,7 @@ def test_covariances_stay_possible_and_shrink_with_what_is_learned():
 
 
 def test_what_is_learned_later_moves_the_sums_of_before():
-    """Half of the drive told nothing of the standing load; a stop tells it, and the sum moves."""
+    """Half of the drive has no data on the standing load; a stop has, and the sum moves."""
     filter_ = driven(CarFilter(MODEL_3), 3, 20)
     before = filter_.parts.breakdown(filter_.weights, 2e4, 0.0)
     sums, state = filter_.parts, filter_.mixture()

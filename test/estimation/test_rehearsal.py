@@ -15,9 +15,9 @@ def rehearsed(vehicle, intervals, energy) -> Rehearsal:
     car, rehearsal = CarFilter(vehicle), Rehearsal()
     for seed in range(3):
         for number, one in enumerate(intervals((DriveKind.MIXED, 600.0, seed))):
-            told = replace(one, energy=energy(number, one), sampling_variance=0.0)
-            rehearsal.learn(car, told)
-            car.learn(told)
+            changed = replace(one, energy=energy(number, one), sampling_variance=0.0)
+            rehearsal.learn(car, changed)
+            car.learn(changed)
     return rehearsal
 
 

@@ -117,10 +117,10 @@ def test_a_replay_takes_the_mounting_of_the_imu_as_the_node_does(bench, bundled,
     bench.settle()
     params = tmp_path / "node.yaml"
     params.write_text('/**/estimator:\n  ros__parameters: {imu_rotation_rpy: "0.1 0.4 1.5"}\n')
-    told = [read_named_vector(m).values["power"] for m in bench.heard[topics.POWER_PREDICTED]]
-    assert len(told) > 300
-    assert powers(tmp_path, "--params", params) == told
-    assert powers(tmp_path) != told
+    live = [read_named_vector(m).values["power"] for m in bench.heard[topics.POWER_PREDICTED]]
+    assert len(live) > 300
+    assert powers(tmp_path, "--params", params) == live
+    assert powers(tmp_path) != live
 
 
 def mounted(index, stamp):

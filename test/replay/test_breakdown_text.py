@@ -1,4 +1,4 @@
-"""Where the energy went, for people: rows that add up, parts told together, plain sentences."""
+"""Where the energy went, for people: rows that add up, parts given together, plain sentences."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from evpinn_ros.replay.breakdown_text import (
 
 
 def breakdown(correlation: float = 0.0) -> Breakdown:
-    """Heating takes 2 of 10 kWh; air and drivetrain are told apart, or not."""
+    """Heating takes 2 of 10 kWh; air and drivetrain are separated, or not."""
     energy = np.array([3.0, 2.0, -0.5, 0.0, 1.0, 1.5, 2.0, 0.9, 4.0]) * JOULES_PER_KWH
     covariance = np.diag(np.full(COUNT, (0.02 * JOULES_PER_KWH) ** 2))
     big = (0.5 * JOULES_PER_KWH) ** 2
@@ -41,9 +41,9 @@ def test_what_cannot_be_told_apart_is_one_row_and_says_so():
     names = [row[0] for row in breakdown_rows(found)]
     assert "air and wind and motor and drivetrain, together" in names
     assert "air and wind" not in names
-    assert any("cannot be told apart" in line for line in breakdown_lines(found))
+    assert any("cannot be separated" in line for line in breakdown_lines(found))
     apart = breakdown_metrics(breakdown(), "hybrid")
-    assert not any("cannot be told apart" in line for line in breakdown_lines(apart))
+    assert not any("cannot be separated" in line for line in breakdown_lines(apart))
 
 
 def test_a_sentence_tells_the_largest_part_that_is_known():

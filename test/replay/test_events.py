@@ -36,7 +36,7 @@ def drive(speed=None, measured=None, detections=()) -> Drive:
     )
 
 
-def told(found) -> list[tuple[float, EventKind]]:
+def kinds(found) -> list[tuple[float, EventKind]]:
     return [(event.time, event.kind) for event in found]
 
 
@@ -47,7 +47,7 @@ def test_a_quiet_drive_has_no_events():
 def test_gaps_are_events_at_the_ends_too():
     speed = [t for t in range(61) if not 20 < t < 30]
     found = drive_events(drive(speed, range(5, 51)))
-    assert told(found) == [
+    assert kinds(found) == [
         (0.0, EventKind.BATTERY_DROPOUT),
         (20.0, EventKind.SPEED_DROPOUT),
         (50.0, EventKind.BATTERY_DROPOUT),
@@ -56,14 +56,14 @@ def test_gaps_are_events_at_the_ends_too():
 
 
 def test_a_battery_that_never_spoke_is_one_event():
-    assert told(drive_events(drive(measured=[]))) == [(0.0, EventKind.BATTERY_DROPOUT)]
+    assert kinds(drive_events(drive(measured=[]))) == [(0.0, EventKind.BATTERY_DROPOUT)]
 
 
 def test_stamps_that_go_back_are_a_reset_and_stragglers_none():
     straggling = [0, 1, 2, 4, 3, *range(5, 61)]
     assert drive_events(drive(straggling)) == []
     found = drive_events(drive([*range(61), *range(30, 61)]))
-    assert told(found) == [(30.0, EventKind.RESET)] and "30 s" in found[0].text
+    assert kinds(found) == [(30.0, EventKind.RESET)] and "30 s" in found[0].text
 
 
 def test_a_payload_is_told_once_as_it_was_known_last():
@@ -73,7 +73,7 @@ def test_a_payload_is_told_once_as_it_was_known_last():
     found = drive_events(
         drive(detections=[(0.0, LearnerReport()), (40.0, reports[0]), (41.0, reports[1])])
     )
-    assert told(found) == [(10.0, EventKind.PAYLOAD)]
+    assert kinds(found) == [(10.0, EventKind.PAYLOAD)]
     assert "+180 ± 25 kg" in found[0].text and "30 s later" in found[0].text
 
 
@@ -81,7 +81,7 @@ def test_a_payload_that_is_withdrawn_is_told():
     known = LearnerReport(PayloadChange(START_NS, 150.0, 40.0), 1)
     gone = LearnerReport(None, 1, 1)
     found = drive_events(drive(detections=[(0.0, LearnerReport()), (30.0, known), (50.0, gone)]))
-    assert told(found) == [(0.0, EventKind.PAYLOAD), (50.0, EventKind.PAYLOAD)]
+    assert kinds(found) == [(0.0, EventKind.PAYLOAD), (50.0, EventKind.PAYLOAD)]
     assert "withdrawn" in found[1].text
 
 
@@ -95,12 +95,12 @@ def test_suspicions_come_and_go():
     found = drive_events(
         drive(detections=[(0.0, LearnerReport()), (20.0, suspected), (40.0, LearnerReport())])
     )
-    assert told(found) == [(20.0, EventKind.SIGNAL_FAULT), (40.0, EventKind.SIGNAL_FAULT)]
+    assert kinds(found) == [(20.0, EventKind.SIGNAL_FAULT), (40.0, EventKind.SIGNAL_FAULT)]
     assert "sign of current" in found[0].text
 
 
 def test_a_withheld_battery_is_an_event_if_it_came_to_that():
-    assert told(drive_events(drive(), 30.0)) == [(30.0, EventKind.WITHHELD)]
+    assert kinds(drive_events(drive(), 30.0)) == [(30.0, EventKind.WITHHELD)]
     assert drive_events(drive(), 90.0) == []
 
 

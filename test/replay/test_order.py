@@ -20,13 +20,15 @@ MARGIN = 0.011  # s: stamps within a hundredth are of one moment
 
 
 def outputs(vehicle: Vehicle, readings: Iterable[Reading]) -> list[str]:
-    """All that is told, digit by digit; what was measured in the order of its stamps."""
+    """All that is published, digit by digit; what was measured in the order of its stamps."""
     estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-    told: list[Any] = [output for reading in readings for output in estimator.add_reading(reading)]
+    published: list[Any] = [
+        output for reading in readings for output in estimator.add_reading(reading)
+    ]
     assert not estimator.status().dropped and estimator.status().accepted > 10
-    measured = [each for each in told if is_measured(each)]
+    measured = [each for each in published if is_measured(each)]
     measured.sort(key=lambda each: each.stamp_ns)
-    return [repr(each) for each in (*measured, *(e for e in told if not is_measured(e)))]
+    return [repr(each) for each in (*measured, *(e for e in published if not is_measured(e)))]
 
 
 def is_measured(output: Any) -> bool:

@@ -44,7 +44,7 @@ def test_bookkeeping_at_rest_is_no_charging():
 
 
 @pytest.mark.parametrize(
-    ("power", "speed", "told", "suspected"),
+    ("power", "speed", "judged", "suspected"),
     [
         (50_000.0, 0.0, True, True),
         (-50_000.0, 0.0, True, False),
@@ -53,9 +53,9 @@ def test_bookkeeping_at_rest_is_no_charging():
         (50_000.0, math.nan, False, False),
     ],
 )
-def test_a_car_at_rest_draws_little(power, speed, told, suspected):
+def test_a_car_at_rest_draws_little(power, speed, judged, suspected):
     found = fed(power, UNKNOWN[:120], speed=speed)
-    assert (found.judged, found.suspected) == (told, suspected)
+    assert (found.judged, found.suspected) == (judged, suspected)
 
 
 def test_a_moment_of_much_is_no_charging():

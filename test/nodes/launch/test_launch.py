@@ -39,8 +39,8 @@ def hear(bench, topic, namespace="/ev"):
     return heard
 
 
-def told(said, node):
-    """What a node of the car under /ev told of itself, the newest last."""
+def statuses(said, node):
+    """Statuses of a node of the car under /ev, the newest last."""
     return [s for m in said for s in m.status if s.name.startswith(f"/ev/{node}:")]
 
 
@@ -249,7 +249,7 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
     totals = hear(bench, topics.ENERGY_TOTALS)
 
     def idle():
-        last = told(said, "estimator")[-4:]
+        last = statuses(said, "estimator")[-4:]
         return len(last) == 4 and updates(last[0]) == updates(last[-1])
 
     def saved():
@@ -262,7 +262,9 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
 
     given = ("vehicle:=tesla_model_3_lr", f"params_file:={car()}", "respawn:=true")
     with ros2.running(*LAUNCH, "evpinn.launch.py", *given) as launch:
-        bench.pump(lambda: any("at its end" in s.message for s in told(said, "can_bridge")), 60.0)
+        bench.pump(
+            lambda: any("at its end" in s.message for s in statuses(said, "can_bridge")), 60.0
+        )
         bench.pump(idle, 60.0)
         states, parameters, total = saved(), numbers(learned[-1]), counted()
         learned.clear(), totals.clear()
