@@ -265,7 +265,7 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
         bench.pump(
             lambda: any("at its end" in s.message for s in statuses(said, "can_bridge")), 60.0
         )
-        bench.pump(idle, 60.0)
+        bench.pump(lambda: idle() and saved() == saved(), 60.0)  # nothing is on the way any more
         states, parameters, total = saved(), numbers(learned[-1]), counted()
         learned.clear(), totals.clear()
         for node in ("estimator", "energy"):
