@@ -24,6 +24,7 @@ from evpinn_ros.vehicle.linear_power import (
     FADE_SPEED,
     MOST_FORCE,
     LinearPower,
+    turning,
 )
 from evpinn_ros.vehicle.physics import GRAVITY
 
@@ -159,9 +160,8 @@ class PowerModel:
         fade = xp.clip((v - FADE_END) / (FADE_SPEED - FADE_END), 0.0, 1.0)
         whole = (drag, rolling, force)
         braked = [(all_ - part) * fade for all_, part in zip(whole, driven, strict=True)]
-        turning = (v > CREEPING) * 1.0
         pull = xp.clip(wheel / car.mass / xp.clip(v, LEAST_SPEED, None), -MOST_FORCE, MOST_FORCE)
-        return [*driven, *braked, xp.ones_like(v), turning, pull * pull * turning]
+        return [*driven, *braked, xp.ones_like(v), turning(v), pull * pull * (v > CREEPING)]
 
 
 def vehicle_model(vehicle: Vehicle, residual_sigma: float) -> PowerModel:

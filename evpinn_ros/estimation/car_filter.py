@@ -7,6 +7,7 @@ it predicted the intervals so far (their evidence), so the widths of all interva
 Slope that no sensor reports is the derivative of a height that stays bounded: a Matern-3/2
 process along the road (Rasmussen and Williams, 2006, eq. 4.17), so it has no mean and does not
 compete with rolling resistance. Where height is measured, the process is the error of that height.
+Longer hills (`long_hills`) widen what is predicted without battery and height.
 
 During a battery dropout the predicted energy is a state too: its covariance with all others
 makes its interval exact, however long that lasts.
@@ -46,11 +47,12 @@ from evpinn_ros.estimation.gaussian import (
     predict,
     replace_states,
 )
+from evpinn_ros.estimation.long_hills import BLOCKS_KEPT, PRIOR_BLOCKS, LongHills
 from evpinn_ros.estimation.passage import ROAD, passage
 from evpinn_ros.estimation.weak_form import Constants, Spent, Warmth, motor_energy, spent
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
+from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED
 
 # What the hypotheses are about: 1-sigma of the unseen slope, the unseen force over the weight, and
 # the wandering load in W; and in place of the slope, of a measured height's error in m.
@@ -65,7 +67,7 @@ STANDING_NOISE = 150.0  # W over `NOISE_TIME`, what no state explains
 FORCE_NOISE = 40.0  # N over `NOISE_TIME`, the same while moving
 NOISE_TIME = 1.5  # s within which that forgets itself
 SHARE_NOISE = 0.03  # of the throughput: efficiency is a map, not a number
-BRAKE_NOISE = 0.2  # of the braking energy: no signal shows the share that friction takes
+BRAKE_NOISE = 0.2  # of the braking energy: only a motor's torque shows the share of friction
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
 SCALE_RANGE = (0.05, 50.0)
 MOTOR_NOISE = 0.05  # of the motor's energy, 1-sigma of torque times speed against the wheels
@@ -87,6 +89,7 @@ class CarFilter:
         state: means and covariances of the K hypotheses.
         intervals: how many this drive was learned from.
         parts: where the energy of this drive went, None in a copy that need not know.
+        hills: how far roads stray from the height they began at.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -105,6 +108,7 @@ class CarFilter:
         self._drives = PRIOR_DRIVES
         self.intervals = 0
         self.parts: PartSums | None = PartSums.none(count)
+        self.hills = LongHills()
         self._seconds = 0.0  # of this drive
         self.state = replace_states(self.state, self._drive_variance)
         self._begin_road(height_known=False)
@@ -141,17 +145,19 @@ class CarFilter:
         Where it was not, its energy is added to what is predicted (`unmeasured`).
         """
         self._pass(interval)
-        motor = not np.isnan(interval.steps.motor_drive).any()
-        if motor:
+        if interval.steps.motor_known:
             self._learn_motor(interval)
         found = self._spent(interval)
         noise = self._noise(interval, found)
         if math.isnan(interval.energy):
-            self._accumulate(found, noise)
+            weight = GRAVITY * np.exp(
+                self.state.mean[:, State.MASS] - self.state.mean[:, State.ETA]
+            )
+            self._accumulate(found, noise + weight**2 * self.hills.unseen(interval))
             return None
         self.state = replace_states(self.state, {State.ENERGY: 0.0})
         weights = self.weights
-        lost = (self._scale * _lost(found))[:, None] * loss_shares(found)
+        lost = (self._scale * _lost(interval, found))[:, None] * loss_shares(found)
         seen = self._see(found.gradient, interval.energy - found.energy, noise, lost)
         known = self.state, weights, self.warmth, self._constants
         self.parts = self.parts and self.parts.plus(interval, *known)
@@ -243,6 +249,7 @@ class CarFilter:
             "drives": self._drives,
             "intervals": self.intervals,
             "seconds": self._seconds,
+            "hills": [self.hills.growth, self.hills.blocks],
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -265,6 +272,10 @@ class CarFilter:
             and 0.0 <= seconds <= 1e7
         ):
             raise ValueError("the saved filter is out of range")
+        growth, blocks = (float(value) for value in saved["hills"])
+        if not (0.0 <= growth <= 1e3 and PRIOR_BLOCKS <= blocks <= BLOCKS_KEPT):
+            raise ValueError("the saved hills are out of range")
+        self.hills = LongHills(growth, blocks)
         self.state = Gaussian(mean, covariance)
         self._evidence, self._scale = evidence, scale
         self._drive_variance = dict(zip(DRIVE_STD, variances.tolist(), strict=True))
@@ -295,6 +306,7 @@ class CarFilter:
             },
         )
         self.parts = self.parts and self.parts.without(FAST)
+        self.hills = self.hills.elsewhere()
 
     @property
     def _slope_length(self) -> float:
@@ -315,6 +327,7 @@ class CarFilter:
             self._change_height(interval.height_known)
         distance, duration = abs(interval.distance), interval.duration
         self._seconds += duration
+        self.hills = self.hills.after(interval)
         slopes, forces, loads = self._scales()
         kept = {
             State.AUX: (math.exp(-duration / LOAD_TIME), loads),
@@ -343,20 +356,22 @@ class CarFilter:
         """Variance of an interval's energy that no state explains, J^2, shape (K,)."""
         speed = interval.distance / interval.duration
         base = (STANDING_NOISE**2 + (FORCE_NOISE * speed) ** 2) * interval.duration * NOISE_TIME
-        own = self._scale * (base + _lost(found))
+        own = self._scale * (base + _lost(interval, found))
         sampling = 0.0 if math.isnan(interval.sampling_variance) else interval.sampling_variance
         return np.asarray(own + sampling)
 
     def _learn_motor(self, interval: Interval) -> None:
         """Condition on the motor's energy: what the wheels take, whatever the battery gave."""
         steps = interval.steps
-        for part, measured in enumerate((steps.motor_drive.sum(), steps.motor_brake.sum())):
+        motor = ((steps.motor_drive.sum(), 0.0), (steps.motor_brake.sum(), BRAKE_NOISE))
+        for part, (measured, friction) in enumerate(motor):
             energy, gradient = motor_energy(
                 self.state.mean, steps, interval.conditions, self.warmth, self._constants
             )[part]
             duration = interval.duration
             base = (FORCE_NOISE * interval.distance / duration) ** 2 * duration * NOISE_TIME
-            noise = self._scale * base + (MOTOR_NOISE * np.maximum(energy, measured)) ** 2 + 1.0
+            share = math.hypot(MOTOR_NOISE, friction)
+            noise = self._scale * base + (share * np.maximum(energy, measured)) ** 2 + 1.0
             self._see(gradient, measured - energy, noise, np.zeros((1, COUNT)))
 
     def _see(
@@ -390,7 +405,8 @@ class CarFilter:
         self._scale = np.clip(self._scale * growth, *SCALE_RANGE)
 
 
-def _lost(found: Spent) -> np.ndarray:
+def _lost(interval: Interval, found: Spent) -> np.ndarray:
     """Variance of what drivetrain and brakes lose beyond what the states say, J^2, shape (K,)."""
-    share = (SHARE_NOISE * found.throughput) ** 2 + (BRAKE_NOISE * found.wheel_brake) ** 2
+    friction = 0.0 if interval.steps.motor_known else BRAKE_NOISE
+    share = (SHARE_NOISE * found.throughput) ** 2 + (friction * found.wheel_brake) ** 2
     return np.asarray(share)

@@ -29,7 +29,7 @@ class State(IntEnum):
     C_RR = 3  # over its prior
     C_D = 4  # logarithm
     P_AUX = 5  # W, standing load on a mild day
-    NO_LOAD = 6  # W that the drivetrain loses by turning
+    NO_LOAD = 6  # W that the drivetrain loses by turning, at `linear_power.TURNING_SPEED`
     COPPER = 7  # W / (m/s^2)^2, loss by force squared over mass squared
     ROLL_COLD = 8  # share of rolling resistance more per 10 K of cold
     ROLL_START = 9  # share of it more while tyres are cold

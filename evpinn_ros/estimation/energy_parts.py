@@ -26,7 +26,7 @@ from evpinn_ros.estimation.weak_form import (
 )
 from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.road import Conditions
-from evpinn_ros.vehicle.linear_power import CREEPING
+from evpinn_ros.vehicle.linear_power import turning
 
 
 class Part(IntEnum):
@@ -75,7 +75,7 @@ def parts(
 
     energy, gradient = np.zeros(COUNT), np.zeros((COUNT, SIZE))
     _at_wheels(energy, gradient, mean, by[0], wheels, steps, car)
-    if np.isnan(steps.motor_drive).any():
+    if not steps.motor_known:
         eta, mu = math.exp(mean[State.ETA]), math.exp(mean[State.MU])
         drive, back = sums[1] / eta, -mu * sums[2]
         gradient[Part.DRIVETRAIN], gradient[Part.REGAINED] = by[1] / eta, -mu * by[2]
@@ -127,13 +127,13 @@ def _losses(
     energy: np.ndarray, gradient: np.ndarray, mean: np.ndarray, wheels: Wheels, steps: Steps
 ) -> None:
     """Add what a drivetrain loses by turning, and by force squared."""
-    moving = float(steps.duration @ (steps.distance > CREEPING * steps.duration))
+    turned = float(steps.duration @ turning(steps.distance / steps.duration))
     drive, brake = (
         float((wheels.square * where).sum()) for where in (wheels.driving, ~wheels.driving)
     )
-    energy[Part.DRIVETRAIN] += mean[State.NO_LOAD] * moving + mean[State.COPPER] * drive
+    energy[Part.DRIVETRAIN] += mean[State.NO_LOAD] * turned + mean[State.COPPER] * drive
     energy[Part.REGAINED] -= mean[State.COPPER] * brake
-    gradient[Part.DRIVETRAIN, State.NO_LOAD] = moving
+    gradient[Part.DRIVETRAIN, State.NO_LOAD] = turned
     gradient[Part.DRIVETRAIN, State.COPPER] = drive
     gradient[Part.REGAINED, State.COPPER] = -brake
 

@@ -20,7 +20,7 @@ from evpinn_ros.vehicle.physics import GRAVITY
 
 DRIVE, BRAKE = slice(0, 3), slice(3, 6)
 NO_LOAD, CONSTANT, FORCE_SQUARED, DRIFT = (
-    FEATURES.index(name) for name in ("moving", "constant", "force_squared", "present_drift")
+    FEATURES.index(name) for name in ("turning", "constant", "force_squared", "present_drift")
 )
 LEAST_VARIANCE = 1e-12  # of the largest direction's; less is rounding
 

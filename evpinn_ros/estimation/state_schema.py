@@ -54,6 +54,7 @@ HYBRID = {
         "drives": Range(PRIOR_DRIVES, DRIVES_KEPT),
         "intervals": Range(0, 10**12, whole=True),
         "seconds": Range(0.0, 1e7),
+        "hills": Range(0.0, 1e3),
     },
     "energies": {
         **dict.fromkeys(SUMS, Range(0.0, MOST_ENERGY)),

@@ -23,7 +23,7 @@ from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.road import Conditions
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.linear_power import CREEPING, FADE_END, FADE_SPEED, MOST_FORCE
+from evpinn_ros.vehicle.linear_power import CREEPING, FADE_END, FADE_SPEED, MOST_FORCE, turning
 from evpinn_ros.vehicle.physics import GRAVITY
 
 LEAST_STEP = 0.5  # m, over less the force is not resolved
@@ -107,7 +107,7 @@ def spent(
     gradient[:, State.MU] = _where(traction, ~wheels.driving)
     gradient[:, State.MASS] = (rate * (wheels.total - wheels.drag)).sum(1)
     gradient[:, State.C_D] = (rate * wheels.drag).sum(1)
-    if not np.isnan(steps.motor_drive).any():
+    if steps.motor_known:
         traction = by_motor(mean, steps, gradient)
         gradient[:, : State.C_RR] = 0.0
         gradient[:, State.C_D] = 0.0
@@ -115,10 +115,10 @@ def spent(
         rate = np.zeros_like(rate)
     rolling_gradient(gradient, mean, rate * wheels.weight, steps, conditions, warmth, car)
     rest = standing(mean, steps, conditions, warmth, gradient)
-    moving = float(steps.duration @ (steps.distance > CREEPING * steps.duration))
-    gradient[:, State.NO_LOAD] = moving
+    turned = float(steps.duration @ turning(steps.distance / steps.duration))
+    gradient[:, State.NO_LOAD] = turned
     gradient[:, State.COPPER] = wheels.square.sum(1)
-    loss = mean[:, State.NO_LOAD] * moving + mean[:, State.COPPER] * wheels.square.sum(1)
+    loss = mean[:, State.NO_LOAD] * turned + mean[:, State.COPPER] * wheels.square.sum(1)
     brake = -_where(wheels.total, ~wheels.driving)
     faded = -_where(wheels.total * wheels.fade, ~wheels.driving)
     return Spent(

@@ -57,6 +57,11 @@ class Steps(NamedTuple):
     motor_drive: np.ndarray
     motor_brake: np.ndarray
 
+    @property
+    def motor_known(self) -> bool:
+        """True if the energy of the motor is known all along."""
+        return not np.isnan(self.motor_drive).any()
+
 
 @dataclass(frozen=True, slots=True)
 class Interval:

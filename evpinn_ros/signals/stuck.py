@@ -18,8 +18,10 @@ POWER_SWING = 30e3  # W that a car at one speed does not go through in that time
 FINE = 0.1  # m/s, a step of finer speeds
 COARSE_LONG, COARSE_SWING = 5.0, 60e3
 # Before that is long enough, a speed that repeats is in doubt: nothing is learned until it moves.
-# A cruise control keeps even a fine speed for a second, now and then for two.
-DOUBTED_AFTER, COARSE_DOUBTED_AFTER = 1.0, 2.0  # s
+# A cruise control keeps even a fine speed for a second, now and then for two; a car that speeds up
+# or slows down keeps none.
+DOUBTED_AFTER, COARSE_DOUBTED_AFTER, SOON_DOUBTED_AFTER = 1.0, 2.0, 0.35  # s
+CHANGING, CHANGE_NS = 0.5, NANOSECONDS  # m/s within that time before: no cruise control
 COARSE_DOUBT_SWING = 20e3  # W
 SETTLES_NS = NANOSECONDS // 2  # before and after, which smoothing reaches and in which it leaps
 SPOILT_KEPT = 20
@@ -37,6 +39,8 @@ class StuckSuspicion:
         # Why, since when and until when a signal repeated: what lies behind is learned from later.
         self._spoilt: deque[tuple[str, int, int]] = deque(maxlen=SPOILT_KEPT)
         self._step = math.inf  # smallest change of speed seen, m/s
+        self._changes: deque[tuple[int, float]] = deque()  # speeds of the last second
+        self._changed = False  # before the speed began to repeat
 
     def add_reading(self, reading: Reading) -> None:
         """Learn from a reading of any kind."""
@@ -44,6 +48,7 @@ class StuckSuspicion:
             before = self._speed.value
             if isinstance(before, float) and reading.speed != before:
                 self._step = min(self._step, abs(reading.speed - before))
+                self._change(reading)
             self._speed.add(reading.stamp_ns, reading.speed, self._speed_limits[0])
             self._battery.witness(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
@@ -69,6 +74,13 @@ class StuckSuspicion:
                 return reason
         return None
 
+    def _change(self, reading: SpeedReading) -> None:
+        """Note whether the car speeds up or slows down at a speed that is another."""
+        self._changes.append((reading.stamp_ns, reading.speed))
+        while not reading.stamp_ns - CHANGE_NS <= self._changes[0][0] <= reading.stamp_ns:
+            self._changes.popleft()
+        self._changed = abs(reading.speed - self._changes[0][1]) > CHANGING
+
     def _note(self) -> None:
         """Keep since when a signal repeats that is suspected or in doubt."""
         reason = self.suspected or (SPEED_REPEATS if self._in_doubt() else None)
@@ -84,7 +96,9 @@ class StuckSuspicion:
         speed, fine = self._speed.value, self._step < FINE
         if not (isinstance(speed, float) and abs(speed) > MOVING):
             return False
-        long = DOUBTED_AFTER if fine else COARSE_DOUBTED_AFTER
+        long = COARSE_DOUBTED_AFTER
+        if fine:
+            long = SOON_DOUBTED_AFTER if self._changed else DOUBTED_AFTER
         seconds = (self._speed.newest_ns - self._speed.since_ns) / NANOSECONDS
         return seconds >= long and (fine or self._speed.range > COARSE_DOUBT_SWING)
 

@@ -10,6 +10,7 @@ whole trip.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ import numpy as np
 FADE_SPEED = 3.5  # m/s, below it recuperation fades, none is left at `FADE_END`
 FADE_END = 0.5  # m/s
 CREEPING = 0.3  # m/s, slower the drivetrain stands
+TURNING_SPEED = 10.0  # m/s, at which the loss by turning is a power of that size
 MOST_FORCE = 4.0  # m/s^2 of force over mass, more is no tyre's
 FEATURES = (
     "drive_drag",
@@ -28,10 +30,19 @@ FEATURES = (
     "brake_rolling",
     "brake_force",
     "constant",
-    "moving",  # 1 while the drivetrain turns
+    "turning",  # of the drivetrain, see `turning`
     "force_squared",  # (force at the wheels over mass)^2 while it turns
     "present_drift",  # exp(-t / drift_time): what is left of the present drift of auxiliary power
 )
+
+
+def turning(speed: Any) -> Any:
+    """Loss of a drivetrain that turns, over that at `TURNING_SPEED`; elementwise, any library.
+
+    Half of it is drawn as soon as it turns (control of the inverter, iron), half grows with speed
+    (bearings, oil).
+    """
+    return (speed > CREEPING) * (0.5 + 0.5 * speed / TURNING_SPEED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,7 +49,7 @@ def mass_over_eta(estimator):
 
 
 @pytest.mark.parametrize(
-    ("begin", "value", "most"), [(60.0, None, 0.015), (75.0, None, 0.015), (60.0, 17.0, 0.02)]
+    ("begin", "value", "most"), [(60.0, None, 0.005), (75.0, None, 0.005), (60.0, 17.0, 0.02)]
 )
 def test_a_speed_that_hangs_for_seconds_moves_next_to_nothing(begin, value, most):
     """From the moment it hangs, at the last value or another, until a second after it moved again.
