@@ -347,6 +347,12 @@ class CarFilter:
         self.state = replace_states(self.state, road)
         self.parts = self.parts and self.parts.without(ROAD)
 
+    @property
+    def _weight(self) -> np.ndarray:
+        """Weight of the car over eta, N, shape (K,)."""
+        mean = self.state.mean
+        return np.asarray(GRAVITY * np.exp(mean[:, State.MASS] - mean[:, State.ETA]))
+
     def _spent(self, interval: Interval) -> Spent:
         return spent(
             self.state.mean, interval.steps, interval.conditions, self.warmth, self._constants

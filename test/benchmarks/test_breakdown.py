@@ -35,6 +35,27 @@ def test_all_parts_together_are_the_energy_drawn(checks):
     assert np.abs(errors).max() < 0.02
 
 
+def test_what_a_motor_shows_of_braking_is_not_what_the_brakes_took():
+    """A drive with torque, height and temperature, of which brakes were missed by 4.4 sigmas.
+
+    The motor's energy counted as sure while braking as while driving, and all of its loss as the
+    same at any speed.
+    """
+    seed = 12_011
+    found = part_checks(
+        list(DriveKind),
+        VEHICLES,
+        range(seed, seed + 1),
+        seconds=600.0,
+        from_priors=True,
+        altitude=True,
+        temperature=True,
+        motor_torque=True,
+    )
+    away = {one.name: abs(one.kwh - one.true_kwh) / one.sigma_kwh for one in found}
+    assert max(away["brakes"], away["climate+standing"]) < 3.0
+
+
 def test_a_summary_counts_what_is_covered():
     one = PartCheck("car", "urban", 1, "air", 1.0, 0.1, 1.1, 2.0)
     far = PartCheck("car", "urban", 2, "air", 1.0, 0.1, 1.3, 2.0)
