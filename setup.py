@@ -44,6 +44,7 @@ setup(
         "matplotlib",
         "mcap",
         "numpy",
+        "pandas",
         "polars",
         "pyserial",
         "python-can[multicast]",

@@ -18,7 +18,7 @@ from evpinn_ros.can.request import Address
 
 NOT_QUICK = frozenset(
     {
-        *("bench", "cli", "fleet", "nodes", "reproduction"),
+        *("api", "bench", "cli", "fleet", "nodes", "reproduction"),
         *("test_docs.py", "test_executables.py", "test_guides.py", "test_packaging.py"),
         *("test_browser.py", "test_drive_page.py", "test_captures.py", "test_logs_fuzz.py"),
         *("test_golden.py", "test_order.py", "test_replay.py", "test_output.py"),

@@ -40,6 +40,7 @@ NAMES = {
     "mcap": ("mcap", None),
     "numpy": ("numpy", "python3-numpy"),
     "openpyxl": ("openpyxl", None),
+    "pandas": ("pandas", "python3-pandas"),
     "polars": ("polars", None),
     "pyarrow": ("pyarrow", None),
     "rich": ("rich", "python3-rich"),
@@ -61,7 +62,7 @@ ROSDEP_KEYS = {
     *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-matplotlib"),
     *("python3-msgpack", "python3-numpy", "python3-pytest", "python3-pytest-timeout"),
     *("python3-rich", "python3-rosbags-pip", "python3-scipy", "python3-serial"),
-    *("python3-torch", "python3-typer", "python3-yaml"),
+    *("python3-torch", "python3-typer", "python3-yaml", "python3-pandas"),
 }
 
 

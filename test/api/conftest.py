@@ -1,0 +1,1 @@
+from test.cli.conftest import evpinn  # noqa: F401
