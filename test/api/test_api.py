@@ -83,7 +83,9 @@ def test_frames_hold_what_the_scores_are_of(result):
     parts = result.breakdown["kwh"].drop(["measured", "regained"])
     assert parts.sum() == pytest.approx(result.breakdown.loc["measured", "kwh"])
     (forecast,) = result.forecasts.itertuples()
-    assert forecast.measured_j == pytest.approx(result.energy["measured_j"].iloc[-1], rel=0.05)  # whole seconds
+    assert forecast.measured_j == pytest.approx(
+        result.energy["measured_j"].iloc[-1], rel=0.05
+    )  # whole seconds
     for frame in (result.power, result.energy, result.learning):
         assert frame.index.name == "t_s" and frame.index.is_monotonic_increasing
 
