@@ -159,6 +159,30 @@ def test_wheel_holds_every_file(wheel: ZipFile) -> None:
     assert files <= held
 
 
+def test_an_index_can_show_all_of_the_description(wheel: ZipFile) -> None:
+    metadata = message_from_string(read_info(wheel, "METADATA"))
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    text = metadata.get_payload()
+    assert "## From Python" in text and "![" not in text and "<!--" not in text
+    assert all("://" in target for target in re.findall(r"\]\(([^)]+)\)", text))
+    pythons = {line.rpartition(" ")[2] for line in metadata.get_all("Classifier") if "3." in line}
+    assert f">={min(pythons, key=lambda python: int(python[2:]))}" == metadata["Requires-Python"]
+
+
+def test_a_release_is_what_its_tag_says_and_needs_its_tests() -> None:
+    flow = yaml.safe_load((ROOT / ".github" / "workflows" / "release.yml").read_text())
+    assert flow[True] == {"push": {"tags": ["v*"]}}  # YAML 1.1 reads `on` as true
+    jobs = flow["jobs"]
+    assert jobs["publish"]["needs"] == "build" and jobs["build"]["needs"] == "test"
+    assert jobs["publish"]["permissions"] == {"id-token": "write"}
+    words = " ".join(step.get("run", "") for step in jobs["build"]["steps"])
+    check = re.search(r"python3 -c '(.+?)'", words)[1]
+    for tag, accepted in ((f"v{evpinn_ros.__version__}", True), ("v99.0.0", False)):
+        named = os.environ | {"GITHUB_REF_NAME": tag}
+        done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=named)
+        assert (done.returncode == 0) == accepted
+
+
 def test_every_executable_has_its_function(wheel: ZipFile) -> None:
     entry_points = ConfigParser()
     entry_points.read_string(read_info(wheel, "entry_points.txt"))
