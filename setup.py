@@ -107,6 +107,8 @@ setup(
         "mf4": ["asammdf"],
         # Serves `evpinn run --foxglove` and `evpinn view`.
         "foxglove": ["foxglove-sdk"],
+        # `make site`: the documents and every public docstring as a site.
+        "site": ["mkdocs-material", "mkdocstrings-python"],
         # Nothing more than the package itself; asking for it is no mistake.
         "report": [],
         # By this name `colcon test` knows that pytest is meant.
