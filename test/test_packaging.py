@@ -252,8 +252,23 @@ def test_citation_names_no_version_of_its_own() -> None:
     assert paper["title"].startswith("EV-PINN: ")
 
 
+def container_steps() -> list[tuple[str, str]]:
+    """Instructions of the Containerfile and what each is given, on one line."""
+    text = re.sub(r"^ *#.*\n", "", (ROOT / "Containerfile").read_text(), flags=re.M)
+    return re.findall(r"^([A-Z]+) (.+)$", text.replace("\\\n", " "), re.M)
+
+
 def test_container_file_copies_what_is_there() -> None:
     """`make lint` looks at the rest of it."""
-    copied = re.findall(r"^COPY (.+) \S+$", (ROOT / "Containerfile").read_text(), re.M)
-    assert copied
-    assert all((ROOT / name).exists() for line in copied for name in line.split())
+    copied = [words.split()[:-1] for name, words in container_steps() if name == "COPY"]
+    assert copied and all((ROOT / name).exists() for names in copied for name in names)
+    assert "README.md" in copied[0], "setup.py reads it"
+
+
+def test_container_file_needs_no_bash_to_build() -> None:
+    """Podman's own image format ignores SHELL, so RUN lines are run by sh, which is dash."""
+    assert "SHELL" not in dict(container_steps())
+    for name, words in container_steps():
+        if name == "RUN":
+            run("sh", "-n", "-c", words)
+            assert not re.search(r"\bsource |\[\[", words)
