@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
 import evpinn_ros as ev
 import evpinn_ros.api
 from evpinn_ros.api import estimator, plan, recordings
+from evpinn_ros.cli.main import app
 from evpinn_ros.energy import Profiles
 from evpinn_ros.energy import forecast as forecast_profiles
 from evpinn_ros.estimation.state_file import read_state
@@ -54,14 +56,13 @@ def without_timing(metrics: dict) -> dict:
     return found
 
 
-def test_numbers_are_the_commands_to_the_bit(evpinn, result, tmp_path):
+def test_numbers_are_the_commands_to_the_bit(result, tmp_path):
+    found = tmp_path / "found.json"
     options = [f"--{name.replace('_', '-')}={value}" for name, value in SPAN.items()]
-    done = evpinn(
-        "replay", URBAN, "--vehicle", CAR, "--metrics", "found.json", *options, cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    commanded = json.loads((tmp_path / "found.json").read_text())
-    assert without_timing(result.metrics) == without_timing(commanded)
+    words = ["replay", str(URBAN), "--vehicle", CAR, "--metrics", str(found), *options]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert without_timing(result.metrics) == without_timing(json.loads(found.read_text()))
 
 
 def test_frames_hold_what_the_scores_are_of(result):

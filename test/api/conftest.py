@@ -1,1 +1,0 @@
-from test.cli.conftest import evpinn  # noqa: F401
