@@ -98,7 +98,7 @@ class Result:
     def write_report(self, path: str | os.PathLike[str]) -> None:
         """Write the report that `evpinn replay --report` writes: one HTML file, for a browser."""
         # Here, for pictures take longer to import than all else together.
-        from evpinn_ros.report.drive_page import reported, write_drives
+        from evpinn_ros.report.replayed import write_replayed
 
-        drive = reported(self.replayed, self.vehicle, self.options)
-        write_drives(Path(path), [drive], "evpinn_ros.replay")
+        done = [self.replayed]
+        write_replayed(Path(path), done, self.vehicle, self.options, "evpinn_ros.replay")

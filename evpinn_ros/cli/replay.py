@@ -193,7 +193,7 @@ def _write_metrics(path: Path, done: list[Replayed]) -> None:
 
 def _write_report(path: Path, car: CarReplay) -> None:
     # Here, for pictures take longer to import than all else together.
-    from evpinn_ros.report.drive_page import reported, write_drives
+    from evpinn_ros.report.replayed import write_replayed
 
-    drives = [reported(each, car.vehicle, car.options) for each in car.done]
-    write_drives(path, drives, shlex.join(["evpinn", *sys.argv[1:]]))
+    command = shlex.join(["evpinn", *sys.argv[1:]])
+    write_replayed(path, car.done, car.vehicle, car.options, command)

@@ -15,7 +15,6 @@ from evpinn_ros.energy.quadrature import trapezoid
 from evpinn_ros.replay.events import Event, EventKind, drive_events
 from evpinn_ros.replay.forecasts import ForecastOutcome, forecast_outcomes
 from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.run import Replayed, ReplayOptions
 from evpinn_ros.replay.scoring import Span, baseline_scores
 from evpinn_ros.replay.tables import (
     SCORE_COLUMNS,
@@ -31,7 +30,6 @@ from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.breakdown_bar import breakdown_section
 from evpinn_ros.report.drive_knowledge import knowledge
 from evpinn_ros.report.html import table, write_page
-from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 
@@ -70,18 +68,6 @@ class ReportedDrive:
         """Of the file or folder it came from."""
         path = Path(self.found["input"]["path"])
         return path.name or path.resolve().name
-
-
-def reported(replayed: Replayed, vehicle: Vehicle, options: ReplayOptions) -> ReportedDrive:
-    """A replayed drive to report, with the truth that lies beside it, if any."""
-    return ReportedDrive(
-        drive=replayed.drive,
-        found=replayed.metrics,
-        vehicle=vehicle,
-        warm_up=options.warm_up,
-        withheld_from=options.withhold_battery_after,
-        truth=read_truth(Path(replayed.metrics["input"]["path"])),
-    )
 
 
 def write_drives(path: Path, drives: Sequence[ReportedDrive], command: str) -> None:
