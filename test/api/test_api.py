@@ -100,6 +100,14 @@ def test_a_gap_adds_nothing_to_measured_energy(table, tmp_path):
     assert measured.loc[40.5:].nunique() > 100
 
 
+def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
+    pd.read_csv(table)[["t_s", "speed_mps"]].iloc[:100].to_csv(tmp_path / "speed.csv", index=False)
+    found = ev.replay(tmp_path / "speed.csv")
+    assert found.power["measured_w"].isna().all() and found.power["smoothed_w"].notna().any()
+    assert found.energy["measured_j"].isna().all() and found.breakdown["kwh"].isna().all()
+    assert len(found.parameters) == 6 and found.forecasts.empty
+
+
 def test_samples_one_by_one_give_what_a_replay_gives(table, tmp_path):
     learned = ev.Estimator(state=tmp_path / "car.json")
     with table.open() as file:
