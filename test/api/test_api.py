@@ -101,7 +101,8 @@ def test_a_gap_adds_nothing_to_measured_energy(table, tmp_path):
 
 
 def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
-    pd.read_csv(table)[["t_s", "speed_mps"]].iloc[:100].to_csv(tmp_path / "speed.csv", index=False)
+    rows = pd.read_csv(table)[["t_s", "speed_mps"]].iloc[:100].assign(power_w=np.nan)
+    rows.to_csv(tmp_path / "speed.csv", index=False)
     found = ev.replay(tmp_path / "speed.csv")
     assert found.power["measured_w"].isna().all() and found.power["smoothed_w"].notna().any()
     assert found.energy["measured_j"].isna().all() and found.breakdown["kwh"].isna().all()
