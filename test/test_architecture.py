@@ -26,6 +26,7 @@ LAYERS = [
     {"replay"},
     {"reproduction", "fleet"},
     {"report"},
+    {"api"},  # what Python may rely on
     {"nodes"},
     {"live"},
     {"cli"},

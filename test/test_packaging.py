@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 DEPENDS = {tag.text for tag in MANIFEST.iter("exec_depend")}
 ROS_PACKAGES = {name for name in DEPENDS if not name.startswith("python3-")}
+OURS = {"benchmarks", "evpinn_ros"}  # the first in a checkout alone, as the examples that use it
 EXECUTABLES = {"can_bridge", "energy", "estimator", "evpinn"}
 EXAMPLES = {path.name for path in (ROOT / "examples").glob("*.py")}
 
@@ -40,6 +41,7 @@ NAMES = {
     "mcap": ("mcap", None),
     "numpy": ("numpy", "python3-numpy"),
     "openpyxl": ("openpyxl", None),
+    "pandas": ("pandas", "python3-pandas"),
     "polars": ("polars", None),
     "pyarrow": ("pyarrow", None),
     "rich": ("rich", "python3-rich"),
@@ -61,7 +63,7 @@ ROSDEP_KEYS = {
     *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-matplotlib"),
     *("python3-msgpack", "python3-numpy", "python3-pytest", "python3-pytest-timeout"),
     *("python3-rich", "python3-rosbags-pip", "python3-scipy", "python3-serial"),
-    *("python3-torch", "python3-typer", "python3-yaml"),
+    *("python3-torch", "python3-typer", "python3-yaml", "python3-pandas"),
 }
 
 
@@ -104,7 +106,7 @@ def third_party_imports(folder: str) -> set[str]:
                 names |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 names.add(node.module)
-    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"evpinn_ros"}
+    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - OURS
 
 
 def test_version_is_one(wheel: ZipFile) -> None:
@@ -155,6 +157,30 @@ def test_wheel_holds_every_file(wheel: ZipFile) -> None:
     share = f"evpinn_ros-{evpinn_ros.__version__}.data/data/share/evpinn_ros/"
     held = {name.removeprefix(share) for name in wheel.namelist()}
     assert files <= held
+
+
+def test_an_index_can_show_all_of_the_description(wheel: ZipFile) -> None:
+    metadata = message_from_string(read_info(wheel, "METADATA"))
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    text = metadata.get_payload()
+    assert "## From Python" in text and "![" not in text and "<!--" not in text
+    assert all("://" in target for target in re.findall(r"\]\(([^)]+)\)", text))
+    pythons = {line.rpartition(" ")[2] for line in metadata.get_all("Classifier") if "3." in line}
+    assert f">={min(pythons, key=lambda python: int(python[2:]))}" == metadata["Requires-Python"]
+
+
+def test_a_release_is_what_its_tag_says_and_needs_its_tests() -> None:
+    flow = yaml.safe_load((ROOT / ".github" / "workflows" / "release.yml").read_text())
+    assert flow[True] == {"push": {"tags": ["v*"]}}  # YAML 1.1 reads `on` as true
+    jobs = flow["jobs"]
+    assert jobs["publish"]["needs"] == "build" and jobs["build"]["needs"] == "test"
+    assert jobs["publish"]["permissions"] == {"id-token": "write"}
+    words = " ".join(step.get("run", "") for step in jobs["build"]["steps"])
+    check = re.search(r"python3 -c '(.+?)'", words)[1]
+    for tag, accepted in ((f"v{evpinn_ros.__version__}", True), ("v99.0.0", False)):
+        named = os.environ | {"GITHUB_REF_NAME": tag}
+        done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=named)
+        assert (done.returncode == 0) == accepted
 
 
 def test_every_executable_has_its_function(wheel: ZipFile) -> None:
@@ -226,8 +252,23 @@ def test_citation_names_no_version_of_its_own() -> None:
     assert paper["title"].startswith("EV-PINN: ")
 
 
+def container_steps() -> list[tuple[str, str]]:
+    """Instructions of the Containerfile and what each is given, on one line."""
+    text = re.sub(r"^ *#.*\n", "", (ROOT / "Containerfile").read_text(), flags=re.M)
+    return re.findall(r"^([A-Z]+) (.+)$", text.replace("\\\n", " "), re.M)
+
+
 def test_container_file_copies_what_is_there() -> None:
     """`make lint` looks at the rest of it."""
-    copied = re.findall(r"^COPY (.+) \S+$", (ROOT / "Containerfile").read_text(), re.M)
-    assert copied
-    assert all((ROOT / name).exists() for line in copied for name in line.split())
+    copied = [words.split()[:-1] for name, words in container_steps() if name == "COPY"]
+    assert copied and all((ROOT / name).exists() for names in copied for name in names)
+    assert "README.md" in copied[0], "setup.py reads it"
+
+
+def test_container_file_needs_no_bash_to_build() -> None:
+    """Podman's own image format ignores SHELL, so RUN lines are run by sh, which is dash."""
+    assert "SHELL" not in dict(container_steps())
+    for name, words in container_steps():
+        if name == "RUN":
+            run("sh", "-n", "-c", words)
+            assert not re.search(r"\bsource |\[\[", words)

@@ -2,8 +2,9 @@
 
     python test/wheels.py python3.10 python3.13 --without torch
 
-In each environment: the requirements at the versions of constraints.txt, `pip check`, the wheel
-and then the sdist, every module compiled and imported, and commands run away from the checkout.
+Both pass `twine check`. In each environment: the requirements at the versions of constraints.txt,
+`pip check`, the wheel and then the sdist, every module compiled and imported, and commands run
+away from the checkout.
 What is left out by `--without`, as PyTorch is gigabytes, may be missed by modules that need it.
 """
 
@@ -54,10 +55,11 @@ def build(folder: Path) -> tuple[Path, Path]:
     """The sdist of the checkout, and the wheel made of that sdist."""
     run(sys.executable, "-m", "venv", folder / "build")
     python = folder / "build" / "bin" / "python"
-    run(python, "-m", "pip", "install", "-qq", "build")
+    run(python, "-m", "pip", "install", "-qq", "build", "twine")
     run(python, "-m", "build", "--outdir", folder / "dist", ROOT)
     (sdist,) = (folder / "dist").glob("*.tar.gz")
     (wheel,) = (folder / "dist").glob("*.whl")
+    run(python, "-m", "twine", "check", "--strict", sdist, wheel)
     tracked = run("git", "ls-files", "evpinn_ros", "config", "launch", "bags", cwd=ROOT)
     data = f"{wheel.name.rpartition('-py3')[0]}.data/data/share/evpinn_ros/"
     held = {name.removeprefix(data) for name in ZipFile(wheel).namelist()}

@@ -9,7 +9,6 @@ import itertools
 from pathlib import Path
 import shlex
 import sys
-import time
 from typing import Annotated, Any
 
 import typer
@@ -21,15 +20,12 @@ from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, parameter_table, score_table
-from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
-from evpinn_ros.estimation.state_file import read_state, write_state
-from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replay.breakdown_text import breakdown_lines
-from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.car import CarReplay
 from evpinn_ros.replay.run import (
     WARM_UP,
     Replayed,
@@ -37,14 +33,8 @@ from evpinn_ros.replay.run import (
     has_battery,
     output_folders,
 )
-from evpinn_ros.replay.run import replay as replay_drive
 from evpinn_ros.replay.tables import energy_lines
-from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.simulation.truth_file import read_truth
-from evpinn_ros.topics.node_parameters import TABLES, Value
-from evpinn_ros.topics.parameter_file import read_parameter_file
-from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 
 def replay(
@@ -103,88 +93,38 @@ def replay(
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
-    # One thread, so that the same bag gives the same bits and other cores stay free.
-    limit_blas_threads()
-    car = load_vehicle(vehicle)
-    values = _parameters(params, mode, optimizer)
-    settings = estimator_settings(values)
+    car = CarReplay(
+        vehicle,
+        ReplayOptions(withhold_battery_after, warm_up, rate, start, duration),
+        mode=mode,
+        optimizer=optimizer,
+        params=params,
+        state=state,
+    )
     open_input = partial(
-        open_source,
-        vehicle=car,
-        can_profile=can_profile,
-        trust_profile=trust_profile,
-        columns=column or (),
-        mounting=imu_mounting(values),
+        car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()
     )
     first = [open_input(path) for path in inputs]
     for source in first:
         explain_columns(source)
     again = (open_input(path) for _ in range(loop - 1) for path in inputs)
-    chain = Chain(car, settings, InlineWorker(time.perf_counter), jump_rule(values))
-    _restore(chain, state)
-    options = ReplayOptions(withhold_battery_after, warm_up, rate, start, duration)
-    done: list[Replayed] = []
     with Interruption() as interruption:
-        replay_one = partial(
-            _one,
-            chain=chain,
-            options=options,
-            vehicle=car.key,
-            mode=settings.mode.value,
-            stopped=lambda: interruption.asked,
-        )
         try:
             folders = output_folders(out, inputs * loop)
             for source, folder in zip(itertools.chain(first, again), folders, strict=True):
                 if interruption.asked:
                     break
-                if done:
-                    chain.begin_next_drive()
-                done.append(replay_one(source, folder))
-                _show(done[-1], source, warm_up)
+                found = _one(car, source, folder, lambda: interruption.asked)
+                _show(found, source, warm_up)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
-            written = _write(done, chain, car, options, (metrics, report, state))
-    if not written or any(result.problem for result in done):
+            written = _write(car, (metrics, report, state))
+    if not written or any(result.problem for result in car.done):
         raise typer.Exit(1)
 
 
-def _parameters(
-    params: Path | None, mode: Mode | None, optimizer: PaperOptimizer | None
-) -> dict[str, Value]:
-    """Parameters of the node `estimator`: defaults, the file over them, the command over both."""
-    values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
-    if params is not None:
-        values.update(read_parameter_file(params, "estimator"))
-    if mode is not None:
-        values["mode"] = mode.value
-    if optimizer is not None:
-        if values["mode"] != Mode.PAPER.value:
-            raise InputError("--optimizer: mode paper alone has the choice; add --mode paper")
-        values["paper_optimizer"] = optimizer.value
-    return values
-
-
-def _restore(chain: Chain, state: Path | None) -> None:
-    saved = read_state(state) if state is not None else None
-    if saved is None:
-        return
-    try:
-        chain.estimator.restore(saved)
-    except ValueError as error:
-        raise InputError(f"{state}: {error}") from error
-    chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
-
-
 def _one(
-    source: Source,
-    folder: Path | None,
-    *,
-    chain: Chain,
-    options: ReplayOptions,
-    vehicle: str,
-    mode: str,
-    stopped: Callable[[], bool],
+    car: CarReplay, source: Source, folder: Path | None, stopped: Callable[[], bool]
 ) -> Replayed:
     """Replay one drive, into a bag if there is a folder for it."""
     with ExitStack() as stack:
@@ -192,18 +132,9 @@ def _one(
         if folder is not None:
             stack.enter_context(writing(folder))
             writer = stack.enter_context(BagWriter(folder))
-        seconds = options.duration or stated_seconds(source.path)
+        seconds = car.options.duration or stated_seconds(source.path)
         progress = stack.enter_context(progress_bar(source.path.name, total=seconds))
-        return replay_drive(
-            source,
-            chain,
-            options,
-            vehicle=vehicle,
-            mode=mode,
-            writer=writer,
-            progress=progress,
-            stopped=stopped,
-        )
+        return car.replay(source, writer=writer, progress=progress, stopped=stopped)
 
 
 def _show(result: Replayed, source: Source, warm_up: float) -> None:
@@ -231,21 +162,15 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
         say(line)
 
 
-def _write(
-    done: list[Replayed],
-    chain: Chain,
-    car: Vehicle,
-    options: ReplayOptions,
-    files: tuple[Path | None, Path | None, Path | None],
-) -> bool:
+def _write(car: CarReplay, files: tuple[Path | None, Path | None, Path | None]) -> bool:
     """Write all that was asked for; one file that cannot be written does not cost the others."""
-    if not done:
+    if not car.done:
         return True
     metrics, report, state = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
-        (metrics, lambda path: _write_metrics(path, done)),
-        (report, lambda path: _write_report(path, done, car, options)),
-        (state, lambda path: write_state(path, chain.estimator.export())),
+        (metrics, lambda path: _write_metrics(path, car.done)),
+        (report, lambda path: _write_report(path, car)),
+        (state, car.write_state),
     ]
     problems = 0
     for path, write in jobs:
@@ -266,17 +191,9 @@ def _write_metrics(path: Path, done: list[Replayed]) -> None:
     write_json(path, found if len(found) > 1 else found[0])
 
 
-def _write_report(path: Path, done: list[Replayed], car: Vehicle, options: ReplayOptions) -> None:
-    after, warm_up = options.withhold_battery_after, options.warm_up
-    drives = [
-        ReportedDrive(
-            drive=each.drive,
-            found=each.metrics,
-            vehicle=car,
-            warm_up=warm_up,
-            withheld_from=after,
-            truth=read_truth(Path(each.metrics["input"]["path"])),
-        )
-        for each in done
-    ]
-    write_drives(path, drives, shlex.join(["evpinn", *sys.argv[1:]]))
+def _write_report(path: Path, car: CarReplay) -> None:
+    # Here, for pictures take longer to import than all else together.
+    from evpinn_ros.report.replayed import write_replayed
+
+    command = shlex.join(["evpinn", *sys.argv[1:]])
+    write_replayed(path, car.done, car.vehicle, car.options, command)

@@ -16,6 +16,7 @@ import numpy as np
 from evpinn_ros.energy.quadrature import trapezoid
 from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.estimator import EstimatorStatus, Mode
 from evpinn_ros.replay.breakdown_text import breakdown_metrics
 from evpinn_ros.replay.history import Drive, PowerSeries
@@ -178,7 +179,7 @@ def metrics(
     floor = speed_floor(drive, Span(warm_up, end)) if mode == Mode.PAPER.value else None
     found["power"]["floor_w"] = floor
     found["by_battery_age"] = battery_age_scores(drive, warm_up, withheld_from)
-    found["parameters"] = _parameters(drive)
+    found["parameters"] = parameter_metrics(drive.final)
     found["breakdown"] = breakdown_metrics(breakdown, mode)
     found["updates"] = _updates(status)
     found["replay"] = {
@@ -291,8 +292,9 @@ def _increase(time: np.ndarray, total: np.ndarray, stretches: list[Span]) -> flo
     return float(sum(np.diff(np.interp(span, time, total))[0] for span in stretches))
 
 
-def _parameters(drive: Drive) -> dict[str, dict[str, Any]]:
-    if drive.final is None:
+def parameter_metrics(final: ParameterSet | None) -> dict[str, dict[str, Any]]:
+    """The values of `--metrics` under `parameters`."""
+    if final is None:
         return {}
     return {
         name: {
@@ -303,7 +305,7 @@ def _parameters(drive: Drive) -> dict[str, dict[str, Any]]:
             "upper": p.upper,
             "state": p.state.value,
         }
-        for name, p in drive.final.parameters.items()
+        for name, p in final.parameters.items()
     }
 
 

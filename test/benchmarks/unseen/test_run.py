@@ -1,5 +1,7 @@
 """Tasks, methods of anybody's, and cars by SUMO."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.vehicle.files import load_vehicle
 
+ROOT = Path(__file__).parents[3]
 MINE = '''
 """A method of somebody else."""
 from benchmarks.unseen.method import Prediction
@@ -50,6 +53,14 @@ def test_anybodys_method_is_scored(folder):
     found = run.run_task(task).scores
     assert found["carried"]["gross_mean_percent"] == pytest.approx(50.0, abs=0.1)
     assert found["withheld"]["rmse_w"] == pytest.approx(1e4, rel=1e-6)
+
+
+def test_the_example_of_a_method_beats_the_prior():
+    bags = f"{ROOT / 'bags'}=tesla_model_3_lr"
+    example = f"{ROOT / 'examples' / 'methods' / 'least_squares.py'}:LeastSquares"
+    prior, mine = (run.run_task(run.Task(bags, bags, name)).scores for name in ("prior", example))
+    for part in ("carried", "withheld"):
+        assert mine[part]["gross_mean_percent"] < prior[part]["gross_mean_percent"] / 2
 
 
 @pytest.mark.parametrize("name", ["nobody", "nobody.py:Flat"])

@@ -1,0 +1,20 @@
+"""The package from Python: what a command does in one call, with DataFrames in place of tables."""
+
+from evpinn_ros.api.estimator import Estimate, Estimator
+from evpinn_ros.api.plan import forecast
+from evpinn_ros.api.recordings import replay
+from evpinn_ros.api.result import Result
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
+
+__all__ = [
+    "Estimate",
+    "Estimator",
+    "InputError",
+    "Result",
+    "Vehicle",
+    "find_vehicles",
+    "forecast",
+    "load_vehicle",
+    "replay",
+]

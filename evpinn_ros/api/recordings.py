@@ -1,0 +1,68 @@
+"""Replay of a recorded drive from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import os
+from pathlib import Path
+
+from evpinn_ros.api.result import Result
+from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.replay.car import CarReplay
+from evpinn_ros.replay.run import WARM_UP, ReplayOptions
+from evpinn_ros.vehicle.files import Vehicle
+
+
+def replay(
+    drive: str | os.PathLike[str],
+    vehicle: str | Path | Vehicle = "generic",
+    *,
+    mode: str | None = None,
+    params: str | os.PathLike[str] | None = None,
+    state: str | os.PathLike[str] | None = None,
+    withhold_battery_after: float | None = None,
+    warm_up: float = WARM_UP,
+    start: float = 0.0,
+    duration: float | None = None,
+    can_profile: str | None = None,
+    trust_profile: bool = False,
+    columns: Sequence[str] = (),
+) -> Result:
+    """Replay a recorded drive through the chain, as `evpinn replay` does: to the bit.
+
+    Example:
+        >>> import evpinn_ros as ev
+        >>> result = ev.replay("bags/urban", vehicle="tesla_model_3_lr", duration=60.0)
+        >>> result.power[["measured_w", "smoothed_w"]].plot()  # doctest: +SKIP
+
+    Args:
+        drive: bag, CAN log or table.
+        vehicle: name, file, or what `load_vehicle` gave.
+        mode: `hybrid` or `paper`; that of `params`, else hybrid, if not given.
+        params: parameter file of the nodes.
+        state: file of what was learned: read at the start if it is there, written at the end.
+            Drives of one car replayed in turn with one file learn from each other.
+        withhold_battery_after: s from which on the battery is hidden: what is speed worth alone?
+        warm_up: s at the start that are not scored.
+        start: s since the first reading, before which the drive is left out.
+        duration: s after which it ends; all of it if not given.
+        can_profile: of a CAN log, the vehicle's own if not given.
+        trust_profile: use it even if the traffic contradicts it.
+        columns: of a table, as `speed=NAME` or `speed=NAME:km/h`.
+
+    Raises:
+        InputError: the drive, the vehicle or a file cannot be used; the text says why.
+        ValueError: there is no such mode.
+    """
+    car = CarReplay(
+        vehicle,
+        ReplayOptions(withhold_battery_after, warm_up, None, start, duration),
+        mode=None if mode is None else Mode(mode),
+        params=None if params is None else Path(params),
+        state=None if state is None else Path(state),
+    )
+    source = car.open(Path(drive), can_profile, trust_profile=trust_profile, columns=columns)
+    found = car.replay(source)
+    if state is not None:
+        car.write_state(Path(state))
+    return Result(found, car.vehicle, car.options, car.chain.estimator.linear_power())

@@ -1,0 +1,104 @@
+"""Result of a replay from Python."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+import os
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from evpinn_ros.api import frames
+from evpinn_ros.api.plan import known_model
+from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.replay.run import Replayed, ReplayOptions
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.linear_power import LinearPower
+
+
+@dataclass(frozen=True)
+class Result:
+    """One replayed drive: its scores, and its series as DataFrames.
+
+    Times `t_s` count from the first reading, s; where time jumped back they go on a minute later.
+    Power and energy are positive when drawn from the battery. What is not known is NaN.
+
+    Attributes:
+        replayed: the series and scores that all below is made from.
+        vehicle: whose drive it is.
+        options: of the replay.
+        linear_power: the car as known at the end; None in mode paper.
+    """
+
+    replayed: Replayed
+    vehicle: Vehicle
+    options: ReplayOptions
+    linear_power: LinearPower | None
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """All scores, under the keys of `evpinn replay --metrics`."""
+        return self.replayed.metrics
+
+    @property
+    def problem(self) -> str | None:
+        """Unreadable part of the drive, in one line; None where all was read."""
+        return self.replayed.problem
+
+    @cached_property
+    def power(self) -> pd.DataFrame:
+        """Power over time, W, by `t_s`.
+
+        Columns: `speed_mps`; `measured_w`; `predicted_w` and `predicted_sigma_w`, made at once
+        (`power/predicted`); `smoothed_w` and `smoothed_sigma_w`, made once the speed shortly
+        after was known (`power/smoothed`). No prediction knew what was measured then or later.
+        """
+        return frames.power(self.replayed.drive)
+
+    @cached_property
+    def energy(self) -> pd.DataFrame:
+        """Energy since the start, J, by `t_s`.
+
+        Columns: `measured_j`, to which gaps add nothing; `predicted_j` with `predicted_sigma_j`;
+        `rknn_j`, the same power integrated by the Runge-Kutta network.
+        """
+        return frames.energy(self.replayed.drive)
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """Parameters at the end, a row each: value, std, prior_share, lower, upper, state."""
+        return frames.parameters(self.metrics["parameters"])
+
+    @cached_property
+    def learning(self) -> pd.DataFrame:
+        """Parameters over time, by `t_s`: columns (parameter; value, std or prior_share)."""
+        return frames.learning(self.replayed.drive)
+
+    @cached_property
+    def breakdown(self) -> pd.DataFrame:
+        """Energy by where it went, a row a part: kwh, sigma_kwh, kwh_per_100km, share."""
+        return frames.breakdown(self.metrics["breakdown"])
+
+    @cached_property
+    def forecasts(self) -> pd.DataFrame:
+        """Energy of parts of the drive, forecast at the begin of each as a plan, and measured.
+
+        Columns: `begin_s`, `end_s`, `measured_j`, `forecast_j`, `sigma_j`, `covered` by the 90 %
+        band. Empty in mode paper, and of drives with gaps.
+        """
+        return frames.forecasts(self.replayed.drive, self.vehicle.air_density)
+
+    @property
+    def model(self) -> PowerModel:
+        """The car as known at the end, for `evpinn_ros.forecast`."""
+        return known_model(self.linear_power, self.replayed.drive.final, self.vehicle)
+
+    def write_report(self, path: str | os.PathLike[str]) -> None:
+        """Write the report that `evpinn replay --report` writes: one HTML file, for a browser."""
+        # Here, for pictures take longer to import than all else together.
+        from evpinn_ros.report.replayed import write_replayed
+
+        done = [self.replayed]
+        write_replayed(Path(path), done, self.vehicle, self.options, "evpinn_ros.replay")

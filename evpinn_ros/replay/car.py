@@ -1,0 +1,140 @@
+"""Replay of one car's drives in order: the one way in, of the command and of Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+import time
+
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.estimation.state_file import read_state, write_state
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replay.run import Progress, Replayed, ReplayOptions, replay
+from evpinn_ros.topics.node_parameters import TABLES, Value
+from evpinn_ros.topics.parameter_file import read_parameter_file
+from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+
+
+class CarReplay:
+    """Drives of one car through one chain, in order: what one teaches is carried over.
+
+    Attributes:
+        vehicle: the car.
+        chain: the cores, with what they learned so far.
+        options: of every replay.
+        done: the results so far.
+    """
+
+    def __init__(
+        self,
+        vehicle: str | Path | Vehicle,
+        options: ReplayOptions,
+        *,
+        mode: Mode | None = None,
+        optimizer: PaperOptimizer | None = None,
+        params: Path | None = None,
+        state: Path | None = None,
+    ) -> None:
+        """Begin at the vehicle's priors, or at a state where its file is there.
+
+        Raises:
+            InputError: no such vehicle, a file is wrong, or the state is not of this car and mode.
+        """
+        # One thread, so that the same bag gives the same bits and other cores stay free.
+        limit_blas_threads()
+        self.vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+        self.options = options
+        self.done: list[Replayed] = []
+        values = _parameters(params, mode, optimizer)
+        self._mounting = imu_mounting(values)
+        settings = estimator_settings(values)
+        self._mode = settings.mode
+        self.chain = Chain(
+            self.vehicle, settings, InlineWorker(time.perf_counter), jump_rule(values)
+        )
+        _restore(self.chain, state)
+
+    def open(
+        self,
+        path: Path,
+        can_profile: str | None = None,
+        *,
+        trust_profile: bool = False,
+        columns: Sequence[str] = (),
+    ) -> Source:
+        """A drive to replay, as `open_source` opens it."""
+        return open_source(
+            path,
+            self.vehicle,
+            can_profile,
+            trust_profile=trust_profile,
+            columns=columns,
+            mounting=self._mounting,
+        )
+
+    def replay(
+        self,
+        source: Source,
+        *,
+        writer: BagWriter | None = None,
+        progress: Progress | None = None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> Replayed:
+        """Replay the next drive, as `run.replay` does."""
+        if self.done:
+            self.chain.begin_next_drive()
+        found = replay(
+            source,
+            self.chain,
+            self.options,
+            vehicle=self.vehicle.key,
+            mode=self._mode.value,
+            writer=writer,
+            progress=progress,
+            stopped=stopped,
+        )
+        self.done.append(found)
+        return found
+
+    def write_state(self, path: Path) -> None:
+        """Write what was learned, as `state_file.write_state` does."""
+        write_state(path, self.chain.estimator.export())
+
+
+def _restore(chain: Chain, state: Path | None) -> None:
+    """Go on from what was learned on earlier drives, where the file is there.
+
+    Raises:
+        InputError: it cannot be used, with the reason.
+    """
+    saved = read_state(state) if state is not None else None
+    if saved is None:
+        return
+    try:
+        chain.estimator.restore(saved)
+    except ValueError as error:
+        raise InputError(f"{state}: {error}") from error
+    chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
+
+
+def _parameters(
+    params: Path | None, mode: Mode | None, optimizer: PaperOptimizer | None
+) -> dict[str, Value]:
+    """Parameters of the node `estimator`: defaults, the file over them, the rest over both."""
+    values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
+    if params is not None:
+        values.update(read_parameter_file(params, "estimator"))
+    if mode is not None:
+        values["mode"] = mode.value
+    if optimizer is not None:
+        if values["mode"] != Mode.PAPER.value:
+            raise InputError("--optimizer: mode paper alone has the choice; add --mode paper")
+        values["paper_optimizer"] = optimizer.value
+    return values

@@ -1,0 +1,214 @@
+"""The package from Python: the command's numbers to the bit, as DataFrames, without ROS."""
+
+import ast
+import csv
+import doctest
+import inspect
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import evpinn_ros as ev
+import evpinn_ros.api
+from evpinn_ros.api import estimator, plan, recordings
+from evpinn_ros.cli.main import app
+from evpinn_ros.energy import Profiles
+from evpinn_ros.energy import forecast as forecast_profiles
+from evpinn_ros.estimation.state_file import read_state
+import evpinn_ros.replay.run  # from here on the room `replay` is an attribute of the package
+
+ROOT = Path(__file__).parents[2]
+URBAN, CAR = ROOT / "bags" / "urban", "tesla_model_3_lr"
+SPAN = {"duration": 90.0, "warm_up": 30.0, "withhold_battery_after": 60.0}
+
+
+@pytest.fixture(scope="module")
+def result() -> ev.Result:
+    return ev.replay(URBAN, CAR, **SPAN)
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A minute of a made-up car at 10 Hz, with a hill."""
+    time = np.arange(600) / 10
+    speed = np.maximum(0.0, 10 + 8 * np.sin(0.4 * time) + 5 * np.sin(1.3 * time))
+    power = 900 + speed * (180 + 2400 * np.gradient(speed, 0.1) + 0.4 * speed**2)
+    columns = {
+        "t_s": time,
+        "speed_mps": speed,
+        "voltage_v": 350 - power / 1e4,
+        "current_a": power / (350 - power / 1e4),
+        "elevation_m": 5 * np.sin(np.cumsum(speed) / 1000),
+        "ambient_c": np.full(600, 12.0),
+    }
+    path = tmp_path_factory.mktemp("api") / "drive.csv"
+    pd.DataFrame(columns).round(4).to_csv(path, index=False)
+    return path
+
+
+def without_timing(metrics: dict) -> dict:
+    found = json.loads(json.dumps(metrics, allow_nan=False))
+    del found["replay"], found["updates"]["p50_ms"], found["updates"]["p99_ms"]
+    return found
+
+
+def test_numbers_are_the_commands_to_the_bit(result, tmp_path):
+    found = tmp_path / "found.json"
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in SPAN.items()]
+    words = ["replay", str(URBAN), "--vehicle", CAR, "--metrics", str(found), *options]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert without_timing(result.metrics) == without_timing(json.loads(found.read_text()))
+
+
+def test_frames_hold_what_the_scores_are_of(result):
+    after_warm_up = (result.power.index > 30.0) & (result.power.index <= 60.0)
+    known = result.power[after_warm_up]
+    for name, score in (("smoothed", "power"), ("predicted", "power_now")):
+        error = known[f"{name}_w"] - known["measured_w"]
+        assert np.sqrt((error**2).mean()) == pytest.approx(result.metrics[score]["rmse_w"])
+    withheld = result.energy[result.energy.index > 60.0]
+    spent = withheld.iloc[-1] - withheld.iloc[0]
+    for name in ("measured_j", "predicted_j", "rknn_j"):
+        found = result.metrics["withheld"]["energy"][name]
+        assert spent[name] == pytest.approx(found, rel=0.01)  # but for the edges
+    assert result.parameters["value"].to_dict() == {
+        name: each["value"] for name, each in result.metrics["parameters"].items()
+    }
+    last = result.learning.iloc[-1]
+    assert last["mass", "std"] == result.parameters.loc["mass", "std"]
+    parts = result.breakdown["kwh"].drop(["measured", "regained"])
+    assert parts.sum() == pytest.approx(result.breakdown.loc["measured", "kwh"])
+    (forecast,) = result.forecasts.itertuples()
+    assert forecast.measured_j == pytest.approx(
+        result.energy["measured_j"].iloc[-1], rel=0.05
+    )  # whole seconds
+    for frame in (result.power, result.energy, result.learning):
+        assert frame.index.name == "t_s" and frame.index.is_monotonic_increasing
+
+
+def test_a_gap_adds_nothing_to_measured_energy(table, tmp_path):
+    rows = pd.read_csv(table)
+    rows.loc[rows["t_s"].between(20, 40), ["voltage_v", "current_a"]] = np.nan
+    rows.to_csv(tmp_path / "gap.csv", index=False)
+    measured = ev.replay(tmp_path / "gap.csv").energy["measured_j"]
+    assert measured.loc[20.0:39.9].nunique() == 1
+    assert measured.loc[40.5:].nunique() > 100
+
+
+def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
+    rows = pd.read_csv(table)[["t_s", "speed_mps"]].iloc[:100].assign(power_w=np.nan)
+    rows.to_csv(tmp_path / "speed.csv", index=False)
+    found = ev.replay(tmp_path / "speed.csv")
+    assert found.power["measured_w"].isna().all() and found.power["smoothed_w"].notna().any()
+    assert found.energy["measured_j"].isna().all() and found.breakdown["kwh"].isna().all()
+    assert len(found.parameters) == 6 and found.forecasts.empty
+
+
+def test_samples_one_by_one_give_what_a_replay_gives(table, tmp_path):
+    learned = ev.Estimator(state=tmp_path / "car.json")
+    with table.open() as file:
+        found = [
+            learned.add(**{k: float(v) for k, v in row.items()}) for row in csv.DictReader(file)
+        ]
+    result = ev.replay(table)
+    predicted = result.power["predicted_w"].dropna()
+    told = pd.Series({each.t_s: each.power_w for each in found if each is not None})
+    assert told.to_numpy().tolist() == predicted.to_numpy().tolist()
+    pd.testing.assert_frame_equal(learned.parameters, result.parameters)
+    pd.testing.assert_frame_equal(learned.breakdown, result.breakdown)
+    plan = pd.read_csv(table)
+    pd.testing.assert_frame_equal(ev.forecast(plan, learned), ev.forecast(plan, result))
+    learned.save(tmp_path / "car.json")
+    again = ev.Estimator(state=tmp_path / "car.json")
+    assert again.parameters.loc["mass", "value"] == learned.parameters.loc["mass", "value"]
+
+
+def test_a_sample_without_speed_predicts_nothing():
+    learned = ev.Estimator()
+    assert learned.add(0.0, voltage_v=350.0, current_a=1.0) is None
+    assert learned.add(0.1) is None
+
+
+def test_a_state_is_carried_from_drive_to_drive(table, tmp_path):
+    state = tmp_path / "car.json"
+    first = ev.replay(table, state=state)
+    assert read_state(state)["vehicle"] == "generic"
+    second = ev.replay(table, state=state)
+    shares = [each.parameters["prior_share"].sum() for each in (first, second)]
+    assert shares[1] < shares[0]
+    with pytest.raises(ev.InputError, match="saved for"):
+        ev.replay(table, CAR, state=state)
+
+
+def test_a_plan_costs_what_the_batch_forecast_says(result):
+    time = np.arange(0.0, 300.0)
+    speed = 15.0 * np.minimum(1.0, np.minimum(time, time[-1] - time) / 15)
+    found = ev.forecast({"t_s": time, "speed_mps": speed}, CAR)
+    batch = forecast_profiles(Profiles(time, speed[np.newaxis]), ev.load_vehicle(CAR))
+    assert found["energy_j"].iloc[-1] == pytest.approx(batch.energy[0], rel=1e-3)
+    assert found["sigma_j"].iloc[-1] == pytest.approx(batch.sigma[0], rel=1e-2)
+    learned = ev.forecast({"t_s": time, "speed_mps": speed}, result)
+    assert learned["energy_j"].iloc[-1] != found["energy_j"].iloc[-1]
+    windy = ev.forecast({"t_s": time, "speed_mps": speed}, CAR, head_wind=10.0)
+    assert windy["energy_j"].iloc[-1] > found["energy_j"].iloc[-1]
+
+
+@pytest.mark.parametrize(
+    ("trip", "reason"),
+    [
+        ({"t_s": [0.0, 1.0]}, "no column speed_mps"),
+        ({"t_s": [0.0, 0.0], "speed_mps": [1.0, 1.0]}, "time does not rise"),
+        ({"t_s": [0.0, 1.0], "speed_mps": [1.0]}, "differ in shape"),
+    ],
+)
+def test_a_wrong_plan_is_refused_with_the_reason(trip, reason):
+    with pytest.raises(ev.InputError, match=reason):
+        ev.forecast(trip)
+
+
+def test_a_learner_without_a_linear_model_answers_by_its_parameters(result):
+    car, final = result.vehicle, result.replayed.drive.final
+    by_parameters = plan.known_model(None, final, car).linear
+    assert by_parameters.mass == final.identifiable.mass_over_eta
+    by_file = plan.known_model(None, None, car).linear
+    assert by_file.mass == pytest.approx(car.initial.mass / car.initial.eta)
+
+
+def test_a_report_is_written(result, tmp_path):
+    result.write_report(tmp_path / "drive.html")
+    assert "<!doctype html>" in (tmp_path / "drive.html").read_text()[:100].lower()
+
+
+def test_what_is_declared_is_there_and_documented():
+    stub = ast.parse((ROOT / "evpinn_ros" / "__init__.pyi").read_text())
+    typed = {name.asname for node in stub.body for name in getattr(node, "names", ())}
+    assert typed | {"__version__"} == set(ev.__all__) == {*dir(ev)}
+    assert {*evpinn_ros.api.__all__, "__version__"} == set(ev.__all__)
+    for name in evpinn_ros.api.__all__:
+        assert inspect.getdoc(getattr(evpinn_ros.api, name))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = ev.nothing
+
+
+def test_replay_is_a_function_although_a_room_has_its_name():
+    assert ev.replay is evpinn_ros.replay and evpinn_ros.replay.run
+    assert inspect.signature(ev.replay) == inspect.signature(recordings.replay)
+
+
+def test_importing_the_package_is_cheap(loads_without):
+    loads_without("import evpinn_ros", "numpy", "pandas", "typer", "rclpy")
+    slow = ("matplotlib", "pandas", "polars", "scipy.ndimage", "torch", "rclpy")
+    loads_without("import evpinn_ros.cli.replay", *slow)
+    loads_without("import evpinn_ros; evpinn_ros.Estimator", "matplotlib", "rclpy", "torch")
+
+
+@pytest.mark.parametrize("module", [estimator, plan, recordings], ids=lambda m: m.__name__)
+def test_examples_in_docstrings_run(module, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    failed, tried = doctest.testmod(module)
+    assert tried and not failed

@@ -1,0 +1,44 @@
+"""Notebooks run from their first cell to their last, and are committed without outputs."""
+
+import os
+from pathlib import Path
+import shutil
+import sys
+
+import pytest
+
+nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
+nbformat = pytest.importorskip("nbformat")
+pytest.importorskip("ipykernel", reason="ipykernel is not installed")
+
+ROOT = Path(__file__).parents[1]
+FOLDER = Path("examples", "notebooks")
+NOTEBOOKS = sorted((ROOT / FOLDER).glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_it_runs(path, tmp_path, monkeypatch):
+    for name in ("bags", "examples"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    script = tmp_path / "evpinn"
+    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m evpinn_ros "$@"\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT}:{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    book = nbformat.read(path, as_version=4)
+    where = {"metadata": {"path": str(tmp_path / FOLDER)}}
+    nbclient.NotebookClient(book, timeout=120, resources=where).execute()
+    *_, last = [cell for cell in book.cells if cell.cell_type == "code"]
+    assert last.outputs and all(output.output_type != "error" for output in last.outputs)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_it_is_committed_as_it_is_read(path):
+    """No outputs, so no machine's paths; numbers of execution would change with every run."""
+    book = nbformat.read(path, as_version=4)
+    nbformat.validate(book)
+    for cell in book.cells:
+        if cell.cell_type == "code":
+            assert not cell.outputs and cell.execution_count is None
+    assert path.stat().st_size < 20_000
