@@ -43,7 +43,7 @@ class FuzzResult:
     said: str
 
 
-def fuzz(target: Target, inputs: int, seconds: int, crashes: Path) -> FuzzResult:
+def fuzz(target: Target, inputs: int, seconds: int, crashes: Path, seed: int) -> FuzzResult:
     """Parse so many damaged inputs, or for so many seconds; stops at the first crash.
 
     Args:
@@ -51,6 +51,7 @@ def fuzz(target: Target, inputs: int, seconds: int, crashes: Path) -> FuzzResult
         inputs: at most.
         seconds: at most.
         crashes: folder for inputs that crash.
+        seed: of all that is drawn; another one gives other inputs.
 
     Raises:
         InputError: atheris is not installed, or did not start.
@@ -59,8 +60,8 @@ def fuzz(target: Target, inputs: int, seconds: int, crashes: Path) -> FuzzResult
     with TemporaryDirectory() as folder:
         corpus, result = Path(folder, "corpus"), Path(folder, "result.json")
         corpus.mkdir()
-        for number, seed in enumerate(target.seeds()):
-            (corpus / str(number)).write_bytes(seed)
+        for number, sound in enumerate(target.seeds()):
+            (corpus / str(number)).write_bytes(sound)
         options = {
             "runs": inputs,
             "max_total_time": seconds,
@@ -68,7 +69,7 @@ def fuzz(target: Target, inputs: int, seconds: int, crashes: Path) -> FuzzResult
             "rss_limit_mb": MOST_MEMORY,
             "max_len": LONGEST_INPUT,
             "len_control": 0,
-            "seed": 1,
+            "seed": seed,
             "print_final_stats": 1,
             "artifact_prefix": f"{crashes.resolve()}/{target.name}-",
         }

@@ -26,6 +26,7 @@ def fuzz(
         list[str] | None, typer.Option(help="Only this one; may be given again.")
     ] = None,
     crashes: Annotated[Path, typer.Option(help="Folder for inputs that crash.")] = Path("crashes"),
+    seed: Annotated[int, typer.Option(min=1, help="Another one gives other inputs.")] = 1,
     metrics: MetricsOption = None,
 ) -> None:
     """Feed every parser damaged inputs and look for crashes, hangs and memory that fills.
@@ -43,7 +44,7 @@ def fuzz(
     try:
         for each in chosen:
             part = ceil(inputs * each.weight / weights)
-            found.append(fuzz_target(each, part, seconds, crashes))
+            found.append(fuzz_target(each, part, seconds, crashes, seed))
             last = found[-1]
             note(f"{last.target}: {last.inputs} inputs, {last.said or 'no crash'}")
     finally:  # Ctrl-C leaves the targets so far
