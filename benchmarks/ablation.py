@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 from benchmarks.variants import Place, RecordedCar, Row, Variant, constant, score
 from evpinn_ros.estimation.car_state import State
+from evpinn_ros.estimation.long_hills import LongHills
+from evpinn_ros.signals.interval import Interval
 
 CARS = ("model3", "i3", "i3_speed", "e208", "leaf2013")
 NOTHING = 1e-6
@@ -17,6 +19,18 @@ ONE_SCALE = {
     constant("HEIGHT_ERRORS"): (1.5,) * 3,
 }
 NO_SLOPE = {constant("SLOPES"): (NOTHING,) * 3, constant("HEIGHT_ERRORS"): (NOTHING,) * 3}
+
+
+class _NoHills(LongHills):
+    """Roads that never stray."""
+
+    def after(self, interval: Interval) -> LongHills:
+        return self
+
+    def elsewhere(self) -> LongHills:
+        return self
+
+
 STARTS = (State.COLD_START, State.HOT_START)
 
 
@@ -29,6 +43,7 @@ VARIANTS = (
     Variant("whole"),
     Variant("one scale of road and load", ONE_SCALE),
     Variant("no unseen slope", NO_SLOPE),
+    Variant("no long hills", {constant("LongHills"): lambda: _NoHills(0.0)}),
     Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
     Variant("no wandering load", {constant("LOADS"): (NOTHING,)}),
     Variant("no outliers", {constant("OUTLIER"): 1e3}),

@@ -73,7 +73,11 @@ class RecordedCar(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One variant on one car: errors in percent (median and mean), coverage in percent."""
+    """One variant on one car: errors in percent (median and mean), coverage in percent.
+
+    `by_drive` is the likelihood of each drive, carried and of its stretches: what is left of a
+    difference of variants once they are compared drive by drive tells how sure it is.
+    """
 
     variant: str
     car: str
@@ -82,6 +86,13 @@ class Row:
     stretch_gross: float
     stretch_coverage: float
     likelihood: float
+    by_drive: tuple[float, ...]
+
+    def gain(self, over: Row) -> tuple[float, float]:
+        """Likelihood more than another variant has on the same car, and its standard error."""
+        more = np.subtract(self.by_drive, over.by_drive)
+        error = float(np.std(more, ddof=1)) / math.sqrt(len(more)) if len(more) > 1 else math.nan
+        return float(np.mean(more)), error
 
 
 def constant(name: str) -> Place:
@@ -129,23 +140,26 @@ def _replace(changes: Mapping[Place, Any]) -> None:
 
 
 def _score(name: str, recorded: RecordedCar) -> Row:
-    car, carried, stretches = CarFilter(recorded.vehicle), [], []
+    car, carried, stretches, by_drive = CarFilter(recorded.vehicle), [], [], []
     for number, drive in enumerate(recorded.drives):
         car.begin_drive()
-        if number or len(recorded.drives) == 1:
-            carried.append(_hidden(car, drive))
-        stretches += list(_learn(car, drive))
-    whole, parts = np.array(carried), np.array(stretches or [(1.0, 1.0, 1.0, 1.0)])
-    net = 100.0 * np.abs(whole[:, 1] - whole[:, 0]) / np.abs(whole[:, 0])
-    gross = 100.0 * np.abs(parts[:, 1] - parts[:, 0]) / parts[:, 3]
+        whole = [_hidden(car, drive)] if number or len(recorded.drives) == 1 else []
+        parts = list(_learn(car, drive))
+        by_drive.append(sum(_likelihood(np.array(rows)) for rows in (whole, parts) if rows))
+        carried += whole
+        stretches += parts
+    drives, cuts = np.array(carried), np.array(stretches or [(1.0, 1.0, 1.0, 1.0)])
+    net = 100.0 * np.abs(drives[:, 1] - drives[:, 0]) / np.abs(drives[:, 0])
+    gross = 100.0 * np.abs(cuts[:, 1] - cuts[:, 0]) / cuts[:, 3]
     return Row(
         name,
         recorded.key,
         (float(np.median(net)), float(np.mean(net))),
-        _coverage(whole),
+        _coverage(drives),
         float(np.median(gross)),
-        _coverage(parts),
-        _likelihood(whole) + _likelihood(parts),
+        _coverage(cuts),
+        _likelihood(drives) + _likelihood(cuts),
+        tuple(by_drive),
     )
 
 

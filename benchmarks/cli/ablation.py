@@ -20,6 +20,7 @@ COLUMNS = (
     "200 s: gross %",
     "in 90 %",
     "likelihood",
+    "lost by leaving out",
 )
 
 
@@ -43,7 +44,8 @@ def ablation(
         table = titled_table(key)
         for name in COLUMNS:
             table.add_column(name, justify="left" if name == COLUMNS[0] else "right")
-        for row in (each for each in rows if each.car == key):
+        whole, *_ = found = [each for each in rows if each.car == key]
+        for row in found:
             table.add_row(
                 row.variant,
                 f"{row.carried_net[0]:.1f}; {row.carried_net[1]:.1f}",
@@ -51,6 +53,7 @@ def ablation(
                 f"{row.stretch_gross:.1f}",
                 f"{row.stretch_coverage:.0f}",
                 f"{row.likelihood:.2f}",
+                "" if row is whole else "{:+.2f} +- {:.2f}".format(*whole.gain(row)),
             )
         show(table)
     if json_file is not None:

@@ -44,7 +44,7 @@ def test_the_first_predictions_are_the_prior_s(new_estimator, play, powers, vehi
     combined = identifiable(cold, vehicle.frontal_area)
     driven = combined_power(15.0, 0.0, combined, air_density=1.17)
     force = (driven - vehicle.initial.p_aux) / 15.0 / combined.mass_over_eta  # over the mass
-    expected = driven + 150.0 + 200.0 * force**2
+    expected = driven + 150.0 * (0.5 + 0.5 * 15.0 / 10.0) + 200.0 * force**2
     found = powers(outputs)
     assert {power.kind for power in found} == {PowerKind.PREDICTED, PowerKind.SMOOTHED}
     assert all(power.power == pytest.approx(expected, abs=1e-6) for power in found)
