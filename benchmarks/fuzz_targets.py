@@ -170,10 +170,7 @@ def _account() -> EnergyAccount:
 
 
 def _estimator_state(path: Path) -> None:
-    try:
-        _estimator().restore(read_state(path) or {})
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    _estimator().restore(read_state(path) or {})
 
 
 def _energy_state(path: Path) -> None:

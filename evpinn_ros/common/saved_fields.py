@@ -130,7 +130,7 @@ def _fields(kind: type) -> tuple[tuple[str, Any], ...]:
 
 
 def _items(kind: type, arguments: tuple[Any, ...], count: int) -> list[Any]:
-    """What the items of a NamedTuple, or of so many of a tuple, are declared as."""
+    """Declarations of the items of a NamedTuple, or of so many of a tuple."""
     named = hasattr(kind, "_fields")
     return [each for _, each in _fields(kind)] if named else [arguments[0]] * count
 

@@ -75,7 +75,7 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedAccount:
-    """What outlives a restart: this trip, and what was counted `before_reset`."""
+    """State that outlives a restart: this trip, and what was counted `before_reset`."""
 
     version: Annotated[int, SAME]
     vehicle: Annotated[str, SAME]
@@ -322,7 +322,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return remaining(usable, Cost(recent, long, spread))
 
     def saved(self) -> SavedAccount:
-        """All that is counted and was learned."""
+        """State to save."""
         return SavedAccount(
             version=STATE_VERSION,
             vehicle=self._vehicle,

@@ -294,7 +294,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         )
 
     def saved(self) -> SavedMeter:
-        """All that is counted, the present dropout among it."""
+        """State to save, the present dropout counted in it."""
         now = self._until_now()
         return SavedMeter(
             measured=self._measured.saved(),

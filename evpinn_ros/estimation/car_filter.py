@@ -14,14 +14,16 @@ makes its interval exact, however long that lasts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import product
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.estimation.breakdown import FAST, PartSums, loss_shares
+from evpinn_ros.estimation.calibration import MOST_SUM
 from evpinn_ros.estimation.car_state import (
     CABIN_TIME,
     CAR,
@@ -36,6 +38,7 @@ from evpinn_ros.estimation.car_state import (
 )
 from evpinn_ros.estimation.energy_parts import COUNT
 from evpinn_ros.estimation.gaussian import (
+    MOST,
     Gaussian,
     Innovation,
     condition,
@@ -80,7 +83,21 @@ class Learned(NamedTuple):
     sigma: float
 
 
-class CarFilter:
+@dataclass(frozen=True, slots=True)
+class SavedFilter:
+    """States of each hypothesis, their evidence and scale of noise, and this drive."""
+
+    mean: Annotated[np.ndarray, Range(-MOST, MOST)]
+    covariance: Annotated[np.ndarray, Range(-(MOST**2), MOST**2)]
+    evidence: Annotated[np.ndarray, Range(-MOST_SUM, MOST_SUM)]
+    scale: Annotated[np.ndarray, Range(*SCALE_RANGE)]
+    drive_variance: Annotated[np.ndarray, Range(0.0, 1e8)]
+    drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)]
+    intervals: Annotated[int, Range(0, 10**12)]
+    seconds: Annotated[float, Range(0.0, 1e7)]
+
+
+class CarFilter(Saveable[SavedFilter]):
     """See the module's text. Intervals must come in order of time.
 
     Attributes:
@@ -232,50 +249,29 @@ class CarFilter:
 
     # State -----------------------------------------------------------------------------------
 
-    def export(self) -> dict[str, Any]:
+    def saved(self) -> SavedFilter:
         """State to save."""
-        return {
-            "mean": self.state.mean.tolist(),
-            "covariance": self.state.covariance.tolist(),
-            "evidence": self._evidence.tolist(),
-            "scale": self._scale.tolist(),
-            "drive_variance": [self._drive_variance[state] for state in DRIVE_STD],
-            "drives": self._drives,
-            "intervals": self.intervals,
-            "seconds": self._seconds,
-        }
+        return SavedFilter(
+            mean=self.state.mean,
+            covariance=self.state.covariance,
+            evidence=self._evidence,
+            scale=self._scale,
+            drive_variance=np.array([self._drive_variance[state] for state in DRIVE_STD]),
+            drives=self._drives,
+            intervals=self.intervals,
+            seconds=self._seconds,
+        )
 
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
-        mean, covariance = (np.array(saved[key], float) for key in ("mean", "covariance"))
-        evidence, scale = (np.array(saved[key], float) for key in ("evidence", "scale"))
-        variances = np.array(saved["drive_variance"], float)
-        drives, seconds = float(saved["drives"]), float(saved["seconds"])
-        intervals = int(saved["intervals"])
-        shapes = (mean.shape, covariance.shape, evidence.shape, scale.shape, variances.shape)
-        own = (self.state.mean.shape, self.state.covariance.shape, self._evidence.shape)
-        if shapes != (*own, self._scale.shape, (len(DRIVE_STD),)):
-            raise ValueError("the saved filter has another shape")
-        self._check(mean, covariance)
-        if not (
-            np.all(np.isfinite(evidence))
-            and np.all((scale >= SCALE_RANGE[0]) & (scale <= SCALE_RANGE[1]))
-            and np.all((variances >= 0.0) & (variances <= 1e8))
-            and PRIOR_DRIVES <= drives <= DRIVES_KEPT
-            and 0.0 <= seconds <= 1e7
-        ):
-            raise ValueError("the saved filter is out of range")
-        self.state = Gaussian(mean, covariance)
-        self._evidence, self._scale = evidence, scale
-        self._drive_variance = dict(zip(DRIVE_STD, variances.tolist(), strict=True))
-        self._drives, self._seconds = drives, seconds
-        self.intervals = intervals
-
-    def _check(self, mean: np.ndarray, covariance: np.ndarray) -> None:
-        """Refuse what no drive leaves: no Gaussian, or far from the prior."""
-        away = np.abs(mean[:, CAR] - self.prior.mean[CAR]) / self.prior.std[CAR]
-        if not (is_possible(Gaussian(mean, covariance)) and away.max() <= MOST_AWAY):
-            raise ValueError("the saved filter is out of range")
+    def take(self, saved: SavedFilter) -> None:
+        """Go on from a state; ValueError of what no drive leaves: no Gaussian, or far away."""
+        state = Gaussian(saved.mean, saved.covariance)
+        away = np.abs(saved.mean[:, CAR] - self.prior.mean[CAR]) / self.prior.std[CAR]
+        if not (is_possible(state) and away.max() <= MOST_AWAY):
+            raise ValueError("the filter is out of range")
+        self.state, self._evidence, self._scale = state, saved.evidence, saved.scale
+        self._drive_variance = dict(zip(DRIVE_STD, saved.drive_variance.tolist(), strict=True))
+        self._drives, self._seconds = saved.drives, saved.seconds
+        self.intervals = saved.intervals
 
     # How -------------------------------------------------------------------------------------
 
