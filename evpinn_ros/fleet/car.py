@@ -115,11 +115,7 @@ class _Input:
 
     def row(self) -> dict[str, Any]:
         """First cells of the drive's row."""
-        return {
-            "path": str(self.path),
-            "fingerprint": self.fingerprint,
-            "start_ns": self.start_ns,
-        }
+        return {"path": str(self.path), "fingerprint": self.fingerprint, "start_ns": self.start_ns}
 
 
 class _Found:

@@ -10,14 +10,7 @@ from evpinn_ros.estimation.estimate import State
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.nodes.diagnosis import (
-    MISSING_AFTER,
-    Health,
-    Status,
-    flat,
-    rounded,
-    with_health,
-)
+from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, flat, rounded, with_health
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK

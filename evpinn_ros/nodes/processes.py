@@ -30,10 +30,7 @@ FIRST_DOMAIN, DOMAINS = 82, 20  # all below 102, which any platform allows; test
 
 
 def record_through_nodes(
-    parameters: Mapping[str, Value],
-    end_ns: int,
-    folder: Path,
-    progress: Callable[[float], None],
+    parameters: Mapping[str, Value], end_ns: int, folder: Path, progress: Callable[[float], None]
 ) -> None:
     """Play a CAN log through the three executables over DDS and record all their topics.
 

@@ -48,10 +48,7 @@ class Layout:
 POWER = Layout(
     "Power",
     "Battery power, positive when drawn.",
-    {
-        "power": "W",
-        "unmeasured_energy": "J predicted since the battery was last measured",
-    },
+    {"power": "W", "unmeasured_energy": "J predicted since the battery was last measured"},
 )
 LAYOUTS: Mapping[Topic, Layout] = {
     topics.PARAMETERS: Layout(

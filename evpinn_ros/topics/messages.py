@@ -16,11 +16,7 @@ import math
 from typing import Any, Protocol
 
 from evpinn_ros import topics
-from evpinn_ros.signals.readings import (
-    NANOSECONDS,
-    BatteryReading,
-    SpeedReading,
-)
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 VEHICLE_FRAME = "base_link"
 FLOAT32_MAX = 3.4028234663852886e38
