@@ -66,7 +66,7 @@ class Totals(NamedTuple):
         return Totals(*(a + b for a, b in zip(self, other, strict=True)))
 
 
-class Correction(NamedTuple):
+class TripCorrection(NamedTuple):
     """Energy that reconciling added to a trip, J, and what it took of its variance, J^2."""
 
     energy: Joules = 0.0
@@ -83,7 +83,7 @@ class SavedAccount:
     trip: SavedTrip
     charge: SavedGauge
     battery: Annotated[SavedBattery | None, ADDED]
-    correction: Correction
+    correction: TripCorrection
     before_reset: Totals
 
 
@@ -147,9 +147,9 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.trip = TripLog()
         self.gauge.reset()
         self.battery.reset()
-        self._begin(Totals(), Correction())
+        self._begin(Totals(), TripCorrection())
 
-    def _begin(self, before: Totals, correction: Correction) -> None:
+    def _begin(self, before: Totals, correction: TripCorrection) -> None:
         self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
@@ -163,7 +163,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.meter.reset()
         self.meter.lasting = lasting
         self.trip.reset_trip()
-        self._begin(lifetime, Correction())
+        self._begin(lifetime, TripCorrection())
         self._newest_ns = newest_ns
 
     def begin_after_jump(self) -> None:
@@ -249,7 +249,9 @@ class EnergyAccount(Saveable[SavedAccount]):
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
         energy, variance = self._correction
-        self._correction = Correction(energy + found.correction, variance + found.variance_taken)
+        self._correction = TripCorrection(
+            energy + found.correction, variance + found.variance_taken
+        )
 
     @property
     def state(self) -> EnergyState:

@@ -18,7 +18,7 @@ from typing import Annotated, Any, TypeAlias
 from evpinn_ros.common.saved_fields import SAME, Saveable
 from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import BandCalibration, SavedBand
-from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
+from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.learner import (
     STATE_VERSION,
@@ -124,7 +124,7 @@ class EstimatorStatus:
     unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
-    states: Mapping[str, State] = field(default_factory=dict)
+    states: Mapping[str, Trust] = field(default_factory=dict)
     seen: Mapping[str, int] = field(default_factory=dict)
     band_coverage: Mapping[str, float] = field(default_factory=dict)
     stuck: str | None = None

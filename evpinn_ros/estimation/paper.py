@@ -35,7 +35,7 @@ import numpy as np
 import torch
 
 from evpinn_ros.common.saved_fields import SAME, Range, Saveable
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.gauss_newton import levenberg_marquardt
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
@@ -227,13 +227,13 @@ class PaperLearner(Saveable[SavedPaper]):
                 prior_share=float(share[i]),
                 lower=LIMITS[name].lower,
                 upper=LIMITS[name].upper,
-                state=State.UNESTIMATED if share[i] > UNOBSERVABLE_ABOVE else State.ESTIMATING,
+                state=Trust.UNESTIMATED if share[i] > UNOBSERVABLE_ABOVE else Trust.ESTIMATING,
             )
             for i, name in enumerate(LEARNED)
         }
         prior = self._vehicle.priors["p_aux"]
         estimates["p_aux"] = ParameterEstimate(
-            values.p_aux, prior.std, 1.0, *LIMITS["p_aux"], State.UNESTIMATED
+            values.p_aux, prior.std, 1.0, *LIMITS["p_aux"], Trust.UNESTIMATED
         )
         combined = identifiable(values, self._vehicle.frontal_area)
         std = _combined_std(combined, self._trained.covariance, prior.std)

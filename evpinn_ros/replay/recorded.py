@@ -9,7 +9,12 @@ from typing import Any
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.energy.meter import EnergyState, Flow
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, PowerEstimate, State
+from evpinn_ros.estimation.estimate import (
+    ParameterEstimate,
+    ParameterSet,
+    PowerEstimate,
+    Trust,
+)
 from evpinn_ros.replay.history import Drive, History
 from evpinn_ros.topics import Topic, topic_of
 from evpinn_ros.topics.estimates import FLOWS, POWER_TOPICS
@@ -89,7 +94,7 @@ def _parameter_set(parameters: Any, bounds: Any) -> ParameterSet:
             prior_share=limits[f"{name}_prior_share"],
             lower=limits[f"{name}_lower"],
             upper=limits[f"{name}_upper"],
-            state=State.ESTIMATING,
+            state=Trust.ESTIMATING,
         )
         for name in PARAMETER_NAMES
     }
