@@ -13,6 +13,7 @@ from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     EnergyReport,
@@ -33,15 +34,13 @@ from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.signals.time_jump import StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.cdr import CdrError
-from evpinn_ros.topics.estimates import UNMEASURED_ENERGY, energy_messages, summary_messages
-from evpinn_ros.topics.messages import (
-    BadMessage,
-    Level,
-    battery_message,
-    battery_reading,
-    read_named_vector,
-    speed_reading,
+from evpinn_ros.topics.estimates import (
+    energy_messages,
+    read_identifiable,
+    read_power,
+    summary_messages,
 )
+from evpinn_ros.topics.messages import BadMessage, Level, battery_message
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.plans import (
     forecast_bytes,
@@ -52,7 +51,6 @@ from evpinn_ros.topics.plans import (
 )
 from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 
@@ -88,10 +86,9 @@ class EnergyNode(StatefulNode):
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
-        for topic in (topics.SPEED, topics.ODOMETRY):
-            self.listen(topic, partial(self._on_speed, topic))
+        for topic in (topics.SPEED, topics.ODOMETRY, topics.BATTERY):
+            self.listen(topic, partial(self._on_reading, topic))
         self.listen(topics.MODEL, self._on_model)
-        self.listen(topics.BATTERY, self._on_battery)
         for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
             self.listen(topic, partial(self._on_air, topic))
         for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
@@ -148,49 +145,32 @@ class EnergyNode(StatefulNode):
         self.account.begin_after_jump()
 
     def _take_power(self, topic: Topic, message: Any) -> None:
-        vector = read_named_vector(message)
-        if "power" not in vector.values:
-            raise BadMessage("no_power")
-        power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
-        energy_sigma = vector.sigmas.get(UNMEASURED_ENERGY, math.nan)
-        item = topic, vector.stamp_ns, power, sigma, energy_sigma
-        for admitted in self.in_order(topic, vector.stamp_ns, item):
-            self._count(*admitted)
+        found = read_power(topic, message)
+        for admitted in self.in_order(topic, found.stamp_ns, found):
+            self._count(admitted)
 
-    def _count(
-        self, topic: Topic, stamp_ns: int, power: float, sigma: float, energy_sigma: float
-    ) -> None:
-        if topic is topics.POWER_MEASURED:
-            self.account.add_measured(stamp_ns, power, sigma)
+    def _count(self, found: PowerEstimate) -> None:
+        power = found.stamp_ns, found.power, found.sigma
+        if found.kind is PowerKind.MEASURED:
+            self.account.add_measured(*power)
             return
-        if not self.account.add_predicted(stamp_ns, power, sigma, energy_sigma):
+        if not self.account.add_predicted(*power, found.energy_sigma):
             return
-        self.forecaster.set_sigma(sigma)
+        self.forecaster.set_sigma(found.sigma)
         self.publish(energy_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
             self.publish(summary_messages(new_message, summary))
 
     def _on_identifiable(self, message: Any) -> None:
-        vector = read_named_vector(message)
-        if any(not {*IDENTIFIABLE_NAMES} <= {*x} for x in (vector.values, vector.sigmas)):
-            raise BadMessage("incomplete")
-        values, sigmas = (
-            Identifiable(*(numbers[name] for name in IDENTIFIABLE_NAMES))
-            for numbers in (vector.values, vector.sigmas)
-        )
+        values, sigmas = read_identifiable(message)
         try:
             self.forecaster.set_identifiable(values, sigmas)
         except ValueError as error:
             raise BadMessage(str(error)) from error
 
-    def _on_speed(self, topic: Topic, message: Any) -> None:
-        self._take_reading(self.stream(topic), speed_reading(message))
-
-    def _on_battery(self, message: Any) -> None:
-        self._take_reading(topics.BATTERY, battery_reading(message))
-
-    def _take_reading(self, topic: Topic, reading: SpeedReading | BatteryReading) -> None:
+    def _on_reading(self, topic: Topic, message: Any) -> None:
+        reading, topic = to_reading(topic.type_name, message), self.stream(topic)
         guard, jumped = self._reading_guard, self.account.begin_readings_anew
         for admitted in self.in_order(topic, reading.stamp_ns, reading, guard, jumped):
             if isinstance(admitted, SpeedReading):
