@@ -72,10 +72,9 @@ class Saveable(ABC, Generic[State]):
     def take(self, saved: State) -> None:
         """Go on from a state within its ranges; ValueError where it is not possible otherwise."""
 
-    def export(self) -> dict[str, Any]:
+    def export(self) -> Any:
         """State to save, of numbers, text, lists and mappings only."""
-        exported: dict[str, Any] = plain(self.saved())
-        return exported
+        return plain(self.saved())
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from what `export` gave.
@@ -85,7 +84,7 @@ class Saveable(ABC, Generic[State]):
         """
         before = self.saved()
         try:
-            self.take(_read(type(before), saved, before, ""))
+            self.take(_read(_declared(type(before)), saved, before, ""))
         except StateError:
             raise
         except ValueError as error:
@@ -94,82 +93,92 @@ class Saveable(ABC, Generic[State]):
 
 def plain(state: Any) -> Any:
     """A state as it is saved."""
-    return _plain(type(state), state)
+    return _plain(_declared(type(state)), state)
 
 
-def _plain(declared: Any, value: Any) -> Any:
-    kind, note = _split(declared)
+class _Declared(NamedTuple):
+    """A declared type without None, whether None may be, and what stands beside it."""
+
+    kind: Any
+    optional: bool
+    notes: tuple[Any, ...]
+
+    @property
+    def range(self) -> Range:
+        """Range of its numbers: all that are finite, where none is declared."""
+        most = sys.float_info.max
+        return next((x for x in self.notes if isinstance(x, Range)), Range(-most, most))
+
+    @property
+    def is_named(self) -> bool:
+        """True for a NamedTuple."""
+        return hasattr(self.kind, "_fields")
+
+    def items(self, count: int) -> list[_Declared]:
+        """Declarations of the items of a NamedTuple, or of so many of a tuple."""
+        if self.is_named:
+            return list(_fields(self.kind).values())
+        return [_declared(get_args(self.kind)[0])] * count
+
+
+def _declared(hint: Any) -> _Declared:
+    optional, notes = False, ()
+    while (origin := get_origin(hint)) in (Annotated, Union, UnionType):
+        if origin is Annotated:
+            hint, *beside = get_args(hint)
+            notes = (*notes, *beside)
+        else:
+            optional, hint = True, next(x for x in get_args(hint) if x is not NoneType)
+    return _Declared(hint, optional, notes)
+
+
+@cache
+def _fields(kind: Any) -> dict[str, _Declared]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: _declared(hint) for name, hint in hints.items()}
+
+
+def _plain(declared: _Declared, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if is_dataclass(value):
         own: Any = type(value)
-        return {name: _plain(each, getattr(value, name)) for name, each in _fields(own)}
+        return {name: _plain(each, getattr(value, name)) for name, each in _fields(own).items()}
     if isinstance(value, tuple):
-        items = zip(_items(type(value), get_args(kind), len(value)), value, strict=True)
+        items = zip(declared.items(len(value)), value, strict=True)
         return [_plain(each, item) for each, item in items]
     if isinstance(value, Mapping):
-        return {key: _plain(get_args(kind)[1], item) for key, item in value.items()}
-    unknown = isinstance(note, Range) and note.unknown and math.isnan(value)
-    return None if unknown else value
+        inner = _declared(get_args(declared.kind)[1])
+        return {key: _plain(inner, item) for key, item in value.items()}
+    return None if declared.range.unknown and math.isnan(value) else value
 
 
-def _split(declared: Any) -> tuple[Any, Any]:
-    """The type, without None, and what stands beside it."""
-    note = None
-    if get_origin(declared) is Annotated:
-        declared, note = get_args(declared)
-    if get_origin(declared) in (Union, UnionType):
-        inner, inner_note = _split(next(x for x in get_args(declared) if x is not NoneType))
-        return inner, inner_note or note
-    return declared, note
-
-
-@cache
-def _fields(kind: type) -> tuple[tuple[str, Any], ...]:
-    return tuple(get_type_hints(kind, include_extras=True).items())
-
-
-def _items(kind: type, arguments: tuple[Any, ...], count: int) -> list[Any]:
-    """Declarations of the items of a NamedTuple, or of so many of a tuple."""
-    named = hasattr(kind, "_fields")
-    return [each for _, each in _fields(kind)] if named else [arguments[0]] * count
-
-
-def _optional(declared: Any) -> bool:
-    if get_origin(declared) is Annotated:
-        declared = get_args(declared)[0]
-    return NoneType in get_args(declared)
-
-
-def _read(declared: Any, value: Any, before: Any, where: str) -> Any:
+def _read(declared: _Declared, value: Any, before: Any, where: str) -> Any:
     """A saved value as it is declared; shapes, keys and what is `SAME` are those of `before`."""
-    kind, note = _split(type(before) if declared is Any else declared)
-    if value is None and _optional(declared):
+    kind = type(before) if declared.kind is Any else declared.kind
+    if value is None and declared.optional:
         return None
     if is_dataclass(kind):
         return _dataclass(kind, value, before, where)
-    if kind is np.ndarray or kind in (int, float):
-        return _numbers(kind, note, value, before, where)
-    if get_origin(kind) is tuple or hasattr(kind, "_fields"):
-        return _tuple(kind, value, where)
+    if kind in (np.ndarray, int, float):
+        return _numbers(declared, value, np.shape(before), where)
+    if get_origin(kind) is tuple or declared.is_named:
+        return _tuple(declared, value, where)
     if isinstance(before, Mapping):
         if not isinstance(value, Mapping) or set(value) != set(before):
             _refuse(where, value, ", ".join(before))
-        inner = get_args(kind)[1]
+        inner = _declared(get_args(kind)[1])
         return {key: _read(inner, value[key], before[key], f"{where}.{key}") for key in before}
-    if type(value) is not kind:
-        _refuse(where, value, kind.__name__)
-    return value
+    return value if type(value) is kind else _refuse(where, value, kind.__name__)
 
 
 def _dataclass(kind: Any, value: Any, before: Any, where: str) -> Any:
-    declared = dict(_fields(kind))
-    added = {name for name, each in declared.items() if _beside(each, ADDED)}
+    declared = _fields(kind)
     if not isinstance(value, Mapping):
         _refuse(where, value, ", ".join(declared))
-    same = [name for name, each in declared.items() if _beside(each, SAME)]
-    _refuse_another(same, value, before)
-    if not set(declared) - added <= set(value) <= set(declared):
+    _refuse_another([name for name, each in declared.items() if SAME in each.notes], value, before)
+    needed = {name for name, each in declared.items() if ADDED not in each.notes}
+    if not needed <= set(value) <= set(declared):
         _refuse(where, value, ", ".join(declared))
     prefix = f"{where}." if where else ""
     found = {
@@ -178,52 +187,48 @@ def _dataclass(kind: Any, value: Any, before: Any, where: str) -> Any:
     }
     try:
         return kind(**found)
-    except StateError:
-        raise
     except ValueError as error:
         raise StateError(f"saved '{where}': {error}") from error
-
-
-def _beside(declared: Any, note: str) -> bool:
-    return get_origin(declared) is Annotated and get_args(declared)[1] == note
 
 
 def _refuse_another(names: list[str], value: Mapping[str, Any], before: Any) -> None:
     found = {name: value.get(name) for name in names}
     wanted = {name: getattr(before, name) for name in names}
     if found != wanted:
-        texts = [
-            ", ".join(f"{k} {reprlib.repr(v)}" for k, v in x.items()) for x in (found, wanted)
-        ]
-        raise StateError(f"saved for {texts[0]}, not for {texts[1]}")
+        one, other = (
+            ", ".join(f"{name} {reprlib.repr(each)}" for name, each in values.items())
+            for values in (found, wanted)
+        )
+        raise StateError(f"saved for {one}, not for {other}")
 
 
-def _tuple(kind: Any, value: Any, where: str) -> Any:
-    named = hasattr(kind, "_fields")
+def _tuple(declared: _Declared, value: Any, where: str) -> Any:
+    kind, named = declared.kind, declared.is_named
     if not isinstance(value, list) or (named and len(value) != len(kind._fields)):
         _refuse(where, value, f"a list of {', '.join(kind._fields)}" if named else "a list")
     names = kind._fields if named else range(len(value))
-    items = zip(names, _items(kind, get_args(kind), len(value)), value, strict=True)
+    items = zip(names, declared.items(len(value)), value, strict=True)
     found = [_read(each, item, None, f"{where}.{name}") for name, each, item in items]
     return kind(*found) if named else tuple(found)
 
 
-def _numbers(kind: Any, note: Any, value: Any, before: Any, where: str) -> Any:
+def _numbers(declared: _Declared, value: Any, shape: tuple[int, ...], where: str) -> Any:
     """A number, or an array of this shape; neither text nor truth values are such."""
-    bounds = note if isinstance(note, Range) else Range(-sys.float_info.max, sys.float_info.max)
-    if value is None and bounds.unknown:
+    least, most, unknown = declared.range
+    if value is None and unknown:
         return math.nan
-    shape = np.shape(before) if kind is np.ndarray else ()
+    shape = shape if declared.kind is np.ndarray else ()
     try:
         numbers = np.array(value)
     except ValueError:  # lists of several lengths
         numbers = np.array(None)
-    fits = numbers.shape == shape and numbers.dtype.kind in ("iu" if kind is int else "iuf")
-    if not (fits and ((numbers >= bounds.least) & (numbers <= bounds.most)).all()):
+    whole = declared.kind is int
+    fits = numbers.shape == shape and numbers.dtype.kind in ("iu" if whole else "iuf")
+    if not (fits and ((numbers >= least) & (numbers <= most)).all()):
         size = f" in the shape {shape}" if shape else ""
-        what = "an integer" if kind is int else "a number"
-        _refuse(where, value, f"{what} of {bounds.least:g} to {bounds.most:g}{size}")
-    return numbers.astype(float) if kind is np.ndarray else kind(value)
+        what = "an integer" if whole else "a number"
+        _refuse(where, value, f"{what} of {least:g} to {most:g}{size}")
+    return numbers.astype(float) if declared.kind is np.ndarray else declared.kind(value)
 
 
 def _refuse(where: str, value: Any, expected: str) -> NoReturn:

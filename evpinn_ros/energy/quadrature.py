@@ -7,7 +7,7 @@ is linear in between. What cannot be integrated is counted, never guessed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import math
 from typing import Annotated, NamedTuple, TypeAlias
 
@@ -99,6 +99,9 @@ class SavedIntegral:
         """ValueError when it is more than a power of `most`, W, all the time would have made."""
         if self.drawn + self.regenerated > most * self.covered_s * ROUNDING:
             raise ValueError(f"more than {most:g} all the time was integrated")
+
+
+FIELDS = fields(SavedIntegral)
 
 
 class EnergyIntegral(Saveable[SavedIntegral]):
@@ -202,15 +205,7 @@ class EnergyIntegral(Saveable[SavedIntegral]):
 
     def saved(self) -> SavedIntegral:
         """Totals and counters."""
-        return SavedIntegral(
-            drawn=self.drawn,
-            regenerated=self.regenerated,
-            covered_s=self.covered_s,
-            gaps=self.gaps,
-            gap_s=self.gap_s,
-            out_of_order=self.out_of_order,
-            not_finite=self.not_finite,
-        )
+        return SavedIntegral(**{each.name: getattr(self, each.name) for each in FIELDS})
 
     def take(self, saved: SavedIntegral) -> None:
         """Go on from totals and counters."""

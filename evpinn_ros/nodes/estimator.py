@@ -32,18 +32,8 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 from evpinn_ros.vehicle.files import load_vehicle
 
 MODEL_PERIOD = 10.0  # s
-LISTENS_TO = (
-    topics.SPEED,
-    topics.ODOMETRY,
-    topics.BATTERY,
-    topics.IMU,
-    topics.FIX,
-    topics.TEMPERATURE,
-    topics.PRESSURE,
-    topics.WIND,
-    topics.AUXILIARY_POWER,
-    topics.MOTOR_TORQUE,
-)
+FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
+LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
 
 
