@@ -18,7 +18,7 @@ import torch
 
 from evpinn_ros.estimation.network import PAPER_WIDTHS
 from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PHYSICS_LOSS
-from evpinn_ros.reproduction.problem import Motion, Problem
+from evpinn_ros.reproduction.problem import PhysicsInputs, Problem
 
 
 def deepxde_version() -> str | None:
@@ -49,7 +49,7 @@ class DeepXdeTraining:
         self.log_scale = [deepxde.Variable(0.0) for _ in LEARNED]
 
         def residual(inputs: Any, power: Any, acceleration: Any) -> Any:
-            motion = Motion(inputs[:, 0], acceleration[:, 0])
+            motion = PhysicsInputs(inputs[:, 0], acceleration[:, 0])
             return problem.physics(motion, torch.stack(self.log_scale))[:, None] - power
 
         def acceleration_at(inputs: np.ndarray) -> np.ndarray:

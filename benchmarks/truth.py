@@ -22,7 +22,7 @@ from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.simulation.car import Trace
-from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, Motion
+from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, IntervalMotion
 from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, SimulatedDrive, simulate
 from evpinn_ros.simulation.truth import Truth, prior_parameters, true_values
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
@@ -249,7 +249,9 @@ def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
     """The true parameters of the first seconds of a drive."""
     count = seconds * SAMPLE_RATE
     trace = drive.trace
-    motion = Motion(**{f.name: getattr(trace.motion, f.name)[:count] for f in fields(Motion)})
+    motion = IntervalMotion(
+        **{f.name: getattr(trace.motion, f.name)[:count] for f in fields(IntervalMotion)}
+    )
     columns = {f.name: getattr(trace, f.name)[:count] for f in fields(Trace) if f.name != "motion"}
     return true_values(drive.car, Trace(motion=motion, **columns))
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.unseen.drives import load_car
-from evpinn_ros.estimation import car_filter, car_state
+from evpinn_ros.estimation import car_filter, car_state, interval_noise
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import State
@@ -33,6 +33,7 @@ MOST_SIGMAS = 4.0
 # What `car_filter` imports from `car_state` by its name is replaced where it is used.
 TABLES: Mapping[str, MutableMapping[Any, Any]] = {
     "car_filter": vars(car_filter),
+    "interval_noise": vars(interval_noise),
     "PRIORS": car_state.PRIORS,
     "DRIVE_STD": car_state.DRIVE_STD,
 }
@@ -96,8 +97,9 @@ class Row:
 
 
 def constant(name: str) -> Place:
-    """A constant of `car_filter`."""
-    return Place("car_filter", name)
+    """A constant of the filter or of the noise of its intervals."""
+    own = name in vars(interval_noise)
+    return Place("interval_noise" if own else "car_filter", name)
 
 
 def read_car(data: str, key: str) -> RecordedCar:

@@ -19,7 +19,7 @@ from evpinn_ros.vehicle.certified import (
     AIR_DENSITY,
     CHARGING_LOSS,
     CertifiedCar,
-    Population,
+    CertifiedDistribution,
     RoadLoad,
     certified_cars,
     population,
@@ -84,7 +84,9 @@ def prior_errors(others: Mapping[str, Vehicle]) -> Iterator[PriorError]:
     }
     priors = [(car, left_out[models[key]]) for key, car in cars.items()]
     yield from _judge("population of the other models", priors)
-    alone = [(car, Population(p.mean, np.diag(np.diag(p.covariance)))) for car, p in priors]
+    alone = [
+        (car, CertifiedDistribution(p.mean, np.diag(np.diag(p.covariance)))) for car, p in priors
+    ]
     yield from _judge("likewise, without correlations", alone)
     for name, vehicle in others.items():
         yield from _judge(name, [(car, of_vehicle(vehicle)) for car in cars.values()])
@@ -95,15 +97,17 @@ def _model(key: str) -> str:
     return "_".join(key.split("_")[:2])
 
 
-def of_vehicle(vehicle: Vehicle) -> Population:
+def of_vehicle(vehicle: Vehicle) -> CertifiedDistribution:
     """A vehicle file's prior of mass, c_rr and drag area."""
     covariance = prior_of(vehicle).covariance[np.ix_(LEARNED, LEARNED)]
     start = vehicle.initial
     mean = np.log([start.mass, start.c_rr, start.c_d * vehicle.frontal_area])
-    return Population(mean, covariance)
+    return CertifiedDistribution(mean, covariance)
 
 
-def _judge(name: str, priors: Sequence[tuple[CertifiedCar, Population]]) -> Iterator[PriorError]:
+def _judge(
+    name: str, priors: Sequence[tuple[CertifiedCar, CertifiedDistribution]]
+) -> Iterator[PriorError]:
     for speed in SPEEDS:
         rows = []
         for car, prior in priors:
@@ -132,7 +136,7 @@ def _force(logs: np.ndarray, speed: float) -> tuple[float, np.ndarray]:
     return math.log(force), np.array([rolling, rolling, drag]) / force
 
 
-def _off(prior: Population, speed: float, certain: float) -> tuple[float, bool]:
+def _off(prior: CertifiedDistribution, speed: float, certain: float) -> tuple[float, bool]:
     """Error of the force over the certified one, and whether the interval holds it."""
     force, gradient = _force(prior.mean, speed)
     away = force - math.log(certain)
@@ -140,7 +144,7 @@ def _off(prior: Population, speed: float, certain: float) -> tuple[float, bool]:
     return math.expm1(away), abs(away) < NINETY * sigma
 
 
-def _learn(prior: Population, truth: np.ndarray) -> Population:
+def _learn(prior: CertifiedDistribution, truth: np.ndarray) -> CertifiedDistribution:
     """Posterior once mass and the force at `TOWN_SPEED` are known: Gauss-Newton to the mode."""
     measured = np.array([truth[0], _force(truth, TOWN_SPEED)[0]])
     mean = prior.mean
@@ -151,7 +155,7 @@ def _learn(prior: Population, truth: np.ndarray) -> Population:
         seen = rows @ prior.covariance @ rows.T + TOWN_ERROR**2 * np.eye(2)
         gain = prior.covariance @ rows.T @ np.linalg.inv(seen)
         mean = prior.mean + gain @ left
-    return Population(mean, prior.covariance - gain @ rows @ prior.covariance)
+    return CertifiedDistribution(mean, prior.covariance - gain @ rows @ prior.covariance)
 
 
 def cycle_energies(folder: Path, car: CertifiedCar, vehicle: Vehicle) -> Iterator[CycleEnergy]:

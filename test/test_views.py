@@ -13,7 +13,7 @@ from evpinn_ros.bags.types import new_message, typestore
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
 from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
 from evpinn_ros.vehicle.files import vehicle_names
@@ -58,7 +58,7 @@ def field(type_name: str, path: list[str]) -> str:
 
 def vector_names() -> dict[Topic, list[str]]:
     """The names in each named vector that the nodes publish when all is known."""
-    estimate = ParameterEstimate(0.5, 0.1, 0.5, 0.0, 1.0, State.VALID)
+    estimate = ParameterEstimate(0.5, 0.1, 0.5, 0.0, 1.0, Trust.VALID)
     fives = Identifiable(1.0, 1.0, 1.0, 1.0, 1.0)
     found = ParameterSet(1, dict.fromkeys(PARAMETER_NAMES, estimate), fives, fives, True)
     flow = Flow(1.0, 1.0, 1.0)

@@ -31,7 +31,8 @@ GONE_PHRASES = ("held against", "speaks of", "clock that never jumps", "silent b
 
 KEPT = {("benchmarks/fleet.py", "told"), ("benchmarks/fuzz.py", "said")}
 KEPT |= {("benchmarks/faults/fault.py", "said"), ("benchmarks/bridge_load.py", "heard")}
-"""Names that are keys of `--json`, which are fixed."""
+KEPT |= {("signals/sign_detectors.py", "told")}
+"""Names that are keys of `--json` or of saved states, which are fixed."""
 
 PATH = re.compile(r"(?<![\w/.:{<*])((?:[\w.-]+/)+[\w-]+\.(?:py|md|yaml|csv|js|sh|toml)|\w+\.md)\b")
 HOMES = (ROOT, PACKAGE, ROOT / "docs", ROOT / "test")

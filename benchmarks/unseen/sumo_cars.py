@@ -34,7 +34,7 @@ from evpinn_ros.signals.readings import (
     Reading,
     SpeedReading,
 )
-from evpinn_ros.simulation.road import Road, hilly_road
+from evpinn_ros.simulation.road import HillyRoad, hilly_road
 from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -87,7 +87,7 @@ class Corridor:
     length: np.ndarray
     limit: np.ndarray
     stop: np.ndarray
-    road: Road
+    road: HillyRoad
 
 
 def simulate_sumo(key: str) -> tuple[tuple[Reading, ...], np.ndarray]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 import math
-from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
@@ -14,47 +13,13 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
-    AltitudeReading,
-    AuxiliaryReading,
-    BatteryReading,
-    GradeReading,
-    MotorReading,
-    PressureReading,
     Reading,
-    SpeedReading,
-    TemperatureReading,
-    WindReading,
 )
 from evpinn_ros.topics import NAMESPACE, Topic
-from evpinn_ros.topics.messages import BadMessage, scalar
-from evpinn_ros.topics.readings import Rotation, reading_message, to_reading
+from evpinn_ros.topics.messages import BadMessage
+from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_messages, to_reading
 
-READING_TOPICS: dict[type[Reading], Topic] = {
-    SpeedReading: topics.SPEED,
-    BatteryReading: topics.BATTERY,
-    GradeReading: topics.IMU,
-    AltitudeReading: topics.FIX,
-    TemperatureReading: topics.TEMPERATURE,
-    PressureReading: topics.PRESSURE,
-    WindReading: topics.WIND,
-    AuxiliaryReading: topics.AUXILIARY_POWER,
-    MotorReading: topics.MOTOR_TORQUE,
-}
 NOT_A_MESSAGE = "not_finite_or_out_of_range"
-
-
-def reading_messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
-    """The messages of a reading: its own, and voltage and current alone, for plots.
-
-    Raises:
-        ValueError: a value that the message can not hold.
-    """
-    yield READING_TOPICS[type(reading)], reading_message(new_message, reading)
-    if isinstance(reading, BatteryReading):
-        if not math.isnan(reading.voltage):
-            yield topics.BATTERY_VOLTAGE, scalar(new_message, reading.voltage)
-        if not math.isnan(reading.current):
-            yield topics.BATTERY_CURRENT, scalar(new_message, reading.current)
 
 
 def write_readings(
@@ -68,7 +33,7 @@ def write_readings(
     dropped: Counter[str] = Counter()
     for reading in readings:
         try:
-            messages = list(reading_messages(reading))
+            messages = list(reading_messages(new_message, reading))
         except ValueError:
             dropped[NOT_A_MESSAGE] += 1
             continue

@@ -73,7 +73,7 @@ class ChunkHead(NamedTuple):
     packed: int
 
 
-class FileBytes(Protocol):
+class BytesAnywhere(Protocol):
     """A file read at any place: `mcap_scan.FileBytes`."""
 
     size: int
@@ -266,7 +266,7 @@ def indexed_records(data: bytes, index: MessageIndex, definitions: Definitions) 
     return Records(index, last=int(offsets[-1]), end=len(data))
 
 
-def block_content(file: FileBytes, block: Block) -> bytes | None:
+def block_content(file: BytesAnywhere, block: Block) -> bytes | None:
     """The records of a block, of one that the file cuts as far as they go; None when damaged."""
     try:
         data = file.read(block.begin, block.end - block.begin)

@@ -207,7 +207,7 @@ def _refuse_broadcast_ids(
             raise root.section("requests").error_at(request.name, reason)
 
 
-class _Field(NamedTuple):
+class _MessageField(NamedTuple):
     """Field read from a message: a value, or the counter or checksum that protects it."""
 
     name: str
@@ -215,7 +215,7 @@ class _Field(NamedTuple):
     pages: frozenset[int]
     bits: frozenset[int]
 
-    def clashes(self, other: _Field) -> bool:
+    def clashes(self, other: _MessageField) -> bool:
         """True if both claim one bit; two quantities of a message may share what protects it."""
         if self.name == other.name and not (self.is_value or other.is_value):
             return False
@@ -225,7 +225,7 @@ class _Field(NamedTuple):
 
 def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> None:
     """Raise when two values, or a value and what protects it, are read from the same bits."""
-    taken: dict[str, list[_Field]] = {}
+    taken: dict[str, list[_MessageField]] = {}
     for quantity, rule in messages.items():
         fields = taken.setdefault(rule.message.name, [])
         for field in _fields(rule):
@@ -235,15 +235,15 @@ def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> N
             fields.append(field)
 
 
-def _fields(rule: MessageRule) -> Iterator[_Field]:
+def _fields(rule: MessageRule) -> Iterator[_MessageField]:
     values = [signal.name for signal in rule.signals]
     for name in (*values, *filter(None, (rule.counter,))):
         signal = rule.message.get_signal_by_name(name)
         pages = frozenset(signal.multiplexer_ids or ())
-        yield _Field(name, name in values, pages, bits(signal))
+        yield _MessageField(name, name in values, pages, bits(signal))
     if rule.checksum is not None:
         first = 8 * rule.checksum_byte
-        yield _Field("checksum", False, frozenset(), frozenset(range(first, first + 8)))
+        yield _MessageField("checksum", False, frozenset(), frozenset(range(first, first + 8)))
 
 
 def _message_rule(section: Section, quantity: str, database: DbcFile) -> MessageRule:

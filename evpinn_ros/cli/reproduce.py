@@ -26,7 +26,7 @@ from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, 
 from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.reproduction.results import results_of
 from evpinn_ros.reproduction.saved import write_estimator_state, write_vehicle_file
-from evpinn_ros.reproduction.tables import Table, all_tables
+from evpinn_ros.reproduction.tables import ResultTable, all_tables
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.physics import RegenForm
 
@@ -154,7 +154,7 @@ def training_progress() -> Iterator[OnProgress]:
         yield show
 
 
-def _print(table: Table) -> None:
+def _print(table: ResultTable) -> None:
     shown = titled_table(table.title)
     for index, column in enumerate(table.columns):
         shown.add_column(column, justify="right" if index else "left", no_wrap=index == 0)

@@ -22,10 +22,10 @@ def most_unpacked(size: int) -> int:
 
 def open_gzipped(path: Path) -> IO[bytes]:
     """A gzipped file, to be read; where it unpacks to too much reading raises OSError."""
-    return cast(IO[bytes], io.BufferedReader(_Bounded(path), 1 << 16))
+    return cast(IO[bytes], io.BufferedReader(_BoundedGzip(path), 1 << 16))
 
 
-class _Bounded(io.RawIOBase):
+class _BoundedGzip(io.RawIOBase):
     """Content of a gzipped file, as far as its size allows."""
 
     def __init__(self, path: Path) -> None:

@@ -65,7 +65,7 @@ class TextTable:
             InputError: it cannot be read further.
         """
         self.torn = 0
-        lines = _Lines()
+        lines = _WholeRows()
         try:
             with self._open() as file:
                 reader = csv.reader(lines.whole(self._texts(file)), delimiter=self.separator)
@@ -119,7 +119,7 @@ class TextTable:
         yield decoder.decode(b"", final=True)
 
 
-class _Lines:
+class _WholeRows:
     """Lines that are whole rows, counted."""
 
     def __init__(self) -> None:

@@ -9,25 +9,25 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.battery_model import BatteryModel
-from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, Uncertain
+from evpinn_ros.common.saved_fields import ADDED, SAME, Range, Saveable
+from evpinn_ros.energy.battery_model import BatteryModel, SavedBattery
+from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.energy.dropout import Dropout
-from evpinn_ros.energy.meter import EnergyMeter, EnergyState
+from evpinn_ros.energy.meter import EnergyMeter, EnergyState, SavedMeter
 from evpinn_ros.energy.plausible import (
     MAX_POWER,
-    MOST_DISTANCE,
     MOST_ENERGY,
-    MOST_SECONDS,
+    Joules,
+    Metres,
+    Seconds,
     power_is_possible,
     speed_is_possible,
 )
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
-from evpinn_ros.energy.saved import numbers, or_none, section
-from evpinn_ros.energy.trip import Stretch, TripLog
+from evpinn_ros.energy.trip import SavedTrip, Stretch, TripLog
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 
 STATE_VERSION = 1
@@ -48,13 +48,13 @@ class Totals(NamedTuple):
         unknown_s: the part of it that speed was silent too, s.
     """
 
-    drawn: float = 0.0
-    regenerated: float = 0.0
-    variance: float = 0.0
-    distance: float = 0.0
-    driven: float = 0.0
-    unmeasured_s: float = 0.0
-    unknown_s: float = 0.0
+    drawn: Joules = 0.0
+    regenerated: Joules = 0.0
+    variance: Annotated[float, Range(0.0, MOST_ENERGY**2, unknown=True)] = 0.0
+    distance: Metres = 0.0
+    driven: Joules = 0.0
+    unmeasured_s: Seconds = 0.0
+    unknown_s: Seconds = 0.0
 
     @property
     def net(self) -> Uncertain:
@@ -66,15 +66,25 @@ class Totals(NamedTuple):
         return Totals(*(a + b for a, b in zip(self, other, strict=True)))
 
 
-MOST_COUNTED = Totals(
-    drawn=MOST_ENERGY,
-    regenerated=MOST_ENERGY,
-    variance=MOST_ENERGY**2,
-    distance=MOST_DISTANCE,
-    driven=MOST_ENERGY,
-    unmeasured_s=MOST_SECONDS,
-    unknown_s=MOST_SECONDS,
-)
+class TripCorrection(NamedTuple):
+    """Energy that reconciling added to a trip, J, and what it took of its variance, J^2."""
+
+    energy: Joules = 0.0
+    variance: Annotated[float, Range(-(MOST_ENERGY**2), MOST_ENERGY**2)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SavedAccount:
+    """State that outlives a restart: this trip, and what was counted `before_reset`."""
+
+    version: Annotated[int, SAME]
+    vehicle: Annotated[str, SAME]
+    meter: SavedMeter
+    trip: SavedTrip
+    charge: SavedGauge
+    battery: Annotated[SavedBattery | None, ADDED]
+    correction: TripCorrection
+    before_reset: Totals
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +115,7 @@ class AccountSummary:
     remaining: Remaining | None
 
 
-class EnergyAccount:
+class EnergyAccount(Saveable[SavedAccount]):
     """Counts the energy of one car; knows no ROS.
 
     Attributes:
@@ -137,12 +147,10 @@ class EnergyAccount:
         self.trip = TripLog()
         self.gauge.reset()
         self.battery.reset()
-        self._begin(Totals(), 0.0, 0.0)
+        self._begin(Totals(), TripCorrection())
 
-    def _begin(self, before: Totals, correction: float, variance_taken: float) -> None:
-        self._before_reset = before
-        # What reconciling added to this trip, and took of its variance.
-        self._correction, self._variance_taken = correction, variance_taken
+    def _begin(self, before: Totals, correction: TripCorrection) -> None:
+        self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
         self._seen: Dropout | None = None
@@ -155,12 +163,12 @@ class EnergyAccount:
         self.meter.reset()
         self.meter.lasting = lasting
         self.trip.reset_trip()
-        self._begin(lifetime, 0.0, 0.0)
+        self._begin(lifetime, TripCorrection())
         self._newest_ns = newest_ns
 
     def begin_after_jump(self) -> None:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
-        self.restore(self.export())
+        self.take(self.saved())
 
     def begin_readings_anew(self) -> None:
         """Join no speed and no battery reading to those before: their time jumped."""
@@ -240,8 +248,10 @@ class EnergyAccount:
             self.meter.lasting.update(error, known, dropout.bridge.gross)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
-        self._correction += found.correction
-        self._variance_taken += found.variance_taken
+        energy, variance = self._correction
+        self._correction = TripCorrection(
+            energy + found.correction, variance + found.variance_taken
+        )
 
     @property
     def state(self) -> EnergyState:
@@ -249,8 +259,9 @@ class EnergyAccount:
         state = self.meter.state
         sigma = state.consumed_sigma
         if not math.isnan(sigma):
-            sigma = math.sqrt(max(sigma**2 - self._variance_taken, 0.0))
-        return replace(state, consumed=state.consumed + self._correction, consumed_sigma=sigma)
+            sigma = math.sqrt(max(sigma**2 - self._correction.variance, 0.0))
+        consumed = state.consumed + self._correction.energy
+        return replace(state, consumed=consumed, consumed_sigma=sigma)
 
     def since_reset(self) -> Totals:
         """Totals since the last reset."""
@@ -312,39 +323,26 @@ class EnergyAccount:
         spread = cost_spread(self.trip.windows[-1].whole)
         return remaining(usable, Cost(recent, long, spread))
 
-    def export(self) -> dict[str, Any]:
-        """State to save, of numbers, text, lists and mappings only."""
-        return {
-            "version": STATE_VERSION,
-            "vehicle": self._vehicle,
-            "meter": self.meter.exported(),
-            "trip": self.trip.exported(),
-            "charge": self.gauge.exported(),
-            "battery": self.battery.exported(),
-            "correction": [self._correction, self._variance_taken],
-            "before_reset": [or_none(value) for value in self._before_reset],
-        }
+    def saved(self) -> SavedAccount:
+        """State to save."""
+        return SavedAccount(
+            version=STATE_VERSION,
+            vehicle=self._vehicle,
+            meter=self.meter.saved(),
+            trip=self.trip.saved(),
+            charge=self.gauge.saved(),
+            battery=self.battery.saved(),
+            correction=self._correction,
+            before_reset=self._before_reset,
+        )
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a saved state.
-
-        Raises:
-            InputError: it is of another version or vehicle, or does not fit; the account is not
-                to be used then before `reset`.
-        """
-        wanted = (STATE_VERSION, self._vehicle)
-        found = tuple(state.get(key) for key in ("version", "vehicle"))
-        if found != wanted:
-            raise InputError(f"saved for (version, vehicle) {found}, not for {wanted}")
-        self.meter.restore(section(state, "meter"))
-        self.trip.restore(section(state, "trip"))
-        self.gauge.restore(section(state, "charge"))
-        if "battery" in state:  # files of before have none
-            self.battery.restore(section(state, "battery"))
-        else:
+    def take(self, saved: SavedAccount) -> None:
+        """Go on from a saved account; after a ValueError it is not to be used before `reset`."""
+        self.meter.take(saved.meter)
+        self.trip.take(saved.trip)
+        self.gauge.take(saved.charge)
+        if saved.battery is None:
             self.battery.reset()
-        correction, variance_taken = numbers(state, "correction", [MOST_ENERGY, MOST_ENERGY**2])
-        before = Totals(*numbers(state, "before_reset", MOST_COUNTED, may_be_unknown=True))
-        if before.distance < 0 or before.variance < 0:
-            raise InputError("saved energy: 'before_reset' is negative")
-        self._begin(before, correction, variance_taken)
+        else:
+            self.battery.take(saved.battery)
+        self._begin(saved.before_reset, saved.correction)

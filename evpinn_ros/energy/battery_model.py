@@ -16,18 +16,17 @@ second resistance was tried and brought nothing at the end of a plan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, Uncertain
+from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.quadrature import MAX_GAP, EnergyIntegral
 from evpinn_ros.energy.rknn import Slope, energy_step, slopes
-from evpinn_ros.energy.saved import number, numbers, section
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.signals.stream import MAX_CURRENT, MAX_VOLTAGE, MIN_VOLTAGE
 
@@ -45,7 +44,7 @@ RESISTANCE_SHARE = 0.013  # of U / (current that empties the battery in an hour)
 USUAL_CHARGE = 3600 * 100.0  # A s, where the vehicle file has no capacity
 CHARGE_LIMITS = (3600.0, 3.6e7)  # A s
 STEPS, LONGEST_STEP = 200, 60.0  # of a forecast; s
-MOST_SAVED = 1e6
+MOST_SAVED, MOST_SAMPLES = 1e6, 1e15
 
 
 class BatteryEnd(NamedTuple):
@@ -55,7 +54,27 @@ class BatteryEnd(NamedTuple):
     voltage: float
 
 
-class BatteryModel:
+@dataclass(frozen=True, slots=True)
+class SavedBattery:
+    """Samples, U at half charge, its slope and R, their covariance row by row, and the gauge."""
+
+    samples: Annotated[int, Range(0, MOST_SAMPLES)]
+    state: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED)]
+    covariance: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED)]
+    full_charge: SavedGauge
+
+    def __post_init__(self) -> None:
+        """Refuse what no battery is."""
+        square = self.covariance.reshape(3, 3)
+        if self.samples and not (
+            MIN_VOLTAGE <= self.state[0] <= MAX_VOLTAGE
+            and np.allclose(square, square.T)
+            and float(np.linalg.eigvalsh(square)[0]) > 0
+        ):
+            raise ValueError("a number is out of range")
+
+
+class BatteryModel(Saveable[SavedBattery]):
     """Learns one battery from its voltage, current and state of charge.
 
     Attributes:
@@ -189,36 +208,18 @@ class BatteryModel:
         root = math.sqrt(max(voltage**2 - 4 * self._resistance() * power, 0.0))
         return 2 * power / (voltage + root)  # the stable form, also for R = 0
 
-    def exported(self) -> dict[str, Any]:
-        """State that `restore` needs."""
-        return {
-            "samples": self.samples,
-            "state": self._state.tolist(),
-            "covariance": self._covariance.ravel().tolist(),
-            "full_charge": self._gauge.exported(),
-        }
+    def saved(self) -> SavedBattery:
+        """State to save."""
+        covariance = self._covariance.ravel()
+        return SavedBattery(self.samples, self._state, covariance, self._gauge.saved())
 
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from what `exported` gave.
-
-        Raises:
-            InputError: something is missing or wrong; nothing is changed then.
-        """
-        samples = number(saved, "samples", most=1e15)
-        state = np.array(numbers(saved, "state", 3 * [MOST_SAVED]))
-        covariance = np.array(numbers(saved, "covariance", 9 * [MOST_SAVED])).reshape(3, 3)
-        first = state[0] if samples else 1.0
-        gauge = ChargeGauge(self._capacity / first if first > 0 else math.nan, CHARGE_LIMITS)
-        gauge.restore(section(saved, "full_charge"))
-        fits = not samples or (
-            samples > 0
-            and MIN_VOLTAGE <= first <= MAX_VOLTAGE
-            and np.allclose(covariance, covariance.T)
-            and float(np.linalg.eigvalsh(covariance)[0]) > 0
-        )
-        if not fits:
-            raise InputError("saved energy: battery: a number is out of range")
-        self.samples, self._state, self._covariance = int(samples), state, covariance
+    def take(self, saved: SavedBattery) -> None:
+        """Go on from what was learned."""
+        first = saved.state[0] if saved.samples else 1.0
+        gauge = ChargeGauge(self._capacity / first, CHARGE_LIMITS)
+        gauge.take(saved.full_charge)
+        self.samples, self._state = saved.samples, saved.state
+        self._covariance = saved.covariance.reshape(3, 3).copy()
         self._gauge = gauge
         self.begin_anew()
 

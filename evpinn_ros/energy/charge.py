@@ -8,12 +8,11 @@ readings and the prior of the vehicle file are averaged by their variance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.saved import number, numbers
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.signals.readings import NANOSECONDS
 
 CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, then a state of charge is projected
@@ -61,7 +60,16 @@ class _ChargeSample(NamedTuple):
     unmeasured_s: float | None
 
 
-class ChargeGauge:
+@dataclass(frozen=True, slots=True)
+class SavedGauge:
+    """Capacity that was learned, and the step of the readings; None before. Not the readings."""
+
+    capacity: Uncertain | None
+    learned: Annotated[int, Range(0, MOST_LEARNED)]
+    step: Annotated[float, Range(SMALLEST_STEP, LARGEST_STEP)] | None
+
+
+class ChargeGauge(Saveable[SavedGauge]):
     """Follows the state of charge and learns the capacity.
 
     Attributes:
@@ -193,31 +201,17 @@ class ChargeGauge:
         sigma = math.hypot(charge.value * self.capacity.sigma, charge.sigma * self.capacity.value)
         return Uncertain(charge.value * self.capacity.value, sigma)
 
-    def exported(self) -> dict[str, Any]:
-        """State that `restore` needs: what was learned, not the readings."""
-        learned = self.learned > 0
-        return {
-            "capacity": list(self.capacity) if learned else None,
-            "learned": self.learned,
-            "step": self._step if self._step_seen else None,
-        }
+    def saved(self) -> SavedGauge:
+        """State to save."""
+        capacity = self.capacity if self.learned > 0 else None
+        return SavedGauge(capacity, self.learned, self._step if self._step_seen else None)
 
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from what `exported` gave.
-
-        Raises:
-            InputError: something is missing or wrong; nothing is changed then.
-        """
-        learned = number(saved, "learned", most=MOST_LEARNED)
-        step = number(saved, "step", may_be_unknown=True, most=LARGEST_STEP)
+    def take(self, saved: SavedGauge) -> None:
+        """Go on from what was learned; ValueError where no battery holds that."""
         low, high = self._limits
-        capacity, fits = self._prior, True
-        if saved.get("capacity", 0) is not None:
-            capacity = Uncertain(*numbers(saved, "capacity", [high, high]))
-            fits = low <= capacity.value and capacity.sigma > 0
-        seen = FIRST_STEP if math.isnan(step) else step
-        if not fits or learned < 0 or not seen >= SMALLEST_STEP:
-            raise InputError("saved energy: charge: a number is out of range")
-        self.capacity, self.learned = capacity, int(learned)
-        self._step, self._step_seen = seen, not math.isnan(step)
+        capacity = saved.capacity
+        if capacity is not None and not (low <= capacity[0] <= high and 0 < capacity[1] <= high):
+            raise ValueError(f"the capacity is not within {low:g} to {high:g}")
+        self.capacity, self.learned = capacity or self._prior, saved.learned
+        self._step, self._step_seen = saved.step or FIRST_STEP, saved.step is not None
         self.begin_anew()

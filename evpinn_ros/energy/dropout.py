@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from evpinn_ros.energy.plausible import Joules, Seconds
+
 
 class Bridge(NamedTuple):
     """Prediction for a dropout, or for many.
@@ -15,10 +17,10 @@ class Bridge(NamedTuple):
         covered_s: time that the prediction covers, s.
     """
 
-    energy: float = 0.0
-    regenerated: float = 0.0
-    gross: float = 0.0
-    covered_s: float = 0.0
+    energy: Joules = 0.0
+    regenerated: Joules = 0.0
+    gross: Joules = 0.0
+    covered_s: Seconds = 0.0
 
     @classmethod
     def of_parts(cls, drawn: float, regenerated: float) -> Bridge:

@@ -8,15 +8,16 @@ that time is counted, and no line is drawn across it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.energy.dropout import Bridge, Dropout, Dropouts
-from evpinn_ros.energy.plausible import MAX_POWER, MOST_ENERGY, MOST_SECONDS, ROUNDING
+from evpinn_ros.energy.plausible import MAX_POWER, ROUNDING, Seconds, UnknownJoules
 from evpinn_ros.energy.power_interpolation import (
     LONGEST,
     EnergyCorrection,
@@ -24,10 +25,20 @@ from evpinn_ros.energy.power_interpolation import (
     PowerInterpolation,
     PredictedPower,
 )
-from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, Step
+from evpinn_ros.energy.quadrature import (
+    MAX_GAP,
+    CompensatedSum,
+    EnergyIntegral,
+    SavedIntegral,
+    Step,
+)
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
-from evpinn_ros.energy.saved import number, numbers, or_none, section
-from evpinn_ros.energy.uncertainty import CORRELATION_TIME, CorrelatedError, LastingShare
+from evpinn_ros.energy.uncertainty import (
+    CORRELATION_TIME,
+    CorrelatedError,
+    LastingShare,
+    SavedShare,
+)
 from evpinn_ros.signals.readings import NANOSECONDS
 
 
@@ -83,7 +94,30 @@ class EnergyState:
     measuring: bool
 
 
-class EnergyMeter:
+@dataclass(frozen=True, slots=True)
+class SavedMeter:
+    """Integrals of a meter, their 1-sigma, J, and what `Dropouts` holds; see `EnergyState`."""
+
+    measured: SavedIntegral
+    predicted: SavedIntegral
+    rknn: float
+    measured_sigma: UnknownJoules
+    predicted_sigma: UnknownJoules
+    bridged: Bridge
+    bridged_sigma: UnknownJoules
+    lasting_sigma: UnknownJoules
+    unmeasured_s: Seconds
+    lasting: SavedShare
+
+    def __post_init__(self) -> None:
+        """Refuse what no car can have drawn in that time."""
+        self.measured.refuse_above(MAX_POWER)
+        self.predicted.refuse_above(MAX_POWER)
+        if abs(self.rknn) > MAX_POWER * self.predicted.covered_s * ROUNDING:
+            raise ValueError(f"rknn is more than {MAX_POWER:g} W all the time")
+
+
+class EnergyMeter(Saveable[SavedMeter]):
     """Integrates measured and predicted power side by side.
 
     Time that goes back is dropped and counted sample by sample; whoever knows that a bag started
@@ -259,45 +293,34 @@ class EnergyMeter:
             measuring=measuring,
         )
 
-    def exported(self) -> dict[str, Any]:
-        """Everything `restore` needs, as plain numbers; None for what is unknown."""
+    def saved(self) -> SavedMeter:
+        """State to save, the present dropout counted in it."""
         now = self._until_now()
-        return {
-            "measured": self._measured.exported(),
-            "predicted": self._predicted.exported(),
-            "rknn": self._rknn.value,
-            "measured_sigma": or_none(self._measured_error.sigma),
-            "predicted_sigma": or_none(self._predicted_error.sigma),
-            "bridged": list(now.bridged),
-            "bridged_sigma": or_none(math.sqrt(now.variance)),
-            "lasting_sigma": or_none(math.sqrt(now.lasting_variance)),
-            "unmeasured_s": now.seconds,
-            "lasting": [self.lasting.dropouts, self.lasting.squares],
-        }
-
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from what `exported` gave; the next sample starts a new step, not a gap.
-
-        Raises:
-            InputError: something is missing or not a number; nothing is changed then.
-        """
-        measured, predicted = EnergyIntegral(self._timeout), EnergyIntegral(self._max_gap)
-        measured.restore(section(saved, "measured"), MAX_POWER)
-        predicted.restore(section(saved, "predicted"), MAX_POWER)
-        rknn = number(saved, "rknn", most=MAX_POWER * predicted.covered_s * ROUNDING)
-        unmeasured_s = number(saved, "unmeasured_s", most=MOST_SECONDS)
-        measured_sigma, predicted_sigma, bridged_sigma, lasting_sigma = (
-            number(saved, f"{name}_sigma", may_be_unknown=True, most=MOST_ENERGY)
-            for name in ("measured", "predicted", "bridged", "lasting")
+        return SavedMeter(
+            measured=self._measured.saved(),
+            predicted=self._predicted.saved(),
+            rknn=self._rknn.value,
+            measured_sigma=self._measured_error.sigma,
+            predicted_sigma=self._predicted_error.sigma,
+            bridged=now.bridged,
+            bridged_sigma=math.sqrt(now.variance),
+            lasting_sigma=math.sqrt(now.lasting_variance),
+            unmeasured_s=now.seconds,
+            lasting=SavedShare(self.lasting.dropouts, self.lasting.squares),
         )
-        bridged = Bridge(*numbers(saved, "bridged", [*3 * [MOST_ENERGY], MOST_SECONDS]))
-        lasting = _lasting(numbers(saved, "lasting", [MOST_SECONDS, MOST_SECONDS]))
-        self._measured, self._predicted = measured, predicted
-        self._rknn, self._rknn_power = CompensatedSum(rknn), math.nan
-        self._measured_error = CorrelatedError(self._tau, measured_sigma)
-        self._predicted_error = CorrelatedError(self._tau, predicted_sigma)
-        self.lasting = lasting
-        self._begin(Dropouts(bridged, bridged_sigma**2, lasting_sigma**2, unmeasured_s))
+
+    def take(self, saved: SavedMeter) -> None:
+        """Go on from what was counted; the next sample starts a new step, not a gap."""
+        self._measured = EnergyIntegral(self._timeout)
+        self._predicted = EnergyIntegral(self._max_gap)
+        self._measured.take(saved.measured)
+        self._predicted.take(saved.predicted)
+        self._rknn, self._rknn_power = CompensatedSum(saved.rknn), math.nan
+        self._measured_error = CorrelatedError(self._tau, saved.measured_sigma)
+        self._predicted_error = CorrelatedError(self._tau, saved.predicted_sigma)
+        self.lasting = LastingShare(*saved.lasting)
+        variances = saved.bridged_sigma**2, saved.lasting_sigma**2
+        self._begin(Dropouts(saved.bridged, *variances, saved.unmeasured_s))
 
     def _until_now(self) -> Dropouts:
         """All dropouts, the present one among them."""
@@ -315,10 +338,3 @@ class EnergyMeter:
         """Time from the last word of the battery (or the first stamp) to this stamp, s."""
         since = self._dropout_since_ns
         return 0.0 if since is None else max(stamp_ns - since, 0) / NANOSECONDS
-
-
-def _lasting(numbers: list[float]) -> LastingShare:
-    try:
-        return LastingShare(int(numbers[0]), numbers[1])
-    except ValueError as error:
-        raise InputError(f"saved energy: {error}") from error

@@ -149,10 +149,7 @@ def _monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def plan_from_speed_profile(
-    time: np.ndarray,
-    distance: np.ndarray,
-    speed: np.ndarray,
-    elevation: np.ndarray | None = None,
+    time: np.ndarray, distance: np.ndarray, speed: np.ndarray, elevation: np.ndarray | None = None
 ) -> Plan:
     """A plan from a speed profile: time, s, distance, m, and speed, m/s, each of shape (n,).
 
@@ -168,10 +165,7 @@ def plan_from_speed_profile(
 
 
 def _nominal_plan(
-    distance: np.ndarray,
-    points: dict[str, np.ndarray],
-    nominal_speed: float,
-    acceleration: float,
+    distance: np.ndarray, points: dict[str, np.ndarray], nominal_speed: float, acceleration: float
 ) -> Plan:
     length = float(distance[-1])
     if length == 0:

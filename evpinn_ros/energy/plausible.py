@@ -7,9 +7,11 @@ done in the time that it stands for, and no sum leaves the range of numbers.
 from __future__ import annotations
 
 import math
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.signals.stream import MAX_SPEED
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import GRAVITY
@@ -21,6 +23,11 @@ MAX_POWER = 4e6  # W
 MOST_DISTANCE = 1e10  # m
 MOST_ENERGY = 1e14  # J
 MOST_SECONDS = 1e15  # s; a stamp that leaps may claim decades of dropout, so hardly a bound
+# Of a file, in these units.
+Joules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY)]
+UnknownJoules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY, unknown=True)]
+Metres: TypeAlias = Annotated[float, Range(0.0, MOST_DISTANCE)]
+Seconds: TypeAlias = Annotated[float, Range(-MOST_SECONDS, MOST_SECONDS)]
 # Of a car that is given, from a model of one to a train; time and way in which errors forget
 # themselves are not zero.
 CAR_RANGES = {

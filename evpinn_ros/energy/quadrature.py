@@ -7,20 +7,21 @@ is linear in between. What cannot be integrated is counted, never guessed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass, fields
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.energy.plausible import ROUNDING
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.track import Cadence
 
 MAX_GAP = 2.0  # s
 MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
-SAVED = ("drawn", "regenerated", "covered_s", "gaps", "gap_s", "out_of_order", "not_finite")
+Amount: TypeAlias = Annotated[float, Range(0.0, MOST_COUNTED)]
+Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
 
 
 def trapezoid(values: np.ndarray, at: np.ndarray) -> float:
@@ -79,7 +80,31 @@ class Step(NamedTuple):
         return high * high * triangle, low * low * triangle
 
 
-class EnergyIntegral:
+@dataclass(frozen=True, slots=True)
+class SavedIntegral:
+    """Totals and counters of an integral; the last sample is not among them.
+
+    Without it an integral restored the next morning does not count the night as a gap.
+    """
+
+    drawn: Amount
+    regenerated: Amount
+    covered_s: Amount
+    gaps: Count
+    gap_s: Amount
+    out_of_order: Count
+    not_finite: Count
+
+    def refuse_above(self, most: float) -> None:
+        """ValueError when it is more than a power of `most`, W, all the time would have made."""
+        if self.drawn + self.regenerated > most * self.covered_s * ROUNDING:
+            raise ValueError(f"more than {most:g} all the time was integrated")
+
+
+FIELDS = fields(SavedIntegral)
+
+
+class EnergyIntegral(Saveable[SavedIntegral]):
     """Integrates power sample by sample.
 
     A step longer than `longest_step` is not integrated: it counts as a gap. A sample that is not
@@ -178,33 +203,15 @@ class EnergyIntegral:
     def _since(self, stamp_ns: int) -> float:
         return math.inf if self._last is None else (stamp_ns - self._last[0]) / NANOSECONDS
 
-    def exported(self) -> dict[str, float]:
-        """Totals and counters to be saved; the last sample is not among them.
+    def saved(self) -> SavedIntegral:
+        """Totals and counters."""
+        return SavedIntegral(**{each.name: getattr(self, each.name) for each in FIELDS})
 
-        Without it an integral restored the next morning does not count the night as a gap.
-        """
-        return {name: getattr(self, name) for name in SAVED}
-
-    def restore(self, saved: Mapping[str, float], most: float = math.inf) -> None:
-        """Continue from what `exported` gave.
-
-        Args:
-            saved: the values by name.
-            most: power, W, that nothing integrated can have exceeded.
-
-        Raises:
-            InputError: a value is missing, negative or not finite, or the integral is larger than
-                `most` would have made it in that time; nothing is changed then.
-        """
-        for name in SAVED:
-            value = saved.get(name)
-            if not isinstance(value, (int, float)) or not 0 <= value <= MOST_COUNTED:
-                raise InputError(f"saved energy: '{name}' is {value!r}, expected a number >= 0")
-        if saved["drawn"] + saved["regenerated"] > most * saved["covered_s"] * ROUNDING:
-            raise InputError(f"saved energy: more than {most:g} all the time was integrated")
+    def take(self, saved: SavedIntegral) -> None:
+        """Go on from totals and counters."""
         self._last = None
-        self._drawn = CompensatedSum(float(saved["drawn"]))
-        self._regenerated = CompensatedSum(float(saved["regenerated"]))
-        self._covered = CompensatedSum(float(saved["covered_s"]))
-        self.gaps, self.gap_s = int(saved["gaps"]), float(saved["gap_s"])
-        self.out_of_order, self.not_finite = int(saved["out_of_order"]), int(saved["not_finite"])
+        self._drawn = CompensatedSum(saved.drawn)
+        self._regenerated = CompensatedSum(saved.regenerated)
+        self._covered = CompensatedSum(saved.covered_s)
+        self.gaps, self.gap_s = saved.gaps, saved.gap_s
+        self.out_of_order, self.not_finite = saved.out_of_order, saved.not_finite

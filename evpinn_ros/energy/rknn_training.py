@@ -45,7 +45,7 @@ LEARNING_RATE = 1e-2  # of Adam, the paper's
 ADAM_EPOCHS = 500
 
 
-class Steps(NamedTuple):
+class TrainingSteps(NamedTuple):
     """Integration steps with known energy; each member of shape (n,), float64.
 
     Attributes:
@@ -97,7 +97,7 @@ class RknnModule(nn.Module):
         """N1 to N4."""
         return self.n1, self.n2, self.n3, self.n4
 
-    def forward(self, steps: Steps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def forward(self, steps: TrainingSteps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The slopes k1..k4, W, each of shape (n,)."""
         return slopes(self.networks, steps.power, steps.power_mid, steps.power_next, steps.dt)
 
@@ -111,7 +111,7 @@ class RknnModule(nn.Module):
         return arrays
 
 
-def synthetic_steps(random: np.random.Generator, traces: int = TRACES) -> Steps:
+def synthetic_steps(random: np.random.Generator, traces: int = TRACES) -> TrainingSteps:
     """Steps out of random power traces over the whole trained range.
 
     A trace is a random walk of the normalised power, folded into the range, from slow cruising
@@ -130,10 +130,12 @@ def synthetic_steps(random: np.random.Generator, traces: int = TRACES) -> Steps:
         start = random.choice(time[:-1], STEPS_PER_TRACE) + random.uniform(0, spacing - dt)
         energy = trace.antiderivative()(start + dt) - trace.antiderivative()(start)
         parts.append((trace(start), trace(start + dt / 2), trace(start + dt), dt, energy))
-    return Steps(*(torch.from_numpy(np.concatenate(part)) for part in zip(*parts, strict=True)))
+    return TrainingSteps(
+        *(torch.from_numpy(np.concatenate(part)) for part in zip(*parts, strict=True))
+    )
 
 
-def loss(module: RknnModule, steps: Steps) -> Tensor:
+def loss(module: RknnModule, steps: TrainingSteps) -> Tensor:
     """Eq. 30 as relative error of the mean power, plus the error of each normalised slope."""
     ks = module(steps)
     at = (steps.power, steps.power_mid, steps.power_mid, steps.power_next)
@@ -145,7 +147,7 @@ def loss(module: RknnModule, steps: Steps) -> Tensor:
     return total
 
 
-def adam_epochs(module: RknnModule, steps: Steps, epochs: int) -> None:
+def adam_epochs(module: RknnModule, steps: TrainingSteps, epochs: int) -> None:
     """Train all weights by Adam, full batches, the rate falling along a cosine."""
     adam = torch.optim.Adam(module.parameters(), lr=LEARNING_RATE)
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(adam, epochs)
@@ -157,7 +159,7 @@ def adam_epochs(module: RknnModule, steps: Steps, epochs: int) -> None:
 
 
 @torch.no_grad()
-def solve_outputs(module: RknnModule, steps: Steps) -> None:
+def solve_outputs(module: RknnModule, steps: TrainingSteps) -> None:
     """Fit the output layers exactly, N1 to N4 in turn, each to the power at its moment.
 
     An output layer is linear, so least squares finds in one go the digits no descent reaches.

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from dataclasses import dataclass
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.plausible import MOST_DISTANCE, MOST_ENERGY
-from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral
-from evpinn_ros.energy.saved import number, numbers, section
+from evpinn_ros.common.saved_fields import Saveable
+from evpinn_ros.energy.plausible import Joules, Metres
+from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, SavedIntegral
 from evpinn_ros.signals.stream import MAX_SPEED
 
 WINDOWS = (1e3, 1e4, 1e5)  # m
@@ -20,8 +19,29 @@ BUCKETS = 20  # of a window
 class Stretch(NamedTuple):
     """Distance driven, m, and the energy that it took, J."""
 
-    distance: float
-    energy: float
+    distance: Metres
+    energy: Joules
+
+
+@dataclass(frozen=True, slots=True)
+class SavedTrip:
+    """Distance and energy of a trip, and of each window all buckets, the one being filled last."""
+
+    speed: SavedIntegral
+    energy: Joules
+    windows: tuple[tuple[Stretch, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what no car drove."""
+        self.speed.refuse_above(MAX_SPEED)
+        if len(self.windows) != len(WINDOWS):
+            raise ValueError("windows are missing")
+        for length, buckets in zip(WINDOWS, self.windows, strict=True):
+            least = length / BUCKETS
+            *full, last = buckets or (Stretch(math.inf, 0.0),)
+            fits = len(full) <= BUCKETS and last.distance < least
+            if not fits or any(each.distance < least for each in full):
+                raise ValueError(f"no window of {length:g} m")
 
 
 class DistanceWindow:
@@ -31,11 +51,11 @@ class DistanceWindow:
     20th more than its length, and energy over distance is exact for what it spans.
     """
 
-    def __init__(self, length: float) -> None:
-        """An empty window of this length, m."""
+    def __init__(self, length: float, buckets: tuple[Stretch, ...] = (Stretch(0.0, 0.0),)) -> None:
+        """A window of this length, m, empty or with buckets, the one being filled last."""
         self.length = length
-        self._full: deque[Stretch] = deque()
-        self._distance, self._energy = CompensatedSum(), CompensatedSum()
+        self._full = deque(buckets[:-1])
+        self._distance, self._energy = (CompensatedSum(each) for each in buckets[-1])
 
     @property
     def whole(self) -> tuple[Stretch, ...]:
@@ -50,8 +70,12 @@ class DistanceWindow:
     @property
     def total(self) -> Stretch:
         """Sum of its whole span."""
-        buckets = (*self._full, Stretch(self._distance.value, self._energy.value))
-        return Stretch(*(math.fsum(column) for column in zip(*buckets, strict=True)))
+        return Stretch(*(math.fsum(column) for column in zip(*self.buckets, strict=True)))
+
+    @property
+    def buckets(self) -> tuple[Stretch, ...]:
+        """All buckets, the one being filled last."""
+        return (*self._full, Stretch(self._distance.value, self._energy.value))
 
     def add(self, stretch: Stretch) -> None:
         """Take what was driven since the last."""
@@ -64,28 +88,8 @@ class DistanceWindow:
         while self.total.distance - self._full[0].distance >= self.length:
             self._full.popleft()
 
-    def exported(self) -> list[list[float]]:
-        """All buckets, the one being filled last."""
-        return [list(each) for each in (*self._full, (self._distance.value, self._energy.value))]
 
-    def restore(self, saved: Any) -> None:
-        """Continue from what `exported` gave.
-
-        Raises:
-            InputError: it is something else; nothing is changed then.
-        """
-        if not isinstance(saved, list) or not 0 < len(saved) <= BUCKETS + 1:
-            raise InputError(f"saved energy: no window of {self.length:g} m")
-        most = [MOST_DISTANCE, MOST_ENERGY]
-        *full, last = (Stretch(*numbers({"window": each}, "window", most)) for each in saved)
-        least = self.length / BUCKETS
-        if not (0 <= last.distance < least and all(each.distance >= least for each in full)):
-            raise InputError(f"saved energy: window of {self.length:g} m: out of range")
-        self._full = deque(full)
-        self._distance, self._energy = CompensatedSum(last.distance), CompensatedSum(last.energy)
-
-
-class TripLog:
+class TripLog(Saveable[SavedTrip]):
     """Joins speed and energy to consumption by distance.
 
     Energy that was taken while speed was silent has no distance: it is in no stretch.
@@ -140,31 +144,20 @@ class TripLog:
 
     def begin_anew(self) -> None:
         """Join nothing to the speed before: time jumped."""
-        before, speed = self._speed.exported(), EnergyIntegral(self._max_gap)
-        speed.restore(before, MAX_SPEED)
+        self._go_on(self._speed.saved())
+
+    def saved(self) -> SavedTrip:
+        """Trip and windows."""
+        windows = tuple(window.buckets for window in self.windows)
+        return SavedTrip(self._speed.saved(), self._energy.value, windows)
+
+    def take(self, saved: SavedTrip) -> None:
+        """Go on from a trip and its windows; the next speed joins to none before."""
+        self.windows = tuple(map(DistanceWindow, WINDOWS, saved.windows))
+        self._energy = CompensatedSum(saved.energy)
+        self._go_on(saved.speed)
+
+    def _go_on(self, saved: SavedIntegral) -> None:
+        speed = EnergyIntegral(self._max_gap)
+        speed.take(saved)
         self._begin(speed)
-
-    def exported(self) -> dict[str, Any]:
-        """Everything `restore` needs."""
-        return {
-            "speed": self._speed.exported(),
-            "energy": self._energy.value,
-            "windows": [window.exported() for window in self.windows],
-        }
-
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from what `exported` gave.
-
-        Raises:
-            InputError: something is missing or wrong; nothing is changed then.
-        """
-        rows, energy = saved.get("windows"), number(saved, "energy", most=MOST_ENERGY)
-        if not isinstance(rows, list) or len(rows) != len(WINDOWS):
-            raise InputError("saved energy: 'windows' are missing")
-        integral = EnergyIntegral(self._max_gap)
-        integral.restore(section(saved, "speed"), MAX_SPEED)
-        windows = tuple(DistanceWindow(length) for length in WINDOWS)
-        for window, row in zip(windows, rows, strict=True):
-            window.restore(row)
-        self.windows, self._energy = windows, CompensatedSum(energy)
-        self._begin(integral)

@@ -19,8 +19,11 @@ large that part is.
 from __future__ import annotations
 
 import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
 
 # From the spread of the energy error over 60 s windows, in the second half of a Model 3 drive
 # and twelve BMW i3 drives, with parameters fitted to the first half: median 4.5 s, 1.8 to 30 s.
@@ -29,6 +32,7 @@ CORRELATION_TIME = 5.0  # s
 # docs/project/benchmark_history.md.
 PRIOR_SHARE = 0.06
 PRIOR_DROPOUTS = 10
+MOST_LEARNED = 1e15  # dropouts, and squares of their shares, of a file
 
 
 def energy_sigma(elapsed: np.ndarray, sigma: float, correlation_time: float) -> np.ndarray:
@@ -83,6 +87,13 @@ class CorrelatedError:
         self._covariance += (sigma * tau - self._covariance) * relaxed
 
 
+class SavedShare(NamedTuple):
+    """Dropouts that a `LastingShare` was learned from, and the sum of their squared shares."""
+
+    dropouts: Annotated[int, Range(0, MOST_LEARNED)]
+    squares: Annotated[float, Range(0.0, MOST_LEARNED)]
+
+
 class LastingShare:
     """Share of the gross energy predicted over a battery dropout that stays wrong.
 
@@ -96,13 +107,7 @@ class LastingShare:
     """
 
     def __init__(self, dropouts: int = 0, squares: float = 0.0) -> None:
-        """Start with what was learned.
-
-        Raises:
-            ValueError: these are not possible.
-        """
-        if dropouts < 0 or not 0.0 <= squares < math.inf:
-            raise ValueError(f"{dropouts} dropouts with squares of {squares}")
+        """Start with what was learned."""
         self.dropouts, self.squares = dropouts, squares
 
     @property

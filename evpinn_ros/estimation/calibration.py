@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 import math
+from typing import Annotated, NamedTuple
 
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
@@ -22,14 +24,15 @@ RATIO_RANGE = (0.05, 20.0)
 RECENT = 600  # samples over which coverage is reported, a minute at 10 Hz
 KEPT = 40.0  # cases that `Chance` is learned from
 PRIOR_CASES = 8.0  # that its prior, true sigmas, weighs
+MOST_SUM = 1e15  # of squares and products over a car's life
 
 
 @dataclass(slots=True)
 class Chance:
     """Scatter of normalised errors: `count` cases seen, sum of `squares` of sigmas."""
 
-    count: float = 0.0
-    squares: float = 0.0
+    count: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
 
     def learn(self, deviate: float) -> None:
         """Take a case: how far it strayed over its 1-sigma."""
@@ -44,7 +47,14 @@ class Chance:
         return math.sqrt(max(1.0, mean))
 
 
-class BandCalibration:
+class SavedBand(NamedTuple):
+    """Ratios of error to sigma that 90 % stay under, of a moving and of a standing car."""
+
+    moving: Annotated[float, Range(*RATIO_RANGE)]
+    standing: Annotated[float, Range(*RATIO_RANGE)]
+
+
+class BandCalibration(Saveable[SavedBand]):
     """Scale of sigma, apart for a moving and a standing car, whose errors differ in kind."""
 
     def __init__(self) -> None:
@@ -69,15 +79,13 @@ class BandCalibration:
         step = RATE * (float(missed) - (1.0 - COVERAGE))
         self._ratio[moving] = min(max(ratio * math.exp(step), RATIO_RANGE[0]), RATIO_RANGE[1])
 
-    def export(self) -> list[float]:
-        """State to save: ratio moving, ratio standing."""
-        return [self._ratio[True], self._ratio[False]]
+    def saved(self) -> SavedBand:
+        """State to save."""
+        return SavedBand(self._ratio[True], self._ratio[False])
 
-    def restore(self, state: list[float]) -> None:
-        """Take a state given by `export`; ValueError when it does not fit."""
-        if not all(RATIO_RANGE[0] <= ratio <= RATIO_RANGE[1] for ratio in state):
-            raise ValueError("the saved band is out of range")
-        self._ratio = {True: state[0], False: state[1]}
+    def take(self, saved: SavedBand) -> None:
+        """Go on from a saved band."""
+        self._ratio = {True: saved.moving, False: saved.standing}
 
 
 def _moving(sample: Sample) -> bool:

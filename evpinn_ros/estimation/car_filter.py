@@ -15,14 +15,16 @@ makes its interval exact, however long that lasts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import product
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.estimation.breakdown import FAST, PartSums, loss_shares
+from evpinn_ros.estimation.calibration import MOST_SUM
 from evpinn_ros.estimation.car_state import (
     CABIN_TIME,
     CAR,
@@ -37,6 +39,7 @@ from evpinn_ros.estimation.car_state import (
 )
 from evpinn_ros.estimation.energy_parts import COUNT
 from evpinn_ros.estimation.gaussian import (
+    MOST,
     Gaussian,
     Innovation,
     condition,
@@ -46,6 +49,12 @@ from evpinn_ros.estimation.gaussian import (
     outlier_variance,
     predict,
     replace_states,
+)
+from evpinn_ros.estimation.interval_noise import (
+    FORCE_NOISE,
+    battery_variance,
+    lost_variance,
+    motor_variance,
 )
 from evpinn_ros.estimation.long_hills import BLOCKS_KEPT, PRIOR_BLOCKS, LongHills
 from evpinn_ros.estimation.passage import ROAD, passage
@@ -63,14 +72,8 @@ FORCE_LENGTH = 1500.0  # m of road
 LOAD_TIME = 300.0  # s
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
-STANDING_NOISE = 150.0  # W over `NOISE_TIME`, what no state explains
-FORCE_NOISE = 40.0  # N over `NOISE_TIME`, the same while moving
-NOISE_TIME = 1.5  # s within which that forgets itself
-SHARE_NOISE = 0.03  # of the throughput: efficiency is a map, not a number
-BRAKE_NOISE = 0.2  # of the braking energy: only a motor's torque shows the share of friction
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
 SCALE_RANGE = (0.05, 50.0)
-MOTOR_NOISE = 0.05  # of the motor's energy, 1-sigma of torque times speed against the wheels
 OUTLIER = 2.5  # sigmas
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
 
@@ -82,7 +85,23 @@ class Learned(NamedTuple):
     sigma: float
 
 
-class CarFilter:
+@dataclass(frozen=True, slots=True)
+class SavedFilter:
+    """States of each hypothesis, their evidence and scale of noise, and this drive."""
+
+    mean: Annotated[np.ndarray, Range(-MOST, MOST)]
+    covariance: Annotated[np.ndarray, Range(-(MOST**2), MOST**2)]
+    evidence: Annotated[np.ndarray, Range(-MOST_SUM, MOST_SUM)]
+    scale: Annotated[np.ndarray, Range(*SCALE_RANGE)]
+    drive_variance: Annotated[np.ndarray, Range(0.0, 1e8)]
+    drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)]
+    intervals: Annotated[int, Range(0, 10**12)]
+    seconds: Annotated[float, Range(0.0, 1e7)]
+    height_growth: Annotated[float, Range(0.0, 1e3)]
+    height_blocks: Annotated[float, Range(PRIOR_BLOCKS, BLOCKS_KEPT)]
+
+
+class CarFilter(Saveable[SavedFilter]):
     """See the module's text. Intervals must come in order of time.
 
     Attributes:
@@ -148,7 +167,7 @@ class CarFilter:
         if interval.steps.motor_known:
             self._learn_motor(interval)
         found = self._spent(interval)
-        noise = self._noise(interval, found)
+        noise = battery_variance(interval, found, self._scale)
         if math.isnan(interval.energy):
             weight = GRAVITY * np.exp(
                 self.state.mean[:, State.MASS] - self.state.mean[:, State.ETA]
@@ -157,7 +176,7 @@ class CarFilter:
             return None
         self.state = replace_states(self.state, {State.ENERGY: 0.0})
         weights = self.weights
-        lost = (self._scale * _lost(interval, found))[:, None] * loss_shares(found)
+        lost = (self._scale * lost_variance(interval, found))[:, None] * loss_shares(found)
         seen = self._see(found.gradient, interval.energy - found.energy, noise, lost)
         known = self.state, weights, self.warmth, self._constants
         self.parts = self.parts and self.parts.plus(interval, *known)
@@ -238,55 +257,32 @@ class CarFilter:
 
     # State -----------------------------------------------------------------------------------
 
-    def export(self) -> dict[str, Any]:
+    def saved(self) -> SavedFilter:
         """State to save."""
-        return {
-            "mean": self.state.mean.tolist(),
-            "covariance": self.state.covariance.tolist(),
-            "evidence": self._evidence.tolist(),
-            "scale": self._scale.tolist(),
-            "drive_variance": [self._drive_variance[state] for state in DRIVE_STD],
-            "drives": self._drives,
-            "intervals": self.intervals,
-            "seconds": self._seconds,
-            "hills": [self.hills.growth, self.hills.blocks],
-        }
+        return SavedFilter(
+            mean=self.state.mean,
+            covariance=self.state.covariance,
+            evidence=self._evidence,
+            scale=self._scale,
+            drive_variance=np.array([self._drive_variance[state] for state in DRIVE_STD]),
+            drives=self._drives,
+            intervals=self.intervals,
+            seconds=self._seconds,
+            height_growth=self.hills.growth,
+            height_blocks=self.hills.blocks,
+        )
 
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
-        mean, covariance = (np.array(saved[key], float) for key in ("mean", "covariance"))
-        evidence, scale = (np.array(saved[key], float) for key in ("evidence", "scale"))
-        variances = np.array(saved["drive_variance"], float)
-        drives, seconds = float(saved["drives"]), float(saved["seconds"])
-        intervals = int(saved["intervals"])
-        shapes = (mean.shape, covariance.shape, evidence.shape, scale.shape, variances.shape)
-        own = (self.state.mean.shape, self.state.covariance.shape, self._evidence.shape)
-        if shapes != (*own, self._scale.shape, (len(DRIVE_STD),)):
-            raise ValueError("the saved filter has another shape")
-        self._check(mean, covariance)
-        if not (
-            np.all(np.isfinite(evidence))
-            and np.all((scale >= SCALE_RANGE[0]) & (scale <= SCALE_RANGE[1]))
-            and np.all((variances >= 0.0) & (variances <= 1e8))
-            and PRIOR_DRIVES <= drives <= DRIVES_KEPT
-            and 0.0 <= seconds <= 1e7
-        ):
-            raise ValueError("the saved filter is out of range")
-        growth, blocks = (float(value) for value in saved["hills"])
-        if not (0.0 <= growth <= 1e3 and PRIOR_BLOCKS <= blocks <= BLOCKS_KEPT):
-            raise ValueError("the saved hills are out of range")
-        self.hills = LongHills(growth, blocks)
-        self.state = Gaussian(mean, covariance)
-        self._evidence, self._scale = evidence, scale
-        self._drive_variance = dict(zip(DRIVE_STD, variances.tolist(), strict=True))
-        self._drives, self._seconds = drives, seconds
-        self.intervals = intervals
-
-    def _check(self, mean: np.ndarray, covariance: np.ndarray) -> None:
-        """Refuse what no drive leaves: no Gaussian, or far from the prior."""
-        away = np.abs(mean[:, CAR] - self.prior.mean[CAR]) / self.prior.std[CAR]
-        if not (is_possible(Gaussian(mean, covariance)) and away.max() <= MOST_AWAY):
-            raise ValueError("the saved filter is out of range")
+    def take(self, saved: SavedFilter) -> None:
+        """Go on from a state; ValueError of what no drive leaves: no Gaussian, or far away."""
+        state = Gaussian(saved.mean, saved.covariance)
+        away = np.abs(saved.mean[:, CAR] - self.prior.mean[CAR]) / self.prior.std[CAR]
+        if not (is_possible(state) and away.max() <= MOST_AWAY):
+            raise ValueError("the filter is out of range")
+        self.state, self._evidence, self._scale = state, saved.evidence, saved.scale
+        self._drive_variance = dict(zip(DRIVE_STD, saved.drive_variance.tolist(), strict=True))
+        self._drives, self._seconds = saved.drives, saved.seconds
+        self.intervals = saved.intervals
+        self.hills = LongHills(saved.height_growth, saved.height_blocks)
 
     # How -------------------------------------------------------------------------------------
 
@@ -358,26 +354,15 @@ class CarFilter:
             self.state.mean, interval.steps, interval.conditions, self.warmth, self._constants
         )
 
-    def _noise(self, interval: Interval, found: Spent) -> np.ndarray:
-        """Variance of an interval's energy that no state explains, J^2, shape (K,)."""
-        speed = interval.distance / interval.duration
-        base = (STANDING_NOISE**2 + (FORCE_NOISE * speed) ** 2) * interval.duration * NOISE_TIME
-        own = self._scale * (base + _lost(interval, found))
-        sampling = 0.0 if math.isnan(interval.sampling_variance) else interval.sampling_variance
-        return np.asarray(own + sampling)
-
     def _learn_motor(self, interval: Interval) -> None:
         """Condition on the motor's energy: what the wheels take, whatever the battery gave."""
         steps = interval.steps
-        motor = ((steps.motor_drive.sum(), 0.0), (steps.motor_brake.sum(), BRAKE_NOISE))
-        for part, (measured, friction) in enumerate(motor):
+        for part, measured in enumerate((steps.motor_drive.sum(), steps.motor_brake.sum())):
             energy, gradient = motor_energy(
                 self.state.mean, steps, interval.conditions, self.warmth, self._constants
             )[part]
-            duration = interval.duration
-            base = (FORCE_NOISE * interval.distance / duration) ** 2 * duration * NOISE_TIME
-            share = math.hypot(MOTOR_NOISE, friction)
-            noise = self._scale * base + (share * np.maximum(energy, measured)) ** 2 + 1.0
+            most = np.maximum(energy, measured)
+            noise = motor_variance(interval, most, self._scale, braking=part == 1)
             self._see(gradient, measured - energy, noise, np.zeros((1, COUNT)))
 
     def _see(
@@ -409,10 +394,3 @@ class CarFilter:
         self._evidence = evidence - evidence.max()
         growth = np.exp((np.minimum(square, OUTLIER**2) - 1.0) / SCALE_INTERVALS)
         self._scale = np.clip(self._scale * growth, *SCALE_RANGE)
-
-
-def _lost(interval: Interval, found: Spent) -> np.ndarray:
-    """Variance of what drivetrain and brakes lose beyond what the states say, J^2, shape (K,)."""
-    friction = 0.0 if interval.steps.motor_known else BRAKE_NOISE
-    share = (SHARE_NOISE * found.throughput) ** 2 + (friction * found.wheel_brake) ** 2
-    return np.asarray(share)

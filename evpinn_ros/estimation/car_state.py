@@ -86,7 +86,7 @@ PRIOR_DRIVES = 4.0
 DRIVES_KEPT = 30.0
 
 
-class Prior(NamedTuple):
+class StatePrior(NamedTuple):
     """Mean and 1-sigma of every state, shape (SIZE,) each, the fast ones zero; covariance."""
 
     mean: np.ndarray
@@ -94,7 +94,7 @@ class Prior(NamedTuple):
     covariance: np.ndarray
 
 
-def prior_of(vehicle: Vehicle) -> Prior:
+def prior_of(vehicle: Vehicle) -> StatePrior:
     """The prior of a car: its vehicle file and `PRIORS`."""
     mean, std = np.zeros(SIZE), np.zeros(SIZE)
     for index, parameter in enumerate(vehicle.priors.values()):
@@ -108,4 +108,4 @@ def prior_of(vehicle: Vehicle) -> Prior:
         mean[state], std[state] = value, sigma
     correlation = np.eye(SIZE)
     correlation[PARAMETERS, PARAMETERS] = vehicle.correlation
-    return Prior(mean, std, correlation * np.outer(std, std))
+    return StatePrior(mean, std, correlation * np.outer(std, std))

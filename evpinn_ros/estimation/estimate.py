@@ -10,7 +10,7 @@ import math
 from evpinn_ros.vehicle.identifiable import Identifiable
 
 
-class State(str, Enum):
+class Trust(str, Enum):
     """Trustworthiness of a parameter.
 
     `unestimated` while the data hold next to no information on it; `estimating` while they still
@@ -45,7 +45,7 @@ class ParameterEstimate:
     prior_share: float
     lower: float
     upper: float
-    state: State
+    state: Trust
     progress: float = 0.0
 
 
@@ -67,11 +67,11 @@ class ParameterSet:
     identifiable: Identifiable
     identifiable_std: Identifiable
     reliable: bool
-    identifiable_states: Mapping[str, State] = field(default_factory=dict)
+    identifiable_states: Mapping[str, Trust] = field(default_factory=dict)
 
     def stale(self) -> ParameterSet:
         """The same when nothing was measured for long."""
-        states = {State.VALID: State.STALE}
+        states = {Trust.VALID: Trust.STALE}
         return replace(
             self,
             parameters={

@@ -13,11 +13,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
+from evpinn_ros.common.saved_fields import SAME, Saveable
 from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.calibration import BandCalibration
-from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, State
+from evpinn_ros.estimation.calibration import BandCalibration, SavedBand
+from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.learner import (
     STATE_VERSION,
@@ -29,8 +30,7 @@ from evpinn_ros.estimation.learner import (
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.pinn import PinnLearner
-from evpinn_ros.estimation.state_schema import check_state
-from evpinn_ros.estimation.worker import Worker
+from evpinn_ros.estimation.worker import InlineWorker, Worker
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.sample import (
@@ -124,13 +124,24 @@ class EstimatorStatus:
     unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
-    states: Mapping[str, State] = field(default_factory=dict)
+    states: Mapping[str, Trust] = field(default_factory=dict)
     seen: Mapping[str, int] = field(default_factory=dict)
     band_coverage: Mapping[str, float] = field(default_factory=dict)
     stuck: str | None = None
 
 
-class OnlineEstimator:
+@dataclass(frozen=True, slots=True)
+class SavedEstimator:
+    """State of a car: that of the learner of its mode, and the bands."""
+
+    version: Annotated[int, SAME]
+    vehicle: Annotated[str, SAME]
+    mode: Annotated[str, SAME]
+    learner: Any
+    bands: Mapping[str, SavedBand]
+
+
+class OnlineEstimator(Saveable[SavedEstimator]):
     """Learns one car from its readings; see the module's text."""
 
     def __init__(self, vehicle: Vehicle, settings: EstimatorSettings, worker: Worker) -> None:
@@ -243,40 +254,21 @@ class OnlineEstimator:
             stuck=self._stuck.suspected,
         )
 
-    def export(self) -> dict[str, Any]:
-        """State to save, of numbers, text, lists and mappings only."""
-        return {
-            "version": STATE_VERSION,
-            "vehicle": self._vehicle.key,
-            "mode": self._settings.mode.value,
-            "learner": self._learner.export(),
-            "bands": _exported(self._bands),
-        }
+    def saved(self) -> SavedEstimator:
+        """State to save."""
+        bands = {kind.value: band.saved() for kind, band in self._bands.items()}
+        key, mode = self._vehicle.key, self._settings.mode.value
+        return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands)
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a saved state.
-
-        Raises:
-            ValueError: it is of another version, vehicle or mode, or does not fit; nothing is
-                changed then.
-        """
-        wanted = (STATE_VERSION, self._vehicle.key, self._settings.mode.value)
-        found = tuple(state.get(key) for key in ("version", "vehicle", "mode"))
-        if found != wanted:
-            raise ValueError(f"saved for (version, vehicle, mode) {found}, not for {wanted}")
+    def take(self, saved: SavedEstimator) -> None:
+        """Go on from a saved state; when that raises nothing is changed."""
         learner = _learner(self._vehicle, self._settings)
         learner.gated = self._learner.gated
-        bands = {kind: BandCalibration() for kind in self._bands}
-        unlearned = {"learner": learner.export(), "bands": _exported(bands), "mode": found[2]}
-        check_state(state, unlearned)
-        try:
-            learner.restore(state["learner"])
-            for kind, band in bands.items():
-                band.restore([float(value) for value in state["bands"][kind.value]])
-        except (KeyError, TypeError, IndexError, OverflowError, RuntimeError) as error:
-            raise ValueError(f"incomplete: {error}") from error
+        learner.take(saved.learner)
         self.handle_time_jump()
-        self._learner, self._bands = learner, bands
+        self._learner = learner
+        for kind, band in self._bands.items():
+            band.take(saved.bands[kind.value])
 
     def _handle(self, event: StreamEvent) -> Iterator[Output]:
         match event:
@@ -382,8 +374,15 @@ class OnlineEstimator:
         return Activity.LEARNING if self.enabled else Activity.PAUSED
 
 
-def _exported(bands: Mapping[PowerKind, BandCalibration]) -> dict[str, list[float]]:
-    return {kind.value: band.export() for kind, band in bands.items()}
+def evidence_of_state(vehicle: Vehicle, state: Mapping[str, Any]) -> Evidence:
+    """Evidence in a saved state of a car, of `mode: hybrid`.
+
+    Raises:
+        StateError: it is another vehicle's or version's, or does not fit.
+    """
+    estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
+    estimator.restore(state)
+    return estimator.evidence()
 
 
 def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:

@@ -6,13 +6,9 @@ import math
 
 import numpy as np
 
-from evpinn_ros.estimation.car_filter import (
-    FORCE_LENGTH,
-    LOAD_TIME,
-    STANDING_NOISE,
-    CarFilter,
-)
+from evpinn_ros.estimation.car_filter import FORCE_LENGTH, LOAD_TIME, CarFilter
 from evpinn_ros.estimation.car_state import MILD_CELSIUS, SIZE, State
+from evpinn_ros.estimation.interval_noise import STANDING_NOISE
 from evpinn_ros.estimation.reported_loads import ReportedLoads
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower

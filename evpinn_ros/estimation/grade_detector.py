@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.estimation.calibration import MOST_SUM
 from evpinn_ros.signals.interval import Interval
 
 GRADE_SIGN = "grade_sign"
@@ -18,7 +20,15 @@ FAST = 5.0  # m/s: slower, auxiliaries outweigh hills
 SUSPECT_SIGMAS, CLEAR_SIGMAS = -3.0, 0.0  # of the climb that energy shows over the one reported
 
 
-class GradeSuspicion:
+@dataclass(frozen=True, slots=True)
+class SavedGradeSuspicion:
+    """Verdict, and the sums it rests on."""
+
+    suspected: bool
+    sums: Annotated[np.ndarray, Range(-MOST_SUM, MOST_SUM)]
+
+
+class GradeSuspicion(Saveable[SavedGradeSuspicion]):
     """Detector of a reported grade of the wrong sign: to climb costs energy.
 
     Regressed is the climb that the battery's energy shows on the one that is reported, over the
@@ -50,16 +60,13 @@ class GradeSuspicion:
         limit = CLEAR_SIGMAS if self.suspected else SUSPECT_SIGMAS
         self.suspected = sigmas is not None and sigmas < limit
 
-    def export(self) -> dict[str, Any]:
+    def saved(self) -> SavedGradeSuspicion:
         """State to save."""
-        return {"suspected": self.suspected, "sums": self._sums.tolist()}
+        return SavedGradeSuspicion(self.suspected, self._sums)
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
-        sums = np.array(state["sums"], dtype=float)
-        if sums.shape != self._sums.shape or not np.isfinite(sums).all():
-            raise ValueError("the saved sums of the grade detector do not fit")
-        self.suspected, self._sums = bool(state["suspected"]), sums
+    def take(self, saved: SavedGradeSuspicion) -> None:
+        """Go on from a saved state."""
+        self.suspected, self._sums = saved.suspected, saved.sums
 
     def _sigmas(self) -> float | None:
         """The regression's coefficient over its 1-sigma, None while there is no telling."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 import math
 from typing import Any, NamedTuple, Protocol
 
@@ -98,11 +98,11 @@ class Learner(Protocol):
     def end_drive(self) -> None:
         """Let what comes be another drive, wherever its stamps lie."""
 
-    def export(self) -> Mapping[str, Any]:
-        """State to save, of numbers, text, lists and mappings only."""
+    def saved(self) -> Any:
+        """State to save (see `common.saved_fields`)."""
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take a state given by `export`; ValueError or KeyError when it does not fit."""
+    def take(self, saved: Any) -> None:
+        """Go on from a saved state; ValueError when it is not possible."""
 
 
 def gate(sample: Sample, power: float) -> str | None:

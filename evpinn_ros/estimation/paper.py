@@ -26,14 +26,16 @@ gives on unseen moments, and worse than on those it was trained on; `hybrid` rep
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import deepcopy
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.common.saved_fields import SAME, Range, Saveable
+from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.gauss_newton import levenberg_marquardt
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
@@ -97,7 +99,28 @@ class Trained(NamedTuple):
     covariance: np.ndarray
 
 
-class PaperLearner:
+Weights: TypeAlias = Annotated[np.ndarray, Range(-1e12, 1e12)]
+
+
+@dataclass(frozen=True, slots=True)
+class SavedPaper:
+    """Weights in a row, logarithms of the learned over their initial values, and noise, W^2."""
+
+    network: Weights
+    log_scale: Annotated[np.ndarray, Range(-FAR, FAR)]
+    p_aux: Annotated[float, Range(-1e6, 1e6)]
+    covariance: Weights
+    variance: Annotated[float, Range(0.0, 1e15)]
+    fresh: bool
+    regen_form: Annotated[str, SAME]
+
+    def __post_init__(self) -> None:
+        """Refuse noise and a covariance that are none."""
+        if not self.variance > 0.0 or np.linalg.eigvalsh(self.covariance)[0] < 0.0:
+            raise ValueError("the noise or the covariance is none")
+
+
+class PaperLearner(Saveable[SavedPaper]):
     """See the module's text."""
 
     def __init__(
@@ -204,13 +227,13 @@ class PaperLearner:
                 prior_share=float(share[i]),
                 lower=LIMITS[name].lower,
                 upper=LIMITS[name].upper,
-                state=State.UNESTIMATED if share[i] > UNOBSERVABLE_ABOVE else State.ESTIMATING,
+                state=Trust.UNESTIMATED if share[i] > UNOBSERVABLE_ABOVE else Trust.ESTIMATING,
             )
             for i, name in enumerate(LEARNED)
         }
         prior = self._vehicle.priors["p_aux"]
         estimates["p_aux"] = ParameterEstimate(
-            values.p_aux, prior.std, 1.0, *LIMITS["p_aux"], State.UNESTIMATED
+            values.p_aux, prior.std, 1.0, *LIMITS["p_aux"], Trust.UNESTIMATED
         )
         combined = identifiable(values, self._vehicle.frontal_area)
         std = _combined_std(combined, self._trained.covariance, prior.std)
@@ -234,42 +257,25 @@ class PaperLearner:
     def end_drive(self) -> None:
         """Nothing here is of one drive alone."""
 
-    def export(self) -> Mapping[str, Any]:
+    def saved(self) -> SavedPaper:
         """State to save."""
-        return {
-            "network": self._trained.network.vector().tolist(),
-            "log_scale": self._trained.log_scale.tolist(),
-            "p_aux": self._trained.p_aux,
-            "covariance": self._trained.covariance.tolist(),
-            "variance": self._variance,
-            "fresh": self._fresh,
-            "regen_form": self._form.value,
-        }
+        return SavedPaper(
+            network=self._trained.network.vector().detach().numpy(),
+            log_scale=self._trained.log_scale.detach().numpy(),
+            p_aux=self._trained.p_aux,
+            covariance=self._trained.covariance,
+            variance=self._variance,
+            fresh=self._fresh,
+            regen_form=self._form.value,
+        )
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take a saved state; the optimizer's memory starts anew."""
-        if state["regen_form"] != self._form.value:
-            raise ValueError(
-                f"saved with regen_form {state['regen_form']}, not {self._form.value}"
-            )
+    def take(self, saved: SavedPaper) -> None:
+        """Go on from a saved state; the optimizer's memory starts anew."""
         network = deepcopy(self._trained.network)
-        weights = torch.tensor(state["network"], dtype=torch.float32)
-        log_scale = torch.tensor(state["log_scale"], dtype=torch.float32)
-        covariance = np.array(state["covariance"], dtype=float)
-        numbers = [float(state[name]) for name in ("p_aux", "variance")]
-        if weights.shape != network.vector().shape or log_scale.shape != (len(LEARNED),):
-            raise ValueError("the saved network has another shape")
-        if covariance.shape != (len(LEARNED), len(LEARNED)) or not np.isfinite(covariance).all():
-            raise ValueError("the saved covariance does not fit")
-        known = torch.isfinite(weights).all() and (log_scale.abs() < FAR).all()
-        if not (known and np.isfinite(numbers).all() and numbers[1] > 0):
-            raise ValueError("the saved values are not finite")
-        if np.linalg.eigvalsh(covariance)[0] < 0:
-            raise ValueError("the saved covariance is none")
-        network.load_vector(weights)
-        self._trained = Trained(network, log_scale, {}, numbers[0], covariance)
-        self._variance = numbers[1]
-        self._fresh = bool(state["fresh"])
+        network.load_vector(torch.tensor(saved.network, dtype=torch.float32))
+        log_scale = torch.tensor(saved.log_scale, dtype=torch.float32)
+        self._trained = Trained(network, log_scale, {}, saved.p_aux, saved.covariance)
+        self._variance, self._fresh = saved.variance, saved.fresh
 
     def _values(self, trained: Trained) -> Parameters:
         scale = np.exp(trained.log_scale.double().numpy())

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.estimation.car_state import State as Index
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, State
+from evpinn_ros.estimation.car_state import State
+from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.estimation.published import LOGARITHMIC, Published
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
@@ -22,11 +22,11 @@ OWN_VALID_BELOW = 0.5  # of the parameter's own prior variance: more is mostly p
 UNOBSERVABLE_ABOVE = 0.9  # then the data cannot determine the parameter
 # The identifiable combination on which each parameter rests, as weights of the logarithms.
 COMBINATIONS: Mapping[str, Mapping[int, float]] = {
-    "mass_over_eta": {Index.MASS: 1.0, Index.ETA: -1.0},
-    "drag_area_over_eta": {Index.C_D: 1.0, Index.ETA: -1.0},
-    "c_rr": {Index.C_RR: 1.0},
-    "regeneration": {Index.ETA: 1.0, Index.MU: 1.0},
-    "p_aux": {Index.P_AUX: 1.0},
+    "mass_over_eta": {State.MASS: 1.0, State.ETA: -1.0},
+    "drag_area_over_eta": {State.C_D: 1.0, State.ETA: -1.0},
+    "c_rr": {State.C_RR: 1.0},
+    "regeneration": {State.ETA: 1.0, State.MU: 1.0},
+    "p_aux": {State.P_AUX: 1.0},
 }
 RESTS_ON = {
     "eta": "mass_over_eta",
@@ -102,7 +102,7 @@ class StateHysteresis:
 
     def __init__(self) -> None:
         """Nothing judged yet."""
-        self._states: dict[str, State] = {}
+        self._states: dict[str, Trust] = {}
 
     def judge(
         self, found: ParameterSet, away: Mapping[str, float], *, suspected: bool
@@ -119,10 +119,10 @@ class StateHysteresis:
             for name, p in found.parameters.items()
         }
         self._states = {name: p.state for name, p in parameters.items()}
-        wrong = State.INVALID in self._states.values()
+        wrong = Trust.INVALID in self._states.values()
         combined = found.identifiable_states
         if suspected:
-            combined = dict.fromkeys(combined, State.INVALID)
+            combined = dict.fromkeys(combined, Trust.INVALID)
         return replace(
             found,
             parameters=parameters,
@@ -130,17 +130,17 @@ class StateHysteresis:
             identifiable_states=combined,
         )
 
-    def _next(self, name: str, now: ParameterEstimate, away: float, suspected: bool) -> State:
+    def _next(self, name: str, now: ParameterEstimate, away: float, suspected: bool) -> Trust:
         before = self._states.get(name)
-        limit = POSSIBLE_WITHIN if before is State.INVALID else IMPOSSIBLE_BEYOND
+        limit = POSSIBLE_WITHIN if before is Trust.INVALID else IMPOSSIBLE_BEYOND
         if suspected or abs(away) > limit:
-            return State.INVALID
+            return Trust.INVALID
         stays = now.progress >= _progress(VALID_BELOW * STAYS_BELOW)
         stays = stays and now.prior_share <= OWN_VALID_BELOW * 1.1 and _possible(name, now.value)
-        if before is State.VALID and stays:
-            return State.VALID
-        if now.state is State.UNESTIMATED and before in (State.VALID, State.ESTIMATING):
-            return State.ESTIMATING if now.progress > 0.0 else State.UNESTIMATED
+        if before is Trust.VALID and stays:
+            return Trust.VALID
+        if now.state is Trust.UNESTIMATED and before in (Trust.VALID, Trust.ESTIMATING):
+            return Trust.ESTIMATING if now.progress > 0.0 else Trust.UNESTIMATED
         return now.state
 
 
@@ -210,17 +210,17 @@ def _bounds(name: str, limits: Limits, combined: Mapping[str, _Combined], area: 
     return Limits(*(float(end) for end in np.clip(ends, *limits)))
 
 
-def _state(name: str, value: float, combined_share: float, own_share: float) -> State:
+def _state(name: str, value: float, combined_share: float, own_share: float) -> Trust:
     if combined_share > ESTIMATING_BELOW or own_share > UNOBSERVABLE_ABOVE:
-        return State.UNESTIMATED
+        return Trust.UNESTIMATED
     valid = combined_share < VALID_BELOW and own_share <= OWN_VALID_BELOW
-    return State.VALID if valid and _possible(name, value) else State.ESTIMATING
+    return Trust.VALID if valid and _possible(name, value) else Trust.ESTIMATING
 
 
-def _combination_state(one: _Combined) -> State:
+def _combination_state(one: _Combined) -> Trust:
     if one.share > ESTIMATING_BELOW:
-        return State.UNESTIMATED
-    return State.VALID if one.share < VALID_BELOW else State.ESTIMATING
+        return Trust.UNESTIMATED
+    return Trust.VALID if one.share < VALID_BELOW else Trust.ESTIMATING
 
 
 def _possible(name: str, value: float) -> bool:

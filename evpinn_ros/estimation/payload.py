@@ -21,14 +21,14 @@ change is withdrawn; the next stop may also take it back.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 import copy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 import math
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.published import EnergySums, mass_over_eta, published
@@ -45,8 +45,9 @@ LEAST_CHANGE = 85.0  # kg: one grown person with a bag
 LEAST_STOPS = 3.0  # without a change, before one is reported
 FORKS = 4  # stops on trial at once
 PROBATION = 600.0  # s of motion in which a change may be withdrawn
-SIGNED = ("delta_mass", "change")  # of the saved numbers; all others are positive
-MOST = {"stamp_ns": 2**63, "before": 20.0, "before_std": 20.0, "change": 20.0}  # others 1e6
+MOST_MASS = 1e6  # kg
+Stamp: TypeAlias = Annotated[int, Range(0, 2**62)]  # ns; to the year 2116
+Share: TypeAlias = Annotated[float, Range(0.0, 20.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +60,9 @@ class PayloadChange:
         std: its 1-sigma, kg.
     """
 
-    stamp_ns: int
-    delta_mass: float
-    std: float
+    stamp_ns: Stamp
+    delta_mass: Annotated[float, Range(-MOST_MASS, MOST_MASS)]
+    std: Annotated[float, Range(0.0, MOST_MASS)]
 
 
 @dataclass(slots=True)
@@ -73,17 +74,31 @@ class _Trial:
     already then.
     """
 
-    stamp_ns: int
-    before: float
-    before_std: float
-    mass: float
-    motion: float = 0.0
-    change: float = 0.0
-    significance: float = 0.0
+    stamp_ns: Stamp
+    before: Share
+    before_std: Share
+    mass: Annotated[float, Range(0.0, MOST_MASS)]
+    motion: Annotated[float, Range(0.0, 1e6)] = 0.0
+    change: Annotated[float, Range(-20.0, 20.0)] = 0.0
+    significance: Annotated[float, Range(0.0, 1e6)] = 0.0
     rival: bool = False
 
 
-class PayloadDetector:
+@dataclass(frozen=True, slots=True)
+class SavedPayload:
+    """Chance, the last change, and the one on probation; stops on trial end with the process."""
+
+    chance: Chance
+    change: PayloadChange | None
+    found: _Trial | None
+
+    def __post_init__(self) -> None:
+        """Refuse a change that is none."""
+        if self.found is not None and self.found.change == 0.0:
+            raise ValueError("the change of payload found is none")
+
+
+class PayloadDetector(Saveable[SavedPayload]):
     """See the module's text. Feed it every interval that the filter learns from, after the filter.
 
     Attributes:
@@ -138,23 +153,14 @@ class PayloadDetector:
         self._watch(current, sums, moved)
         return self._judge(current, sums, moved)
 
-    def export(self) -> dict[str, Any]:
-        """State to save; stops on trial are given up with the process."""
-        return {
-            "chance": asdict(self._chance),
-            "change": None if self.change is None else asdict(self.change),
-            "found": None if self._found is None else asdict(self._found),
-        }
+    def saved(self) -> SavedPayload:
+        """State to save."""
+        return SavedPayload(self._chance, self.change, self._found)
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
-        chance = Chance(**_possible(state["chance"]))
-        change = None if state["change"] is None else PayloadChange(**_possible(state["change"]))
-        found = None if state["found"] is None else _Trial(**_possible(state["found"]))
-        if found is not None and found.change == 0.0:
-            raise ValueError("the saved payload is out of range")
-        self._chance, self.change, self._found = chance, change, found
-        self._standing = STOP  # the car may have stood since
+    def take(self, saved: SavedPayload) -> None:
+        """Go on from a saved state; the car may have stood since."""
+        self._chance, self.change, self._found = saved.chance, saved.change, saved.found
+        self._standing = STOP
 
     def _begin(self, current: CarFilter, sums: EnergySums, stamp_ns: int) -> None:
         """The car sets off again after a stop."""
@@ -248,13 +254,3 @@ def _trailing(stands: np.ndarray, steps: Any) -> float:
     """Seconds that it stands at its end."""
     count = int(np.argmin(stands[::-1]))
     return float(steps.duration[len(stands) - count :].sum())
-
-
-def _possible(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Saved numbers; ValueError when they are none, or one is what no car can have."""
-    if not isinstance(values, Mapping) or not all(
-        abs(value) <= MOST.get(name, 1e6) and (name in SIGNED or value >= 0)
-        for name, value in values.items()
-    ):
-        raise ValueError("the saved payload is out of range")
-    return dict(values)

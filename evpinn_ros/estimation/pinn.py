@@ -14,38 +14,35 @@ heights and speeds of the weak form, leads: power is corrected by what it missed
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 import math
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import Chance
-from evpinn_ros.estimation.car_filter import STANDING_NOISE, CarFilter
+from evpinn_ros.estimation.car_filter import CarFilter, SavedFilter
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.forecast_model import linear_power
-from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeSuspicion
-from evpinn_ros.estimation.learner import (
-    LearnerReport,
-    PowerPrediction,
-    gate,
-    gate_interval,
-)
+from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeSuspicion, SavedGradeSuspicion
+from evpinn_ros.estimation.interval_noise import STANDING_NOISE
+from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate, gate_interval
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
-from evpinn_ros.estimation.payload import PayloadDetector
+from evpinn_ros.estimation.payload import PayloadDetector, SavedPayload, Stamp
 from evpinn_ros.estimation.published import EnergySums, evidence_of, published
 from evpinn_ros.estimation.rehearsal import Rehearsal
-from evpinn_ros.estimation.reported_loads import ReportedLoads
-from evpinn_ros.estimation.residual_network import ResidualNetwork
+from evpinn_ros.estimation.reported_loads import ReportedLoads, SavedLoads
+from evpinn_ros.estimation.residual_network import MOST_EVIDENCE, ResidualNetwork
 from evpinn_ros.estimation.weak_form import spent, unit_step
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, SignSuspicion
+from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, SavedSignSuspicion, SignSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import GRAVITY
@@ -86,8 +83,9 @@ class LearnedCar:
         other.filter, other.payload = self.filter.copy(), self.payload.copy()
         other.rehearsal = self.rehearsal.copy()
         other.sums = replace(self.sums)
-        other.grade, other.loads = GradeSuspicion(), ReportedLoads.restored(self.loads.export())
-        other.grade.restore(self.grade.export())
+        other.grade, other.loads = GradeSuspicion(), ReportedLoads()
+        other.grade.take(self.grade.saved())
+        other.loads.take(self.loads.saved())
         other.gated = Counter()
         other.end_ns, other.known_ns = self.end_ns, self.known_ns
         other.stretches = self.stretches
@@ -205,7 +203,22 @@ class EnergyDebt:
         return float(energy), float(sigma)
 
 
-class PinnLearner:
+@dataclass(frozen=True, slots=True)
+class SavedPinn:
+    """Everything learned of a car; `network` is its evidence, `seen_ns` the newest stamp."""
+
+    filter: SavedFilter
+    energies: EnergySums
+    payload: SavedPayload
+    rehearsals: Chance
+    loads: SavedLoads
+    grade_suspicion: SavedGradeSuspicion
+    current_suspicion: SavedSignSuspicion
+    network: Annotated[float, Range(-MOST_EVIDENCE, MOST_EVIDENCE)]
+    seen_ns: Stamp | None
+
+
+class PinnLearner(Saveable[SavedPinn]):
     """See the module's text."""
 
     def __init__(self, vehicle: Vehicle, *, seed: int = 0) -> None:
@@ -329,35 +342,30 @@ class PinnLearner:
         self._car.begin_drive()
         self._use(self._car)
 
-    def export(self) -> Mapping[str, Any]:
+    def saved(self) -> SavedPinn:
         """State to save."""
-        return {
-            "filter": self._car.filter.export(),
-            "energies": self._car.sums.export(),
-            "payload": self._car.payload.export(),
-            "rehearsals": asdict(self._car.rehearsal.chance),
-            "loads": self._car.loads.export(),
-            "grade_suspicion": self._car.grade.export(),
-            "current_suspicion": self._suspicion.export(),
-            "network": self._network.export(),
-            "seen_ns": self._seen_ns,
-        }
+        return SavedPinn(
+            filter=self._car.filter.saved(),
+            energies=self._car.sums,
+            payload=self._car.payload.saved(),
+            rehearsals=self._car.rehearsal.chance,
+            loads=self._car.loads.saved(),
+            grade_suspicion=self._car.grade.saved(),
+            current_suspicion=self._suspicion.saved(),
+            network=self._network.evidence,
+            seen_ns=self._seen_ns,
+        )
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take a saved state."""
+    def take(self, saved: SavedPinn) -> None:
+        """Go on from a saved state."""
         car = LearnedCar(self._vehicle)
-        car.filter.restore(state["filter"])
-        car.sums = EnergySums.restored(state["energies"])
-        car.payload.restore(state["payload"])
-        car.rehearsal.chance = Chance(**state["rehearsals"])
-        car.loads = ReportedLoads.restored(state["loads"])
-        car.grade.restore(state["grade_suspicion"])
-        self._suspicion.restore(state["current_suspicion"])
-        self._network.restore(state["network"])
-        seen_ns = state["seen_ns"]
-        if seen_ns is not None and not 0 <= int(seen_ns) < 2**63:
-            raise ValueError("the saved stamp is out of range")
-        self._seen_ns = None if seen_ns is None else int(seen_ns)
+        car.filter.take(saved.filter)
+        car.payload.take(saved.payload)
+        car.loads.take(saved.loads)
+        car.grade.take(saved.grade_suspicion)
+        car.sums, car.rehearsal.chance = saved.energies, saved.rehearsals
+        self._suspicion.take(saved.current_suspicion)
+        self._network.evidence, self._seen_ns = saved.network, saved.seen_ns
         self._use(car)
 
     def _use(self, car: LearnedCar) -> None:

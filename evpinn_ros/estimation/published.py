@@ -8,13 +8,13 @@ and its tyres; p_aux is the standing load. What a drivetrain loses by turning is
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import MILD_CELSIUS, PARAMETERS, SIZE, State
 from evpinn_ros.estimation.evidence import Evidence, evidence
@@ -26,8 +26,7 @@ from evpinn_ros.signals.road import TEMPERATURES
 ENERGY_FLOOR = 5e4  # J: a launch to town speed is more; less is no base for a share
 ENERGY_MEMORY = 36_000.0  # s of driving over which the sums are kept
 SHARE_RANGE = (0.3, 3.0)  # of published over learned values, no car leaves it
-MOST_ENERGY = 1e12  # J, no saved sum is larger
-SUMS = ("driven", "driven_force", "braked", "braked_force", "recovered", "distance", "cold_tyres")
+Amount: TypeAlias = Annotated[float, Range(0.0, 1e12)]
 LOGARITHMIC = [State.ETA, State.MU, State.MASS, State.C_D]
 LASTING = slice(0, State.AUX)  # states of car and drive
 
@@ -48,14 +47,14 @@ class EnergySums:
         load_known: whether the car reports its heating.
     """
 
-    driven: float = 0.0
-    driven_force: float = 0.0
-    braked: float = 0.0
-    braked_force: float = 0.0
-    recovered: float = 0.0
-    distance: float = 0.0
-    cold_tyres: float = 0.0
-    celsius: float | None = field(default=None)
+    driven: Amount = 0.0
+    driven_force: Amount = 0.0
+    braked: Amount = 0.0
+    braked_force: Amount = 0.0
+    recovered: Amount = 0.0
+    distance: Amount = 0.0
+    cold_tyres: Amount = 0.0
+    celsius: Annotated[float, Range(*TEMPERATURES)] | None = None
     load_known: bool = False
 
     def add(self, interval: Interval, found: Spent, weights: np.ndarray, tyres: float) -> None:
@@ -78,20 +77,6 @@ class EnergySums:
     def begin_drive(self) -> None:
         """Another drive: other tyres and weather."""
         self.distance = self.cold_tyres = 0.0
-
-    def export(self) -> dict[str, Any]:
-        """State to save."""
-        return asdict(self)
-
-    @classmethod
-    def restored(cls, saved: Mapping[str, Any]) -> EnergySums:
-        """Those of a saved state; KeyError, TypeError or ValueError when they do not fit."""
-        values = {name: float(saved[name]) for name in SUMS}
-        celsius = None if saved["celsius"] is None else float(saved["celsius"])
-        possible = celsius is None or TEMPERATURES[0] <= celsius <= TEMPERATURES[1]
-        if not (possible and all(0.0 <= value <= MOST_ENERGY for value in values.values())):
-            raise ValueError("the saved energies are out of range")
-        return cls(**values, celsius=celsius, load_known=bool(saved["load_known"]))
 
 
 class Published(NamedTuple):

@@ -17,18 +17,21 @@ power.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.estimation.calibration import MOST_SUM
 from evpinn_ros.signals.road import HEATED_BELOW
 
 PRIOR = np.array([300.0, 60.0, 80.0, 30.0, 50.0])  # W and W/K, in the order of the text above
 PRIOR_STD = np.array([200.0, 30.0, 40.0, 30.0, 30.0])
 DRIVE_STD = 1000.0  # W, of what is of one drive
 SETTLING = 600.0  # s in which a cabin gets warm, and a drive shows its own
+MOST = 1e6  # W
 
 
 class ExpectedLoads(NamedTuple):
@@ -39,7 +42,22 @@ class ExpectedLoads(NamedTuple):
     excess: float
 
 
-class ReportedLoads:
+@dataclass(frozen=True, slots=True)
+class SavedLoads:
+    """The five coefficients, and of this drive its seconds, energy and sums of features."""
+
+    mean: Annotated[np.ndarray, Range(-MOST, MOST)]
+    covariance: Annotated[np.ndarray, Range(-(MOST**2), MOST**2)]
+    reported: bool
+    drive: Annotated[np.ndarray, Range(0.0, MOST_SUM)]
+
+    def __post_init__(self) -> None:
+        """Refuse a covariance that is none."""
+        if np.linalg.eigvalsh(self.covariance).min() < -1e-6:
+            raise ValueError("the loads have no such covariance")
+
+
+class ReportedLoads(Saveable[SavedLoads]):
     """Learns from drive to drive; see the module's text."""
 
     def __init__(self) -> None:
@@ -79,32 +97,18 @@ class ReportedLoads:
         now = self._present if self._seconds else max(0.0, float(first @ mean))
         return ExpectedLoads(settled, math.sqrt(later @ covariance @ later), now - settled)
 
-    def export(self) -> dict[str, Any]:
+    def saved(self) -> SavedLoads:
         """State to save."""
-        return {
-            "mean": self._mean.tolist(),
-            "covariance": self._covariance.tolist(),
-            "reported": self._reported,
-            "drive": [self._seconds, self._energy, *self._features.tolist()],
-        }
+        drive = np.array([self._seconds, self._energy, *self._features])
+        return SavedLoads(self._mean, self._covariance, self._reported, drive)
 
-    @classmethod
-    def restored(cls, state: Mapping[str, Any]) -> ReportedLoads:
-        """The loads of a saved state; ValueError when it can be none."""
-        loads = cls()
-        mean, covariance = (np.array(state[name], float) for name in ("mean", "covariance"))
-        drive = np.array(state["drive"], float)
-        if (mean.shape, covariance.shape, drive.shape) != ((5,), (5, 5), (7,)):
-            raise ValueError("the saved loads have another shape")
-        whole = all(np.isfinite(numbers).all() for numbers in (mean, covariance, drive))
-        if not whole or (drive < 0).any() or np.linalg.eigvalsh(covariance).min() < -1e-6:
-            raise ValueError("the saved loads are out of range")
-        loads._mean, loads._covariance = mean, covariance
-        loads._reported = bool(state["reported"])
-        loads._seconds, loads._energy = map(float, drive[:2])
-        loads._features = drive[2:]
-        loads._present = loads._energy / max(loads._seconds, 1.0)
-        return loads
+    def take(self, saved: SavedLoads) -> None:
+        """Go on from saved loads."""
+        self._mean, self._covariance = saved.mean, saved.covariance
+        self._reported = saved.reported
+        self._seconds, self._energy = map(float, saved.drive[:2])
+        self._features = saved.drive[2:]
+        self._present = self._energy / max(self._seconds, 1.0)
 
     def _begin_drive(self) -> None:
         self._seconds = self._energy = 0.0

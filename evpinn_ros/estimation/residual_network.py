@@ -17,7 +17,7 @@ that lasts was measured beside it and makes dropouts worse (docs/project/benchma
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,12 @@ class Correction(NamedTuple):
 
 
 class ResidualNetwork:
-    """One network, beside one whose output is zero."""
+    """One network, beside one whose output is zero.
+
+    Attributes:
+        evidence: logarithm of the odds against the zero network; all that is saved, for what the
+            weights hold is gone by the next start.
+    """
 
     def __init__(self, seed: int = 0) -> None:
         """Start at the prior, with random input weights."""
@@ -65,12 +70,12 @@ class ResidualNetwork:
         outer_std = np.full(UNITS, REACH / math.sqrt(UNITS))
         self._prior = np.concatenate((inner_std, outer_std, [REACH])) ** 2
         self._weights, self._covariance = self._start.copy(), np.diag(self._prior)
-        self._evidence = 0.0  # logarithm of the odds against the zero network
+        self.evidence = 0.0
 
     @property
     def share(self) -> float:
         """Probability that the network explains more than the zero network."""
-        return 1.0 / (1.0 + math.exp(-min(max(self._evidence, -MOST_ODDS), MOST_ODDS)))
+        return 1.0 / (1.0 + math.exp(-min(max(self.evidence, -MOST_ODDS), MOST_ODDS)))
 
     def correct(self, sample: Sample) -> Correction:
         """Power that the network adds at a sample, weighted by its evidence."""
@@ -97,25 +102,14 @@ class ResidualNetwork:
         with_it, without = (
             min(0.5 * each**2 / (noise * TEMPERATURE), MOST_LOSS) for each in (error, residual)
         )
-        evidence = self._evidence * math.exp(-duration / EVIDENCE_TIME)
-        self._evidence = evidence + duration * (without - with_it)
+        evidence = self.evidence * math.exp(-duration / EVIDENCE_TIME)
+        self.evidence = evidence + duration * (without - with_it)
         along = v * (self._covariance @ gradient)
         variance = v * float(gradient @ along) + noise * CORRELATED
         beyond = max(1.0, abs(error) / (OUTLIER * math.sqrt(variance)))
         gain = along / (variance * beyond**2)
         self._weights = self._weights + gain * error
         self._covariance -= np.outer(gain, along)
-
-    def export(self) -> float:
-        """State to save: the evidence. What the weights hold is gone by the next start."""
-        return self._evidence
-
-    def restore(self, saved: Any) -> None:
-        """Take a saved state; TypeError or ValueError when it does not fit."""
-        evidence = float(saved)
-        if not abs(evidence) <= MOST_EVIDENCE:
-            raise ValueError("the saved evidence of the network is out of range")
-        self._evidence = evidence
 
     def _output(self, sample: Sample) -> tuple[float, np.ndarray]:
         """Output of the network, a force, N, and its gradient, shape (weights,)."""

@@ -24,8 +24,8 @@ from evpinn_ros import __version__
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
+from evpinn_ros.estimation.estimator import EstimatorSettings, evidence_of_state
+from evpinn_ros.estimation.evidence import NO_EVIDENCE
 from evpinn_ros.estimation.learner import STATE_VERSION
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
@@ -115,11 +115,7 @@ class _Input:
 
     def row(self) -> dict[str, Any]:
         """First cells of the drive's row."""
-        return {
-            "path": str(self.path),
-            "fingerprint": self.fingerprint,
-            "start_ns": self.start_ns,
-        }
+        return {"path": str(self.path), "fingerprint": self.fingerprint, "start_ns": self.start_ns}
 
 
 class _Found:
@@ -155,7 +151,7 @@ class _Found:
         """Write the files after one more drive; without a state nothing was learned of it."""
         self.rows.append({**one.row(), **row})
         self.state = state or self.state
-        evidence = _evidence(self.vehicle, self.state)
+        evidence = evidence_of_state(self.vehicle, self.state) if self.state else NO_EVIDENCE
         self._write(
             state,
             {
@@ -210,14 +206,6 @@ def _learn(
         raise
     except Exception as error:  # whatever is wrong with one drive, the others go on
         return failed_row(_reason(error)), None
-
-
-def _evidence(vehicle: Vehicle, state: dict[str, Any] | None) -> Evidence:
-    if state is None:
-        return NO_EVIDENCE
-    estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
-    estimator.restore(state)
-    return estimator.evidence()
 
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:

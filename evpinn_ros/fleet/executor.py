@@ -29,7 +29,7 @@ PATIENCE = 10  # s for a cluster to answer and to have a worker
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome(Generic[Task, Result]):
+class TaskOutcome(Generic[Task, Result]):
     """A task and what came of it: a result, or the problem in one line."""
 
     task: Task
@@ -42,7 +42,7 @@ class Executor(Protocol):
 
     def outcomes(
         self, work: Callable[[Task], Result], tasks: Iterable[Task]
-    ) -> Iterator[Outcome[Task, Result]]:
+    ) -> Iterator[TaskOutcome[Task, Result]]:
         """Outcome of each task, in order of their ends."""
 
     def close(self) -> None:
@@ -63,7 +63,7 @@ class LocalExecutor:
 
     def outcomes(
         self, work: Callable[[Task], Result], tasks: Iterable[Task]
-    ) -> Iterator[Outcome[Task, Result]]:
+    ) -> Iterator[TaskOutcome[Task, Result]]:
         """Outcome of each task, in order of their ends."""
         left = iter(tasks)
         running: dict[Future[Result], tuple[ProcessPoolExecutor, Task]] = {}
@@ -127,7 +127,7 @@ class DaskExecutor:
 
     def outcomes(
         self, work: Callable[[Task], Result], tasks: Iterable[Task]
-    ) -> Iterator[Outcome[Task, Result]]:
+    ) -> Iterator[TaskOutcome[Task, Result]]:
         """Outcome of each task, in order of their ends."""
         from distributed import as_completed
 
@@ -173,13 +173,13 @@ async def _identify(address: str) -> None:
         await asyncio.wait_for(scheduler.identity(), PATIENCE)
 
 
-def _outcome(task: Task, future: Any, error: BaseException | None) -> Outcome[Task, Any]:
+def _outcome(task: Task, future: Any, error: BaseException | None) -> TaskOutcome[Task, Any]:
     if error is None:
-        return Outcome(task, future.result(), None)
+        return TaskOutcome(task, future.result(), None)
     if isinstance(error, BrokenProcessPool):
-        return Outcome(task, None, "the worker died; is there enough memory?")
+        return TaskOutcome(task, None, "the worker died; is there enough memory?")
     text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-    return Outcome(task, None, " ".join(text.split()))
+    return TaskOutcome(task, None, " ".join(text.split()))
 
 
 def _dask_error(future: Any) -> BaseException:

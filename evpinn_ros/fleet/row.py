@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.replay.run import Replayed
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -56,4 +56,4 @@ def _parameters(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 def impossible(row: Mapping[str, Any]) -> list[str]:
     """Parameters that lie where no such car can be, or whose signals contradict each other."""
-    return [name for name in PARAMETER_NAMES if row[f"{name}_state"] == State.INVALID.value]
+    return [name for name in PARAMETER_NAMES if row[f"{name}_state"] == Trust.INVALID.value]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.fleet.car import CarDone, CarTask, learn_car
-from evpinn_ros.fleet.executor import Executor, Outcome
+from evpinn_ros.fleet.executor import Executor, TaskOutcome
 from evpinn_ros.fleet.manifest import CarDrives
 
 CARS, LOCK, STOP = "cars", ".lock", ".stop"
@@ -43,7 +43,7 @@ def car_folder(out: Path, car: CarDrives) -> Path:
 
 def learn_fleet(
     cars: Sequence[CarDrives], out: Path, executor: Executor
-) -> Generator[Outcome[CarTask, CarDone], None, None]:
+) -> Generator[TaskOutcome[CarTask, CarDone], None, None]:
     """Learn every car; whatever ends the iteration, what was begun ends soon after, in order."""
     tasks = (CarTask(car, car_folder(out, car), out / STOP) for car in cars)
     try:

@@ -42,7 +42,7 @@ UNKNOWN = "-"
 GREATEST = 1e7  # shown in full
 
 
-class Column(NamedTuple):
+class ScreenColumn(NamedTuple):
     """A column of the table of parameters."""
 
     title: str
@@ -51,13 +51,13 @@ class Column(NamedTuple):
 
 
 COLUMNS = (
-    Column("", 6),
-    Column("meaning", 13, wide_only=True),
-    Column("value", 9),
-    Column("1-sigma", 9),
-    Column("bounds", 19, wide_only=True),
-    Column("prior", 6),
-    Column("data", 6),
+    ScreenColumn("", 6),
+    ScreenColumn("meaning", 13, wide_only=True),
+    ScreenColumn("value", 9),
+    ScreenColumn("1-sigma", 9),
+    ScreenColumn("bounds", 19, wide_only=True),
+    ScreenColumn("prior", 6),
+    ScreenColumn("data", 6),
 )
 
 
@@ -143,7 +143,7 @@ def _parameters(state: LiveState, width: int) -> Iterable[Text]:
         yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.state, FAINT))
 
 
-def _row(columns: Iterable[Column], texts: Mapping[str, str]) -> str:
+def _row(columns: Iterable[ScreenColumn], texts: Mapping[str, str]) -> str:
     words = ("", "meaning")
     return "".join(_cell(texts[c.title], c.width, right=c.title not in words) for c in columns)
 

@@ -17,6 +17,7 @@ from evpinn_ros.estimation.operating_range import MANNERS, SPEEDS
 from evpinn_ros.live.power_line import PowerHistory
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.topics import Topic
+from evpinn_ros.topics.estimates import POWER, bounds_of
 from evpinn_ros.topics.messages import (
     BadMessage,
     Level,
@@ -122,8 +123,8 @@ class LiveState:
             self.battery = battery_reading(message)
         else:
             vector = self._vectors[topic] = read_named_vector(message)
-            if topic in POWERS and "power" in vector.values:
-                self.line.add(POWERS[topic], vector.stamp_ns, vector.values["power"])
+            if topic in POWERS and POWER in vector.values:
+                self.line.add(POWERS[topic], vector.stamp_ns, vector.values[POWER])
 
     def _take_status(self, status: Any, now: float) -> None:
         node, _, part = status.name.partition(":")
@@ -158,7 +159,7 @@ class LiveState:
         vector = self._fresh(topic, now)
         if vector is None:
             return Power(math.nan, math.nan)
-        return Power(vector.values.get("power", math.nan), vector.sigmas.get("power", math.nan))
+        return Power(vector.values.get(POWER, math.nan), vector.sigmas.get(POWER, math.nan))
 
     def fresh_speed(self, now: float) -> float:
         """Speed, m/s, NaN when it has fallen silent."""
@@ -188,11 +189,9 @@ class LiveState:
                 name,
                 values.get(name, math.nan),
                 sigmas.get(name, math.nan),
-                bounds.get(f"{name}_lower", math.nan),
-                bounds.get(f"{name}_upper", math.nan),
-                bounds.get(f"{name}_prior_share", math.nan),
-                _number(status.get(f"progress.{name}")),
-                status.get(f"state.{name}", ""),
+                **bounds_of(bounds, name),
+                progress=_number(status.get(f"progress.{name}")),
+                state=status.get(f"state.{name}", ""),
             )
             for name in PARAMETER_NAMES
         ]

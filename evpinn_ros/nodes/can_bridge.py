@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-import math
+from collections.abc import Callable
 from pathlib import Path
 import threading
 from typing import Any
@@ -24,11 +23,9 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.nodes.running import run
-from evpinn_ros.signals.readings import BatteryReading, MotorReading, Reading
-from evpinn_ros.topics import Topic
-from evpinn_ros.topics.messages import Level, scalar
+from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import bus_options
-from evpinn_ros.topics.readings import reading_message
+from evpinn_ros.topics.readings import reading_messages
 from evpinn_ros.vehicle.files import load_vehicle
 
 PUBLISHES = (
@@ -175,7 +172,7 @@ class CanBridgeNode(GuardedNode):
             with self._lock:
                 readings = self._bridge.finish()
             for reading in readings:
-                self.publish(_messages(reading))
+                self.publish(reading_messages(new_message, reading))
 
     def _send(self, frame: CanFrame) -> bool:
         return isinstance(self._source, BusReader) and self._source.send(frame)
@@ -186,24 +183,11 @@ class CanBridgeNode(GuardedNode):
         with self._lock:
             readings = self._bridge.decode(frame)
         for reading in readings:
-            self.publish(_messages(reading))
+            self.publish(reading_messages(new_message, reading))
 
     def _bridge_status(self, now_ns: int) -> BridgeStatus:
         with self._lock:
             return self._bridge.status(now_ns)
-
-
-def _messages(reading: Reading) -> Iterator[tuple[Topic, Any]]:
-    """The messages of a reading: its own, and voltage and current alone, for plots."""
-    if not isinstance(reading, BatteryReading):
-        topic = topics.MOTOR_TORQUE if isinstance(reading, MotorReading) else topics.SPEED
-        yield topic, reading_message(new_message, reading)
-        return
-    yield topics.BATTERY, reading_message(new_message, reading)
-    if not math.isnan(reading.voltage):
-        yield topics.BATTERY_VOLTAGE, scalar(new_message, reading.voltage)
-    if not math.isnan(reading.current):
-        yield topics.BATTERY_CURRENT, scalar(new_message, reading.current)
 
 
 def main(args: list[str] | None = None) -> int:

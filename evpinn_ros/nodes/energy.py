@@ -7,15 +7,13 @@ from functools import partial
 import math
 from typing import Any
 
-from std_srvs.srv import Trigger
-
 from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     EnergyReport,
@@ -29,22 +27,20 @@ from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer
 from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.saved_state import SAVE_PERIOD, StateFile, state_path
+from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.signals.road import why_impossible
-from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.signals.time_jump import StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.cdr import CdrError
-from evpinn_ros.topics.estimates import UNMEASURED_ENERGY, energy_messages, summary_messages
-from evpinn_ros.topics.messages import (
-    BadMessage,
-    Level,
-    battery_message,
-    battery_reading,
-    read_named_vector,
-    speed_reading,
+from evpinn_ros.topics.estimates import (
+    energy_messages,
+    read_identifiable,
+    read_power,
+    summary_messages,
 )
+from evpinn_ros.topics.messages import BadMessage, Level, battery_message
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.plans import (
     forecast_bytes,
@@ -54,15 +50,15 @@ from evpinn_ros.topics.plans import (
     speed_profile_plan,
 )
 from evpinn_ros.topics.readings import to_reading
-from evpinn_ros.topics.settings import jump_rule
 from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 
 
-class EnergyNode(GuardedNode):
+class EnergyNode(StatefulNode):
     """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
+
+    FILE, ANEW = "energy_file", "counts from zero"
 
     def __init__(self, **kwargs: Any) -> None:
         """Start from the energy file or at zero; `kwargs` go to rclpy's Node.
@@ -80,10 +76,9 @@ class EnergyNode(GuardedNode):
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
         self.forecaster = Forecaster(vehicle)
-        self._state_file = StateFile(state_path(self.values["energy_file"]), self.account)
-        self._load()
-        self._guard = StampGuard(topics.POWER_SMOOTHED)
+        # Of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard = StampGuard(topics.SPEED)
+        start = self.go_on(self.account, topics.POWER_SMOOTHED)
         self._answered = self._refused = 0
         self._plan_problem: str | None = None
         self._charge_after = UNKNOWN
@@ -91,10 +86,9 @@ class EnergyNode(GuardedNode):
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
-        for topic in (topics.SPEED, topics.ODOMETRY):
-            self.listen(topic, partial(self._on_speed, topic))
+        for topic in (topics.SPEED, topics.ODOMETRY, topics.BATTERY):
+            self.listen(topic, partial(self._on_reading, topic))
         self.listen(topics.MODEL, self._on_model)
-        self.listen(topics.BATTERY, self._on_battery)
         for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
             self.listen(topic, partial(self._on_air, topic))
         for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
@@ -103,16 +97,11 @@ class EnergyNode(GuardedNode):
             self.advertise(TYPED_FORECAST)
             service = message_class(f"{PACKAGE}/srv/{PLAN_SERVICE}")
             self.create_service(service, "~/estimate_plan", self._on_estimate_plan)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_service(Trigger, "~/save", self._on_save)
-        self.every(SAVE_PERIOD, self.save)
-        self.on_clock_going_back(self._on_clock_going_back)
-        start = self._state_file.start or "counts from zero"
         self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
-        dropped = self._guard.dropped + self._reading_guard.dropped + self.account.refused
+        dropped = sum((each.dropped for each in self.stamp_guards()), self.account.refused)
         report = self._report(self.health(dropped))
         return [meter_status(report), charge_status(report), plan_status(report)]
 
@@ -126,10 +115,10 @@ class EnergyNode(GuardedNode):
             account=self.account.summary(),
             reconciled=self.account.reconciled,
             learned_capacity=self.account.gauge.learned,
-            file_problem=self._state_file.problem,
+            file_problem=self.state_file.problem,
             health=health,
             power_age=self.age(topics.POWER_SMOOTHED),
-            jumps=self._guard.jumps,
+            jumps=self.guard.jumps,
             basis=self.forecaster.basis,
             air=self.forecaster.air(self.now_ns()),
             charge_after=self._charge_after,
@@ -138,92 +127,56 @@ class EnergyNode(GuardedNode):
             plan_problem=self._plan_problem,
         )
 
-    def save(self) -> str | None:
-        """Write what was counted, if there is a file for it; gives the reason when that fails."""
-        return self._state_file.save() if self.values["energy_file"] else None
+    def stamp_guards(self) -> Iterator[StampGuard]:
+        """Those of power and of readings."""
+        yield from (self.guard, self._reading_guard)
 
-    def end(self) -> str | None:
-        """Save."""
-        return self.save()
+    def reset(self) -> str:
+        """Count the trip from zero."""
+        self.account.reset_trip()
+        return "energy counts from zero; the lifetime's goes on"
 
-    def close(self) -> str | None:
-        """Save."""
-        return self.end()
+    def begin_anew(self) -> None:
+        """Count another trip."""
+        self.account.begin_next_trip()
 
-    def _load(self) -> None:
-        self._state_file.load()
-        if self._state_file.problem is not None:
-            self.get_logger().warning(f"energy counts from zero: {self._state_file.problem}")
+    def hold(self) -> None:
+        """Keep what was counted."""
+        self.account.begin_after_jump()
 
     def _take_power(self, topic: Topic, message: Any) -> None:
-        vector = read_named_vector(message)
-        if "power" not in vector.values:
-            raise BadMessage("no_power")
-        power, sigma = vector.values["power"], vector.sigmas.get("power", math.nan)
-        energy_sigma = vector.sigmas.get(UNMEASURED_ENERGY, math.nan)
-        item = topic, vector.stamp_ns, power, sigma, energy_sigma
-        for passed in self._guard.admit(topic, vector.stamp_ns, item, jump_rule(self.values)):
-            if isinstance(passed, Jump):
-                self._on_jump(passed)
-            else:
-                self._count(*passed)
+        found = read_power(topic, message)
+        for admitted in self.in_order(topic, found.stamp_ns, found):
+            self._count(admitted)
 
-    def _count(
-        self, topic: Topic, stamp_ns: int, power: float, sigma: float, energy_sigma: float
-    ) -> None:
-        if topic is topics.POWER_MEASURED:
-            self.account.add_measured(stamp_ns, power, sigma)
+    def _count(self, found: PowerEstimate) -> None:
+        power = found.stamp_ns, found.power, found.sigma
+        if found.kind is PowerKind.MEASURED:
+            self.account.add_measured(*power)
             return
-        if not self.account.add_predicted(stamp_ns, power, sigma, energy_sigma):
+        if not self.account.add_predicted(*power, found.energy_sigma):
             return
-        self.forecaster.set_sigma(sigma)
+        self.forecaster.set_sigma(found.sigma)
         self.publish(energy_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
             self.publish(summary_messages(new_message, summary))
 
-    def _on_clock_going_back(self) -> None:
-        self._guard.clock_went_back()
-        self._reading_guard.clock_went_back()
-
-    def _on_jump(self, jump: Jump) -> None:
-        policy = self.values["time_jump_policy"]
-        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
-        self.notice("jump", text)
-        if policy == JumpPolicy.RESET.value:
-            self.account.begin_next_trip()
-        else:
-            self.account.begin_after_jump()
-
     def _on_identifiable(self, message: Any) -> None:
-        vector = read_named_vector(message)
-        if any(not {*IDENTIFIABLE_NAMES} <= {*x} for x in (vector.values, vector.sigmas)):
-            raise BadMessage("incomplete")
-        values, sigmas = (
-            Identifiable(*(numbers[name] for name in IDENTIFIABLE_NAMES))
-            for numbers in (vector.values, vector.sigmas)
-        )
+        values, sigmas = read_identifiable(message)
         try:
             self.forecaster.set_identifiable(values, sigmas)
         except ValueError as error:
             raise BadMessage(str(error)) from error
 
-    def _on_speed(self, topic: Topic, message: Any) -> None:
-        self._take_reading(self.stream(topic), speed_reading(message))
-
-    def _on_battery(self, message: Any) -> None:
-        self._take_reading(topics.BATTERY, battery_reading(message))
-
-    def _take_reading(self, topic: Topic, reading: SpeedReading | BatteryReading) -> None:
-        """Readings have a guard of their own: in a fast replay they are seconds ahead of power."""
-        rule = jump_rule(self.values)
-        for passed in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
-            if isinstance(passed, Jump):
-                self.account.begin_readings_anew()
-            elif isinstance(passed, SpeedReading):
-                self.account.add_speed(passed.stamp_ns, passed.speed)
+    def _on_reading(self, topic: Topic, message: Any) -> None:
+        reading, topic = to_reading(topic.type_name, message), self.stream(topic)
+        guard, jumped = self._reading_guard, self.account.begin_readings_anew
+        for admitted in self.in_order(topic, reading.stamp_ns, reading, guard, jumped):
+            if isinstance(admitted, SpeedReading):
+                self.account.add_speed(admitted.stamp_ns, admitted.speed)
             else:
-                self.account.add_battery(passed)
+                self.account.add_battery(admitted)
 
     def _on_model(self, message: Any) -> None:
         self.forecaster.set_model(read_model(message, self._vehicle.key))
@@ -294,14 +247,6 @@ class EnergyNode(GuardedNode):
 
     def _on_estimate_plan(self, request: Any, response: Any) -> Any:
         return answer_plans(request, response, self._answer)
-
-    def _on_reset(self, _: Any, response: Any) -> Any:
-        self.account.reset_trip()
-        return self.done(response, "energy counts from zero; the lifetime's goes on")
-
-    def _on_save(self, _: Any, response: Any) -> Any:
-        reason = self._state_file.save()
-        return self.done(response, f"written to {self.values['energy_file']}", reason)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -6,7 +6,7 @@ from functools import partial
 import time
 from typing import Any
 
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
 from evpinn_ros.common.blas_threads import limit_blas_threads
@@ -14,7 +14,6 @@ from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
 from evpinn_ros.estimation.worker import ThreadWorker
 from evpinn_ros.nodes.arrivals import StampWatch
-from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status
 from evpinn_ros.nodes.estimator_diagnosis import (
     EstimatorReport,
@@ -23,34 +22,25 @@ from evpinn_ros.nodes.estimator_diagnosis import (
 )
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.running import run
-from evpinn_ros.nodes.saved_state import SAVE_PERIOD, StateFile, state_path
+from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.signals.readings import Reading
-from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.readings import to_reading
-from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
+from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 from evpinn_ros.vehicle.files import load_vehicle
 
 MODEL_PERIOD = 10.0  # s
-LISTENS_TO = (
-    topics.SPEED,
-    topics.ODOMETRY,
-    topics.BATTERY,
-    topics.IMU,
-    topics.FIX,
-    topics.TEMPERATURE,
-    topics.PRESSURE,
-    topics.WIND,
-    topics.AUXILIARY_POWER,
-    topics.MOTOR_TORQUE,
-)
+FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
+LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
 
 
-class EstimatorNode(GuardedNode):
+class EstimatorNode(StatefulNode):
     """Learns one car; see `docs` for its topics, services and parameters."""
+
+    FILE, ANEW = "state_file", "begins with the vehicle file"
 
     def __init__(self, **kwargs: Any) -> None:
         """Start from the state file or the vehicle's priors; `kwargs` go to rclpy's Node.
@@ -67,30 +57,21 @@ class EstimatorNode(GuardedNode):
             self._vehicle, estimator_settings(self.values), self._worker
         )
         self._mounting = imu_mounting(self.values)
-        self._guard = StampGuard(topics.SPEED)
         self._stamps = StampWatch()
-        self._state_file = StateFile(state_path(self.values["state_file"]), self.estimator)
-        self._load()
+        start = self.go_on(self.estimator, topics.SPEED)
         self.advertise(*PUBLISHES)
         for topic in LISTENS_TO:
             self.listen(topic, partial(self._take, topic))
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_service(Trigger, "~/save", self._on_save)
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self.every(SAVE_PERIOD, self.save)
         self.every(MODEL_PERIOD, self.publish_model)
         self.publish_model()
-        self.on_clock_going_back(self._guard.clock_went_back)
-        start = self._state_file.start or "begins with the vehicle file"
-        mode = self.values["mode"]
-        self.begun(
-            f"{self._vehicle.key} ({mode}) {start}; waiting for vehicle/speed", self.phases()
-        )
+        car = f"{self._vehicle.key} ({self.values['mode']})"
+        self.begun(f"{car} {start}; waiting for vehicle/speed", self.phases())
 
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
         status = self.estimator.status()
-        health = self.health(self._guard.dropped, status.dropped, _usual(status))
+        health = self.health(self.guard.dropped, status.dropped, _usual(status))
         return [estimator_status(self._report(health))]
 
     def phases(self) -> list[Status]:
@@ -102,13 +83,9 @@ class EstimatorNode(GuardedNode):
             status=self.estimator.status(),
             health=health,
             speed_age=self.age(topics.SPEED, topics.ODOMETRY),
-            jumps=self._guard.jumps,
-            state_problem=self._state_file.problem,
+            jumps=self.guard.jumps,
+            state_problem=self.state_file.problem,
         )
-
-    def save(self) -> str | None:
-        """Write what was learned, if there is a file for it; gives the reason when that fails."""
-        return self._state_file.save() if self.values["state_file"] else None
 
     def publish_model(self) -> None:
         """Tell what forecasts need of the car; latched, so a late listener has it at once."""
@@ -116,22 +93,25 @@ class EstimatorNode(GuardedNode):
         if model is not None:
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 
-    def end(self) -> str | None:
-        """Save."""
-        return self.save()
-
     def close(self) -> str | None:
         """Save, and stop the thread of the updates."""
         problem = self.save()
         self._worker.close()
         return problem
 
-    def _load(self) -> None:
-        self._state_file.load()
-        if self._state_file.problem is not None:
-            self.get_logger().warning(
-                f"starting from the vehicle file: {self._state_file.problem}"
-            )
+    def reset(self) -> str:
+        """Forget all that was learned, also what the file held at the start."""
+        self.state_file.forget()
+        self.publish_model()
+        return f"started again from the vehicle file {self._vehicle.key}"
+
+    def begin_anew(self) -> None:
+        """Be as at the start."""
+        self.state_file.start_over()
+
+    def hold(self) -> None:
+        """Keep what was learned."""
+        self.estimator.handle_time_jump()
 
     def _take(self, topic: Topic, message: Any) -> None:
         reading = to_reading(topic.type_name, message, self._mounting)
@@ -140,12 +120,8 @@ class EstimatorNode(GuardedNode):
             wrong = self._stamps.check(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
                 self.notice("stamps", f"{topic.name}: {wrong}")
-        rule = jump_rule(self.values)
-        for item in self._guard.admit(topic, reading.stamp_ns, reading, rule):
-            if isinstance(item, Jump):
-                self._on_jump(item)
-            else:
-                self._learn(item)
+        for admitted in self.in_order(topic, reading.stamp_ns, reading):
+            self._learn(admitted)
 
     def _learn(self, reading: Reading) -> None:
         for output in self.estimator.add_reading(reading):
@@ -153,24 +129,6 @@ class EstimatorNode(GuardedNode):
             if isinstance(output, ParameterSet):  # once a second
                 found = self.estimator.breakdown()
                 self.publish(breakdown_messages(new_message, output.stamp_ns, found))
-
-    def _on_jump(self, jump: Jump) -> None:
-        policy = self.values["time_jump_policy"]
-        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
-        self.notice("jump", text)
-        if policy == JumpPolicy.RESET.value:
-            self._state_file.start_over()
-        else:
-            self.estimator.handle_time_jump()
-
-    def _on_reset(self, _: Any, response: Any) -> Any:
-        self._state_file.forget()
-        self.publish_model()
-        return self.done(response, f"started again from the vehicle file {self._vehicle.key}")
-
-    def _on_save(self, _: Any, response: Any) -> Any:
-        reason = self._state_file.save()
-        return self.done(response, f"written to {self.values['state_file']}", reason)
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self.estimator.enabled = request.data

@@ -6,18 +6,11 @@ from dataclasses import dataclass
 import math
 import statistics
 
-from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.nodes.diagnosis import (
-    MISSING_AFTER,
-    Health,
-    Status,
-    flat,
-    rounded,
-    with_health,
-)
+from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, flat, rounded, with_health
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
@@ -83,7 +76,7 @@ def estimator_status(report: EstimatorReport) -> Status:
 def estimator_phases(report: EstimatorReport) -> list[Status]:
     """Text that is logged when it changes: nothing in it counts."""
     states, learner = report.status.states, report.status.report
-    valid = [name for name, state in states.items() if state is State.VALID]
+    valid = [name for name, state in states.items() if state is Trust.VALID]
     phases = [Status("estimate", *_estimator_verdict(report), {})]
     phases.append(Status("valid", Level.OK, f"valid: {', '.join(valid) or 'nothing yet'}", {}))
     if learner.payload_change is not None:

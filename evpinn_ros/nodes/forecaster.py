@@ -21,12 +21,7 @@ from evpinn_ros.energy.forecast import (
 )
 from evpinn_ros.energy.plan import UNNAMED, Plan, Question
 from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.energy.power_model import (
-    PlanEnd,
-    PowerModel,
-    combined_model,
-    prior_identifiable,
-)
+from evpinn_ros.energy.power_model import PlanEnd, PowerModel, combined_model, prior_identifiable
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     PressureReading,

@@ -155,10 +155,7 @@ def node(given: Given, executable: str, parameters: Mapping[str, Value]) -> Node
         executable=executable,
         name=executable.removesuffix(".py"),
         namespace=given["namespace"],
-        parameters=[
-            given["params_file"],
-            {"use_sim_time": given.is_true("use_sim_time"), **own},
-        ],
+        parameters=[given["params_file"], {"use_sim_time": given.is_true("use_sim_time"), **own}],
         ros_arguments=["--log-level", given["log_level"]],
         respawn=given.is_true("respawn"),
         respawn_delay=RESPAWN_DELAY,

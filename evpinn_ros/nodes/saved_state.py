@@ -10,7 +10,6 @@ from typing import Any, Protocol
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.state_file import read_state, write_state
 
-SAVE_PERIOD = 60.0  # s
 REFUSED_KEPT = 5  # files
 
 

@@ -48,10 +48,7 @@ class Layout:
 POWER = Layout(
     "Power",
     "Battery power, positive when drawn.",
-    {
-        "power": "W",
-        "unmeasured_energy": "J predicted since the battery was last measured",
-    },
+    {"power": "W", "unmeasured_energy": "J predicted since the battery was last measured"},
 )
 LAYOUTS: Mapping[Topic, Layout] = {
     topics.PARAMETERS: Layout(
@@ -100,7 +97,7 @@ def typed(topic: Topic, name: str) -> Topic:
     """The typed topic beside one of the contract."""
     text = f"`{topic.name}` as `{PACKAGE}/{name}`"
     type_name = f"{PACKAGE}/msg/{name}"
-    return Topic(f"typed/{topic.name}", type_name, topic.source, topic.latched, text, topic.unit)
+    return Topic(f"typed/{topic.name}", type_name, topic.source, text, topic.unit, topic.latched)
 
 
 TYPED = {topic: typed(topic, layout.name) for topic, layout in LAYOUTS.items()}

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.energy.meter import EnergyState, Flow
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, PowerEstimate, State
 from evpinn_ros.replay.history import Drive, History
 from evpinn_ros.topics import Topic, topic_of
-from evpinn_ros.topics.estimates import FLOWS, POWER_TOPICS
-from evpinn_ros.topics.messages import BadMessage, read_named_vector
+from evpinn_ros.topics.estimates import POWER_KINDS, read_energy, read_parameters, read_power
+from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import to_reading
-from evpinn_ros.vehicle.identifiable import Identifiable
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
-
-KINDS = {topic: kind for kind, topic in POWER_TOPICS.items()}
-UNKNOWN = Flow(math.nan, math.nan, math.nan)
-NOT_READ = Identifiable(*([math.nan] * len(Identifiable._fields)))
 
 
 def recorded_drive(bag: Path) -> Drive:
@@ -42,7 +33,7 @@ def recorded_drive(bag: Path) -> Drive:
                 elif topic is topics.PARAMETERS:
                     parameters = record.message
                 elif topic is topics.BOUNDS and parameters is not None:
-                    history.add_output(_parameter_set(parameters, record.message))
+                    history.add_output(read_parameters(parameters, record.message))
                 elif topic is not None:
                     _add_output(history, topic, record.message)
             except BadMessage:
@@ -51,46 +42,7 @@ def recorded_drive(bag: Path) -> Drive:
 
 
 def _add_output(history: History, topic: Topic, message: Any) -> None:
-    if topic in KINDS:
-        vector = read_named_vector(message)
-        sigma = vector.sigmas.get("power", math.nan)
-        kind = KINDS[topic]
-        history.add_output(PowerEstimate(kind, vector.stamp_ns, vector.values["power"], sigma))
+    if topic in POWER_KINDS:
+        history.add_output(read_power(topic, message))
     elif topic is topics.ENERGY_STATE:
-        vector = read_named_vector(message)
-        flows = {
-            name: Flow(vector.values[name], vector.rates[name], vector.sigmas.get(name, math.nan))
-            if name in vector.values
-            else UNKNOWN
-            for name in FLOWS
-        }
-        history.add_output(
-            EnergyState(
-                stamp_ns=vector.stamp_ns,
-                **flows,
-                consumed=math.nan,
-                consumed_sigma=math.nan,
-                gaps=0,
-                dropped=0,
-                unmeasured_s=math.nan,
-                unknown_s=math.nan,
-                measuring="measured" in vector.values,
-            )
-        )
-
-
-def _parameter_set(parameters: Any, bounds: Any) -> ParameterSet:
-    """Parameters and the bounds published with them; their states are not on the topics."""
-    live, limits = read_named_vector(parameters), read_named_vector(bounds).values
-    estimates = {
-        name: ParameterEstimate(
-            value=live.values[name],
-            std=live.sigmas.get(name, math.nan),
-            prior_share=limits[f"{name}_prior_share"],
-            lower=limits[f"{name}_lower"],
-            upper=limits[f"{name}_upper"],
-            state=State.ESTIMATING,
-        )
-        for name in PARAMETER_NAMES
-    }
-    return ParameterSet(live.stamp_ns, estimates, NOT_READ, NOT_READ, reliable=False)
+        history.add_output(read_energy(message))

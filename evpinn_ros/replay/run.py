@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.bags.convert import reading_messages
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
@@ -33,6 +32,7 @@ from evpinn_ros.topics.estimates import (
     output_messages,
     summary_messages,
 )
+from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start that are not scored
 STRAGGLING = 10.0  # s by which readings may come in another order than their stamps
@@ -206,7 +206,7 @@ def _record(
 ) -> Iterator[str]:
     """Write a reading and its outputs; gives a reason for each that no message holds."""
     try:
-        messages = list(reading_messages(reading))
+        messages = list(reading_messages(new_message, reading))
     except ValueError:
         yield "not_recordable"
         messages = []

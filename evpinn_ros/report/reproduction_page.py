@@ -8,7 +8,7 @@ from pathlib import Path
 from evpinn_ros.report.html import embedded, table, write_page
 from evpinn_ros.report.reproduction_figures import reproduction_figures
 from evpinn_ros.reproduction.experiment import Outcome
-from evpinn_ros.reproduction.tables import Table, all_tables
+from evpinn_ros.reproduction.tables import ResultTable, all_tables
 
 
 def write_reproduction(path: Path, outcome: Outcome, command: str, label: str) -> None:
@@ -22,7 +22,7 @@ def write_reproduction(path: Path, outcome: Outcome, command: str, label: str) -
     write_page(path, title, command, [f"<p>{escape(label)}</p>", *tables, *figures])
 
 
-def _table(found: Table) -> str:
+def _table(found: ResultTable) -> str:
     return (
         f"<h2>{escape(found.title)}</h2>\n{table(found.columns, found.rows)}"
         f"<p>{escape(found.note)}</p>"

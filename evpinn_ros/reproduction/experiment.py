@@ -25,15 +25,15 @@ from evpinn_ros.reproduction.power_training import PowerTraining
 from evpinn_ros.reproduction.problem import (
     PowerScale,
     Problem,
-    Split,
+    SampleSplit,
     chronological_split,
     random_split,
     standstill_power,
 )
 from evpinn_ros.reproduction.published import PREDICTED, EnergyRow, LossRow
 from evpinn_ros.reproduction.scores import (
-    ParameterRow,
     PowerScore,
+    TableFiveRow,
     combination_rows,
     drift_included,
     exact_energy,
@@ -88,7 +88,7 @@ class Scored(NamedTuple):
     score: PowerScore
 
 
-class Energies(NamedTuple):
+class EnergyCurves(NamedTuple):
     """Energy since the first sample, J, shape (n,) each.
 
     Attributes:
@@ -115,13 +115,13 @@ class Outcome:
     chronological: PowerTraining
     energy_rows: list[EnergyRow]
     scores: list[Scored]
-    parameters: list[ParameterRow]
-    combinations: list[ParameterRow]
+    parameters: list[TableFiveRow]
+    combinations: list[TableFiveRow]
     regression: Parameters
     covariance: np.ndarray
     predicted_power: np.ndarray
     unseen_power: np.ndarray
-    energies: Energies
+    energies: EnergyCurves
 
     @property
     def values(self) -> Parameters:
@@ -184,7 +184,7 @@ class Experiment:
             covariance=covariance,
             predicted_power=predicted,
             unseen_power=later.problem.predicted_power(later.optimizer.network, log),
-            energies=Energies(
+            energies=EnergyCurves(
                 measured=exact_energy(log.time, log.power),
                 predicted=exact_energy(log.time, predicted),
                 rknn=rknn,
@@ -192,7 +192,7 @@ class Experiment:
             ),
         )
 
-    def _power(self, title: str, split: Split, on_progress: OnProgress) -> PowerTraining:
+    def _power(self, title: str, split: SampleSplit, on_progress: OnProgress) -> PowerTraining:
         settings = self._settings
         problem = Problem(
             self._log,

@@ -41,24 +41,24 @@ class InputForm(str, Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Split:
+class SampleSplit:
     """Indices of the samples to train on and of those to validate on, each rising."""
 
     training: np.ndarray
     validation: np.ndarray
 
 
-def random_split(samples: int, seed: int) -> Split:
+def random_split(samples: int, seed: int) -> SampleSplit:
     """The paper's split: a fifth drawn at random. It measures interpolation in time, no more."""
     order = np.random.default_rng(seed).permutation(samples)
     held = round(samples * VALIDATION_SHARE)
-    return Split(np.sort(order[held:]), np.sort(order[:held]))
+    return SampleSplit(np.sort(order[held:]), np.sort(order[:held]))
 
 
-def chronological_split(samples: int) -> Split:
+def chronological_split(samples: int) -> SampleSplit:
     """The honest split: trained on the first four fifths, validated on the last."""
     border = samples - round(samples * VALIDATION_SHARE)
-    return Split(np.arange(border), np.arange(border, samples))
+    return SampleSplit(np.arange(border), np.arange(border, samples))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class InputScale:
         )
 
 
-class Motion(NamedTuple):
+class PhysicsInputs(NamedTuple):
     """Inputs of eq. 21: speed, m/s, and acceleration, m/s^2, shape (n,) each."""
 
     speed: torch.Tensor
@@ -115,7 +115,7 @@ class Samples:
     ) -> None:
         columns = (torch.as_tensor(column, dtype=dtype, device=device) for column in log)
         time, speed, acceleration, power = columns
-        self.motion = Motion(speed, acceleration)
+        self.motion = PhysicsInputs(speed, acceleration)
         raw = torch.stack((speed, time), dim=1)
         self.inputs = (raw - raw.new_tensor(inputs.middle)) / raw.new_tensor(inputs.half_range)
         self.power = (power - scale.middle) / scale.half_range
@@ -131,7 +131,7 @@ class Problem:
         self,
         log: DriveLog,
         vehicle: Vehicle,
-        split: Split,
+        split: SampleSplit,
         *,
         form: RegenForm = RegenForm.RECOVERY,
         inputs: InputForm = InputForm.RAW,
@@ -159,7 +159,7 @@ class Problem:
         initial = self._initial.double() * torch.exp(log_scale.detach().double())
         return Parameters._make([*initial.tolist(), self.p_aux])
 
-    def physics(self, motion: Motion, log_scale: torch.Tensor) -> torch.Tensor:
+    def physics(self, motion: PhysicsInputs, log_scale: torch.Tensor) -> torch.Tensor:
         """Normalised P_physics of eq. 21 and 23, shape (n,)."""
         power = battery_power(
             motion.speed,

@@ -6,7 +6,7 @@ from typing import Any
 
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.published import LossRow
-from evpinn_ros.reproduction.scores import ParameterRow
+from evpinn_ros.reproduction.scores import TableFiveRow
 
 
 def results_of(outcome: Outcome) -> dict[str, Any]:
@@ -55,5 +55,5 @@ def _loss_row(row: LossRow) -> dict[str, Any]:
     }
 
 
-def _parameter(row: ParameterRow) -> dict[str, Any]:
+def _parameter(row: TableFiveRow) -> dict[str, Any]:
     return {name: value for name, value in row._asdict().items() if name != "name"}

@@ -5,14 +5,14 @@ from __future__ import annotations
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
+from evpinn_ros.common.saved_fields import plain
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.estimation.network import PowerNetwork
-from evpinn_ros.estimation.paper import LEARNED, POWER_SCALE, SPEED_SCALE, WINDOW
+from evpinn_ros.estimation.paper import LEARNED, POWER_SCALE, SPEED_SCALE, WINDOW, SavedPaper
 from evpinn_ros.estimation.state_file import write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.reproduction.experiment import Outcome
@@ -57,16 +57,16 @@ def write_estimator_state(path: Path, outcome: Outcome) -> None:
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
     problem, optimizer = outcome.training.problem, outcome.training.optimizer
     residual = outcome.predicted_power - outcome.log.power
-    learner: dict[str, Any] = {
-        "network": window_network(problem, optimizer.network).vector().tolist(),
-        "log_scale": optimizer.log_scale.detach().cpu().tolist(),
-        "p_aux": problem.p_aux,
-        "covariance": outcome.covariance.tolist(),
-        "variance": float(np.mean(residual**2)),
-        "fresh": False,
-        "regen_form": outcome.settings.form.value,
-    }
-    state = {**estimator.export(), "learner": learner}
+    learner = SavedPaper(
+        network=window_network(problem, optimizer.network).vector().detach().numpy(),
+        log_scale=optimizer.log_scale.detach().cpu().numpy(),
+        p_aux=problem.p_aux,
+        covariance=outcome.covariance,
+        variance=float(np.mean(residual**2)),
+        fresh=False,
+        regen_form=outcome.settings.form.value,
+    )
+    state = plain(replace(estimator.saved(), learner=learner))
     estimator.restore(state)
     write_state(path, state)
 

@@ -135,7 +135,7 @@ def drift_included(
     return covariance + np.outer(drift, drift)
 
 
-class ParameterRow(NamedTuple):
+class TableFiveRow(NamedTuple):
     """One parameter as in Table V, with what the paper leaves out.
 
     Attributes:
@@ -157,7 +157,7 @@ class ParameterRow(NamedTuple):
 
 def parameter_rows(
     vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
-) -> list[ParameterRow]:
+) -> list[TableFiveRow]:
     """Rows of Table V from the covariance of the log parameters, shape (5, 5).
 
     eta, mass and C_d scale together without changing any power, so no data determine them alone.
@@ -170,13 +170,13 @@ def parameter_rows(
         share = min(1.0, variance / (prior.std / prior.value) ** 2)
         value = float(getattr(values, name))
         known = name in free and share < KNOWN_BELOW
-        rows.append(ParameterRow(name, prior.value, value, variance**0.5 * value, share, known))
+        rows.append(TableFiveRow(name, prior.value, value, variance**0.5 * value, share, known))
     return rows
 
 
 def combination_rows(
     vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
-) -> list[ParameterRow]:
+) -> list[TableFiveRow]:
     """The combinations that enter eq. 21, likewise."""
     prior_covariance = np.diag(prior_std(vehicle) ** 2)
     area = vehicle.frontal_area
@@ -187,7 +187,7 @@ def combination_rows(
         variance = float(vector @ covariance @ vector)
         share = min(1.0, variance / float(vector @ prior_covariance @ vector))
         std = variance**0.5 * after[name]
-        rows.append(ParameterRow(name, before[name], after[name], std, share, share < KNOWN_BELOW))
+        rows.append(TableFiveRow(name, before[name], after[name], std, share, share < KNOWN_BELOW))
     return rows
 
 

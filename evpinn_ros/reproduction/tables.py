@@ -15,7 +15,7 @@ from evpinn_ros.reproduction.published import (
     Losses,
     LossRow,
 )
-from evpinn_ros.reproduction.scores import ParameterRow, combinations
+from evpinn_ros.reproduction.scores import TableFiveRow, combinations
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 
@@ -39,7 +39,7 @@ TITLES = {
 }
 
 
-class Table(NamedTuple):
+class ResultTable(NamedTuple):
     """A table of text; the first column is aligned left, the others right."""
 
     title: str
@@ -48,7 +48,7 @@ class Table(NamedTuple):
     note: str
 
 
-def all_tables(outcome: Outcome) -> Iterator[Table]:
+def all_tables(outcome: Outcome) -> Iterator[ResultTable]:
     """Every table in the order of the paper, the honest columns after each."""
     yield power_loss_table(outcome)
     yield energy_loss_table(outcome)
@@ -59,7 +59,7 @@ def all_tables(outcome: Outcome) -> Iterator[Table]:
     yield energy_table(outcome)
 
 
-def power_loss_table(outcome: Outcome) -> Table:
+def power_loss_table(outcome: Outcome) -> ResultTable:
     """Tables II and III."""
     key = outcome.vehicle.key
     published = {row.epoch: row for row in POWER_LOSSES.get(key, ())}
@@ -79,10 +79,10 @@ def power_loss_table(outcome: Outcome) -> Table:
         "the n-th step."
     )
     title = f"Table {number}: loss of the power network ({outcome.settings.optimizer.value})"
-    return Table(title, columns, rows, note)
+    return ResultTable(title, columns, rows, note)
 
 
-def energy_loss_table(outcome: Outcome) -> Table:
+def energy_loss_table(outcome: Outcome) -> ResultTable:
     """Table IV."""
     published = {row.epoch: row for row in ENERGY_LOSSES}
     measured = {row.epoch: row for row in outcome.energy_rows}
@@ -92,7 +92,7 @@ def energy_loss_table(outcome: Outcome) -> Table:
         for label, rknn, dnn in (("T", 1, 3), ("V", 2, 4)):
             own = [_loss(None if ours is None else ours[column]) for column in (rknn, dnn)]
             rows.append([f"{epoch} {label}", *own, _loss(theirs[rknn]), _loss(theirs[dnn])])
-    return Table(
+    return ResultTable(
         "Table IV: loss of the energy networks",
         ["epoch", "RKNN", "DNN", "paper RKNN", "paper DNN"],
         rows,
@@ -102,7 +102,7 @@ def energy_loss_table(outcome: Outcome) -> Table:
     )
 
 
-def parameter_table(outcome: Outcome) -> Table:
+def parameter_table(outcome: Outcome) -> ResultTable:
     """Table V, with what tells a finding from a prior."""
     published = PREDICTED.get(outcome.vehicle.key)
     rows = [
@@ -117,7 +117,7 @@ def parameter_table(outcome: Outcome) -> Table:
         ]
         for row in outcome.parameters
     ]
-    return Table(
+    return ResultTable(
         "Table V: parameters",
         ["", "guess", "found, 1-sigma", "from guess", "prior", "from data", "paper", "fit"],
         rows,
@@ -128,7 +128,7 @@ def parameter_table(outcome: Outcome) -> Table:
     )
 
 
-def combination_table(outcome: Outcome) -> Table:
+def combination_table(outcome: Outcome) -> ResultTable:
     """Table of what eq. 21 lets data determine at all."""
     area, form = outcome.vehicle.frontal_area, outcome.settings.form
     fitted = combinations(outcome.regression, area, form)
@@ -143,7 +143,7 @@ def combination_table(outcome: Outcome) -> Table:
         ]
         for row in outcome.combinations
     ]
-    return Table(
+    return ResultTable(
         "What the data can determine",
         ["", "guess", "found, 1-sigma", "prior", "from data", "paper", "fit"],
         rows,
@@ -152,7 +152,7 @@ def combination_table(outcome: Outcome) -> Table:
     )
 
 
-def vehicle_table(outcome: Outcome) -> Table:
+def vehicle_table(outcome: Outcome) -> ResultTable:
     """Table VI, the values of the vehicle files beside the paper's."""
     rows = []
     for compared in COMPARED:
@@ -161,7 +161,7 @@ def vehicle_table(outcome: Outcome) -> Table:
     for key, title in (("tesla_model_3_lr", "Model 3 LR"), ("tesla_model_s", "Model S")):
         rows.append([f"paper, {title}", *_four(PREDICTED[key])])
     rows.append([f"found here, {outcome.vehicle.name}", *_four(outcome.values)])
-    return Table(
+    return ResultTable(
         "Table VI: compared with other vehicles",
         ["vehicle", "eta", "mass, kg", "C_rr", "C_d"],
         rows,
@@ -169,7 +169,7 @@ def vehicle_table(outcome: Outcome) -> Table:
     )
 
 
-def power_table(outcome: Outcome) -> Table:
+def power_table(outcome: Outcome) -> ResultTable:
     """The honest columns: every method on data it was not trained on."""
     rows = [
         [
@@ -182,7 +182,7 @@ def power_table(outcome: Outcome) -> Table:
         ]
         for scored in outcome.scores
     ]
-    return Table(
+    return ResultTable(
         "Power on data not trained on",
         ["method", "scored on", "RMSE, W", "MAE, W", "R\u00b2", "energy"],
         rows,
@@ -192,7 +192,7 @@ def power_table(outcome: Outcome) -> Table:
     )
 
 
-def energy_table(outcome: Outcome) -> Table:
+def energy_table(outcome: Outcome) -> ResultTable:
     """Energy of the drive by every integrator."""
     energies = outcome.energies
     exact = float(energies.measured[-1])
@@ -210,7 +210,7 @@ def energy_table(outcome: Outcome) -> Table:
         ]
         for title, energy in entries
     ]
-    return Table(
+    return ResultTable(
         "Energy of the drive",
         ["how", "energy", "off"],
         rows,
@@ -231,7 +231,7 @@ def _losses(losses: Losses | None) -> list[str]:
     return [UNKNOWN] * len(Losses._fields) if losses is None else [_loss(x) for x in losses]
 
 
-def _published_combination(outcome: Outcome, row: ParameterRow) -> str:
+def _published_combination(outcome: Outcome, row: TableFiveRow) -> str:
     published = PREDICTED.get(outcome.vehicle.key)
     if published is None:
         return UNKNOWN
@@ -241,7 +241,7 @@ def _published_combination(outcome: Outcome, row: ParameterRow) -> str:
     )
 
 
-def _knowledge(row: ParameterRow) -> list[str]:
+def _knowledge(row: TableFiveRow) -> list[str]:
     return [f"{100 * row.prior_share:.0f} %", "yes" if row.determined else "no"]
 
 

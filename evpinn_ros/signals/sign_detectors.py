@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Annotated, NamedTuple, TypeAlias
 
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.signals.sample import Sample
 
 CURRENT_SIGN = "current_sign"
@@ -22,7 +23,27 @@ HIGHEST_AT_REST = 20e3  # W, more than heating cabin and battery takes together
 AT_REST_MEMORY = 30.0  # s
 
 
-class SignSuspicion:
+Sum: TypeAlias = Annotated[float, Range(-1e15, 1e15)]
+
+
+class SignSums(NamedTuple):
+    """Power signed by acceleration, its size, J, and the time of both, s."""
+
+    signed: Sum = 0.0
+    size: Sum = 0.0
+    seconds: Sum = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SavedSignSuspicion:
+    """Verdict, whether there is one, and the sums it rests on."""
+
+    suspected: bool
+    told: bool
+    sums: SignSums
+
+
+class SignSuspicion(Saveable[SavedSignSuspicion]):
     """Detector of current of the wrong sign: to accelerate costs power, in every car.
 
     Followed is the sum of power signed by acceleration over the sum of its size, wherever the car
@@ -37,34 +58,31 @@ class SignSuspicion:
     def __init__(self) -> None:
         """Start without data."""
         self.suspected = self.judged = False
-        self._with = self._size = self._seconds = 0.0
+        self._sums = SignSums()
 
     def update(self, sample: Sample, power: float, step: float) -> None:
         """Learn from measured power, W, that stands for `step` seconds."""
         if abs(sample.acceleration) < HARD or sample.speed < MOVING:
             return
         keep = math.exp(-step / MEMORY)
-        self._with = keep * self._with + math.copysign(power, power * sample.acceleration) * step
-        self._size = keep * self._size + abs(power) * step
-        self._seconds = keep * self._seconds + step
-        if self._seconds < ENOUGH or self._size <= 0.0:
+        signed, size, seconds = (keep * each for each in self._sums)
+        signed += math.copysign(power, power * sample.acceleration) * step
+        size += abs(power) * step
+        seconds += step
+        self._sums = SignSums(signed, size, seconds)
+        if seconds < ENOUGH or size <= 0.0:
             return
-        share = self._with / self._size
+        share = signed / size
         self.suspected = bool(share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW))
         self.judged = True
 
-    def export(self) -> dict[str, Any]:
+    def saved(self) -> SavedSignSuspicion:
         """State to save."""
-        sums = [self._with, self._size, self._seconds]
-        return {"suspected": self.suspected, "told": self.judged, "sums": sums}
+        return SavedSignSuspicion(self.suspected, self.judged, self._sums)
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take a saved state; KeyError, TypeError or ValueError when it does not fit."""
-        with_, size, seconds = (float(value) for value in state["sums"])
-        if not all(map(math.isfinite, (with_, size, seconds))):
-            raise ValueError("the saved sums of the current detector are not finite")
-        self.suspected, self.judged = bool(state["suspected"]), bool(state["told"])
-        self._with, self._size, self._seconds = with_, size, seconds
+    def take(self, saved: SavedSignSuspicion) -> None:
+        """Go on from a saved state."""
+        self.suspected, self.judged, self._sums = saved.suspected, saved.told, saved.sums
 
 
 class ChargeSuspicion:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evpinn_ros.simulation.drive import SAMPLE_RATE, Motion
+from evpinn_ros.simulation.drive import SAMPLE_RATE, IntervalMotion
 from evpinn_ros.simulation.powertrain import Battery, Brakes, Drivetrain
 from evpinn_ros.simulation.surroundings import Surroundings
 from evpinn_ros.vehicle.files import Vehicle
@@ -80,7 +80,7 @@ class Trace:
         state_of_charge: 0..1.
     """
 
-    motion: Motion
+    motion: IntervalMotion
     head_wind: np.ndarray
     wheel_power: np.ndarray
     drag_power: np.ndarray
@@ -123,7 +123,7 @@ def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator)
     )
 
 
-def drive_car(car: Car, motion: Motion, around: Surroundings) -> Trace:
+def drive_car(car: Car, motion: IntervalMotion, around: Surroundings) -> Trace:
     """Everything that happens while `car` moves like this."""
     speed = motion.speed
     drag = drag_force(speed + around.head_wind, car.frontal_area * car.c_d, car.air_density)

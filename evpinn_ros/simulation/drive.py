@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.simulation.noise import slow_noise
-from evpinn_ros.simulation.road import Road
+from evpinn_ros.simulation.road import HillyRoad
 
 SAMPLE_RATE = 100  # Hz, of every true signal
 DRIVER_RATE = 10  # Hz, at which the driver decides
@@ -57,7 +57,7 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class IntervalMotion:
     """Motion of the car: shape (n,) at the middle of each 1 / SAMPLE_RATE interval.
 
     Mid-interval values make the sums over intervals exact: m v a adds up to the kinetic energy
@@ -78,14 +78,14 @@ class Motion:
     grade: np.ndarray
 
 
-def motion_on(road: Road, speed: np.ndarray) -> Motion:
+def motion_on(road: HillyRoad, speed: np.ndarray) -> IntervalMotion:
     """The motion of a car on a road, from speeds of shape (n + 1,), m/s, at SAMPLE_RATE."""
     step = 1 / SAMPLE_RATE
     middle = (speed[1:] + speed[:-1]) / 2
     distance = np.concatenate(([0.0], np.cumsum(middle) * step))
     slope = road.mean_slope(distance[:-1], distance[1:])
     elevation = road.elevation(distance)
-    return Motion(
+    return IntervalMotion(
         time=(np.arange(middle.size) + 0.5) * step,
         speed=middle,
         acceleration=np.diff(speed) / step,

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from evpinn_ros.simulation.car import STEP, Car, Trace, draw_car
-from evpinn_ros.simulation.drive import Motion
+from evpinn_ros.simulation.drive import IntervalMotion
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import (
@@ -30,7 +30,7 @@ def equation_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Genera
 
 
 def drive_equation_car(
-    car: Car, parameters: Parameters, motion: Motion, form: RegenForm, beta: float
+    car: Car, parameters: Parameters, motion: IntervalMotion, form: RegenForm, beta: float
 ) -> Trace:
     """Everything that happens while the car moves like this on a flat road."""
     speed, nothing = motion.speed, np.zeros_like(motion.speed)

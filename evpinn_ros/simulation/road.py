@@ -14,7 +14,7 @@ MAX_RMS_GRADE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Road:
+class HillyRoad:
     """Sum of sinusoidal hills, elevation zero at the start.
 
     Attributes:
@@ -43,7 +43,7 @@ class Road:
         return np.asarray((np.cos(middle) * np.sinc(half_turns)) @ self.slope)
 
 
-def hilly_road(rms_grade: float, rng: np.random.Generator) -> Road:
+def hilly_road(rms_grade: float, rng: np.random.Generator) -> HillyRoad:
     """A random road whose slope has this root mean square, 1; zero is a flat road.
 
     Peaks are about three times as steep. The hills get slopes of equal weight, so the long ones
@@ -56,4 +56,4 @@ def hilly_road(rms_grade: float, rng: np.random.Generator) -> Road:
         raise InputError(f"rms grade {rms_grade:g} is outside [0, {MAX_RMS_GRADE:g}]")
     wavelength = np.exp(rng.uniform(np.log(SHORTEST_HILL), np.log(LONGEST_HILL), HILLS))
     slope = np.full(HILLS, rms_grade * np.sqrt(2 / HILLS))
-    return Road(2 * np.pi / wavelength, slope, rng.uniform(0, 2 * np.pi, HILLS))
+    return HillyRoad(2 * np.pi / wavelength, slope, rng.uniform(0, 2 * np.pi, HILLS))

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from evpinn_ros.simulation.car import Car, Trace, drive_car
-from evpinn_ros.simulation.drive import Motion
+from evpinn_ros.simulation.drive import IntervalMotion
 from evpinn_ros.simulation.surroundings import Surroundings
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable, identifiable
@@ -110,7 +110,7 @@ def _draw(vehicle: Vehicle, rng: np.random.Generator, spread: float) -> Paramete
     return Parameters(*(value(name) for name in PARAMETER_NAMES))
 
 
-def tuned(car: Car, motion: Motion, around: Surroundings, wish: Parameters) -> Car:
+def tuned(car: Car, motion: IntervalMotion, around: Surroundings, wish: Parameters) -> Car:
     """The car whose true values on this drive are `wish`; mass and c_d are taken as they are.
 
     Two wishes may be more than a car can do: mu, when even without friction brakes less comes
@@ -131,7 +131,7 @@ def tuned(car: Car, motion: Motion, around: Surroundings, wish: Parameters) -> C
     return _with_recovery(car, motion, around, wish.mu)
 
 
-def _with_recovery(car: Car, motion: Motion, around: Surroundings, mu: float) -> Car:
+def _with_recovery(car: Car, motion: IntervalMotion, around: Surroundings, mu: float) -> Car:
     """The car with the share of the motor in braking that gives this mu, or as near as it can."""
 
     def with_share(share: float) -> Car:

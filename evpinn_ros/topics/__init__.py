@@ -44,17 +44,17 @@ class Topic:
         name: relative to the namespace, or absolute.
         type_name: `package/msg/Type`.
         source: who publishes it.
-        latched: a late subscriber gets the last message.
         description: content, in one line.
         unit: of the content; empty where it has several or none.
+        latched: a late subscriber gets the last message.
     """
 
     name: str
     type_name: str
     source: str
-    latched: bool
     description: str
-    unit: str
+    unit: str = ""
+    latched: bool = False
 
     @property
     def publisher_qos(self) -> Qos:
@@ -82,11 +82,17 @@ class Topic:
         return full_name == self.name or full_name.endswith(f"/{self.name.lstrip('/')}")
 
 
+def _vector(
+    name: str, source: str, description: str, unit: str = "", *, latched: bool = False
+) -> Topic:
+    """The topic of a named vector."""
+    return Topic(name, NAMED_VECTOR_TYPE, source, description, unit, latched)
+
+
 SPEED = Topic(
     "vehicle/speed",
     SPEED_TYPE,
     "can_bridge",
-    False,
     "`twist.twist.linear.x` in frame `base_link`, with the variance of its resolution",
     "m/s",
 )
@@ -94,7 +100,6 @@ ODOMETRY = Topic(
     "odom",
     ODOMETRY_TYPE,
     "the car",
-    False,
     "optional: `twist.twist.linear.x` as speed, until `vehicle/speed` is received",
     "m/s",
 )
@@ -102,18 +107,16 @@ BATTERY = Topic(
     "battery/state",
     BATTERY_TYPE,
     "can_bridge",
-    False,
     "voltage and current of one moment, negative current discharges; NaN where not measured",
     "V, A",
 )
 BATTERY_VOLTAGE = Topic(
-    "battery/voltage", SCALAR_TYPE, "can_bridge", False, "the same voltage, for plots", "V"
+    "battery/voltage", SCALAR_TYPE, "can_bridge", "the same voltage, for plots", "V"
 )
 BATTERY_CURRENT = Topic(
     "battery/current",
     SCALAR_TYPE,
     "can_bridge",
-    False,
     "the same current, for plots; negative discharges",
     "A",
 )
@@ -121,19 +124,17 @@ IMU = Topic(
     "vehicle/imu",
     IMU_TYPE,
     "the car",
-    False,
     "optional grade source: grade = -pitch in `base_link`; of another frame with "
     "`imu_rotation_rpy` alone",
     "rad",
 )
 FIX = Topic(
-    "vehicle/fix", FIX_TYPE, "the car", False, "optional grade source: altitude over distance", "m"
+    "vehicle/fix", FIX_TYPE, "the car", "optional grade source: altitude over distance", "m"
 )
 TEMPERATURE = Topic(
     "environment/temperature",
     TEMPERATURE_TYPE,
     "the car",
-    False,
     "optional: ambient temperature, for the density of air",
     "degC",
 )
@@ -141,7 +142,6 @@ PRESSURE = Topic(
     "environment/pressure",
     PRESSURE_TYPE,
     "the car",
-    False,
     "optional: pressure of the air outside, for its density",
     "Pa",
 )
@@ -149,23 +149,18 @@ WIND = Topic(
     "environment/wind",
     WIND_TYPE,
     "the car",
-    False,
     "optional: velocity of the air over ground in `base_link`; a head wind is negative x",
     "m/s",
 )
-AUXILIARY_POWER = Topic(
+AUXILIARY_POWER = _vector(
     "auxiliary/power",
-    NAMED_VECTOR_TYPE,
     "can_bridge",
-    False,
     "optional: known loads by name, heating and others; heating counts below 20 degrees outside",
     "W",
 )
-MOTOR_TORQUE = Topic(
+MOTOR_TORQUE = _vector(
     "vehicle/motor_torque",
-    NAMED_VECTOR_TYPE,
     "can_bridge",
-    False,
     "optional: `torque` of all motors together at their shaft, positive drives forward, and their "
     "`speed`, left out where not known",
     "N m, rad/s",
@@ -185,41 +180,33 @@ INPUTS = (
     MOTOR_TORQUE,
 )
 
-PARAMETERS = Topic(
+PARAMETERS = _vector(
     "estimate/parameters",
-    NAMED_VECTOR_TYPE,
     "estimator",
-    False,
     "`eta, mu, mass, c_rr, c_d, p_aux`: live value and 1-sigma",
     "1, 1, kg, 1, 1, W",
 )
-IDENTIFIABLE = Topic(
+IDENTIFIABLE = _vector(
     "estimate/identifiable",
-    NAMED_VECTOR_TYPE,
     "estimator",
-    False,
     "what the data alone determines: "
     "`mass_over_eta, drag_area_over_eta, c_rr, regeneration, p_aux`",
     "kg, m^2, 1, 1, W",
 )
-BOUNDS = Topic(
+BOUNDS = _vector(
     "estimate/bounds",
-    NAMED_VECTOR_TYPE,
     "estimator",
-    False,
     "`<parameter>_lower`, `_upper`, `_prior_share` (0 = all data, 1 = all prior)",
-    "",
 )
-RELIABLE = Topic(
+RELIABLE = _vector(
     "estimate/reliable",
-    NAMED_VECTOR_TYPE,
     "estimator",
-    True,
     "the last parameters that passed every validity check",
     "1, 1, kg, 1, 1, W",
+    latched=True,
 )
 PARAMETER_SCALARS = tuple(
-    Topic(f"estimate/{name}", SCALAR_TYPE, "estimator", False, f"live {text}, for plots", unit)
+    Topic(f"estimate/{name}", SCALAR_TYPE, "estimator", f"live {text}, for plots", unit)
     for name, text, unit in (
         ("eta", "drive efficiency", "1"),
         ("mu", "regeneration efficiency", "1"),
@@ -232,86 +219,68 @@ MODEL = Topic(
     "estimate/model",
     ARRAY_TYPE,
     "estimator",
-    True,
     "for the node `energy`: the linear model that predicts power, every 10 s; the label of its "
     "first dimension is `vehicle/version`",
-    "",
+    latched=True,
 )
-POWER_MEASURED = Topic(
-    "power/measured", NAMED_VECTOR_TYPE, "estimator", False, "`power`: voltage x current", "W"
-)
-POWER_PREDICTED = Topic(
+POWER_MEASURED = _vector("power/measured", "estimator", "`power`: voltage x current", "W")
+POWER_PREDICTED = _vector(
     "power/predicted",
-    NAMED_VECTOR_TYPE,
     "estimator",
-    False,
     "`power` for the newest sample; never uses that sample's voltage or current",
     "W",
 )
-POWER_SMOOTHED = Topic(
+POWER_SMOOTHED = _vector(
     "power/smoothed",
-    NAMED_VECTOR_TYPE,
     "estimator",
-    False,
     "`power` stamped `smoothing_lag` earlier, made once speed up to that lag later is known; "
     "never uses voltage or current of its own or later samples",
     "W",
 )
-ENERGY_STATE = Topic(
+ENERGY_STATE = _vector(
     "energy/state",
-    NAMED_VECTOR_TYPE,
     "energy",
-    False,
     "since the last reset `measured, predicted, rknn, regenerated, consumed` (measured where "
     "possible, predicted elsewhere): position J, velocity W, effort 1-sigma J",
     "J",
 )
-ENERGY_BREAKDOWN = Topic(
+ENERGY_BREAKDOWN = _vector(
     "energy/breakdown",
-    NAMED_VECTOR_TYPE,
     "estimator",
-    False,
     "1 Hz: where the energy of this drive went: `air, tyres, slope, speed, brakes, drivetrain, "
     "climate, standing, unexplained`, which add up to `measured`; beside them `regained`. effort "
     "1-sigma; not published in `mode: paper`",
     "J",
 )
 ENERGY_CONSUMED = Topic(
-    "energy/consumed", SCALAR_TYPE, "energy", False, "energy drawn since the last reset", "J"
+    "energy/consumed", SCALAR_TYPE, "energy", "energy drawn since the last reset", "J"
 )
-ENERGY_TOTALS = Topic(
+ENERGY_TOTALS = _vector(
     "energy/totals",
-    NAMED_VECTOR_TYPE,
     "energy",
-    False,
     "1 Hz: `net, drawn, regenerated` since the last reset and, as `lifetime_...`, since ever",
     "J",
 )
-ENERGY_CONSUMPTION = Topic(
+ENERGY_CONSUMPTION = _vector(
     "energy/consumption",
-    NAMED_VECTOR_TYPE,
     "energy",
-    False,
     "1 Hz: `wh_per_km_1`, `_10`, `_100` over the last so many km, `_trip` since the last reset, "
     "`_lifetime`; each once that distance was driven, the last two after 1 km. "
     "`distance_trip`, `distance_lifetime`",
     "Wh/km, m",
 )
-ENERGY_RANGE = Topic(
+ENERGY_RANGE = _vector(
     "energy/range",
-    NAMED_VECTOR_TYPE,
     "energy",
-    False,
     "1 Hz: `distance_to_empty` with `distance_lower`, `distance_upper` of its 90 % band, "
     "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; what is unknown is left out",
     "m, J, 1",
 )
-PLAN = Topic("plan", PATH_TYPE, "planner", False, "stamped poses; z is elevation", "m")
+PLAN = Topic("plan", PATH_TYPE, "planner", "stamped poses; z is elevation", "m")
 SPEED_PROFILE = Topic(
     "plan/speed_profile",
     TRAJECTORY_TYPE,
     "planner",
-    False,
     "joint `distance`: positions m, velocities m/s, `time_from_start`; optional joint "
     "`elevation`: positions m, else the road is flat",
     "m, m/s",
@@ -320,7 +289,6 @@ FORECAST = Topic(
     "energy/forecast",
     TRAJECTORY_TYPE,
     "energy",
-    False,
     "joint `energy`: positions J, velocities W, effort 1-sigma J; the plan's header echoed",
     "J, W",
 )
@@ -328,7 +296,6 @@ FORECAST_STATUS = Topic(
     "energy/forecast/status",
     DIAGNOSTICS_TYPE,
     "energy",
-    False,
     "one for every plan, its header echoed: OK with `energy`, `sigma`, `battery` and the "
     "`difference` to each plan that was asked together with it, or WARN and why it is refused",
     "J",
@@ -337,14 +304,11 @@ FORECAST_BATTERY = Topic(
     "energy/forecast/battery",
     BATTERY_TYPE,
     "energy",
-    False,
     "the battery at the end of the plan; not published while the state of charge is unknown. "
     "Its voltage is NaN until a minute of voltage, current and state of charge was received",
     "1",
 )
-DIAGNOSTICS = Topic(
-    "/diagnostics", DIAGNOSTICS_TYPE, "all", False, "1 Hz: state, reasons, counters", ""
-)
+DIAGNOSTICS = Topic("/diagnostics", DIAGNOSTICS_TYPE, "all", "1 Hz: state, reasons, counters")
 
 TOPICS = (
     *INPUTS,

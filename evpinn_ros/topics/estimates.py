@@ -1,8 +1,11 @@
-"""Outputs of the estimator and the energy meter as ROS 2 messages, for nodes and bags alike."""
+"""Outputs of the estimator and the energy meter as ROS 2 messages, both ways.
+
+Readers raise `BadMessage` where a message is not what the builders make.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +14,23 @@ from evpinn_ros.energy.account import AccountSummary, Totals
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState, Flow
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
-from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
+from evpinn_ros.estimation.estimate import (
+    ParameterEstimate,
+    ParameterSet,
+    PowerEstimate,
+    PowerKind,
+    Trust,
+)
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.messages import NewMessage, named_vector, scalar
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.topics.messages import (
+    BadMessage,
+    NewMessage,
+    named_vector,
+    read_named_vector,
+    scalar,
+)
+from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 if TYPE_CHECKING:  # for its type alone: the energy node would load torch with it
     from evpinn_ros.estimation.estimator import Output
@@ -24,9 +40,13 @@ POWER_TOPICS = {
     PowerKind.PREDICTED: topics.POWER_PREDICTED,
     PowerKind.SMOOTHED: topics.POWER_SMOOTHED,
 }
+POWER_KINDS = {topic: kind for kind, topic in POWER_TOPICS.items()}
+POWER = "power"
 FLOWS = ("measured", "predicted", "rknn", "regenerated")
 UNMEASURED_ENERGY = "unmeasured_energy"  # J, predicted since the battery was last measured
 JOULES_PER_METRE = 3.6  # in a Wh/km
+BOUNDS = ("lower", "upper", "prior_share")
+UNKNOWN_FLOW = Flow(math.nan, math.nan, math.nan)
 
 
 def output_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, Any]]:
@@ -36,37 +56,25 @@ def output_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, An
         ValueError: a number is not finite; nothing of this output may then be published.
     """
     if isinstance(output, PowerEstimate):
-        names, values, sigmas = ["power"], [output.power], [output.sigma]
+        found = {POWER: Uncertain(output.power, output.sigma)}
         if math.isfinite(output.energy_sigma):
-            names.append(UNMEASURED_ENERGY)
-            values.append(output.energy)
-            sigmas.append(output.energy_sigma)
-        vector = named_vector(new, output.stamp_ns, names, values, sigmas)
-        yield POWER_TOPICS[output.kind], vector
+            found[UNMEASURED_ENERGY] = Uncertain(output.energy, output.energy_sigma)
+        yield POWER_TOPICS[output.kind], _vector(new, output.stamp_ns, found)
     else:
         yield from _parameter_messages(new, output)
 
 
 def _parameter_messages(new: NewMessage, found: ParameterSet) -> Iterator[tuple[Topic, Any]]:
-    names = list(found.parameters)
-    values = [estimate.value for estimate in found.parameters.values()]
-    sigmas = [estimate.std for estimate in found.parameters.values()]
-    live = named_vector(new, found.stamp_ns, names, values, sigmas)
+    parameters = {name: Uncertain(p.value, p.std) for name, p in found.parameters.items()}
+    live = _vector(new, found.stamp_ns, parameters)
     yield topics.PARAMETERS, live
-    yield (
-        topics.IDENTIFIABLE,
-        named_vector(
-            new,
-            found.stamp_ns,
-            IDENTIFIABLE_NAMES,
-            list(found.identifiable),
-            list(found.identifiable_std),
-        ),
-    )
+    sums = map(Uncertain, found.identifiable, found.identifiable_std)
+    combined = dict(zip(IDENTIFIABLE_NAMES, sums, strict=True))
+    yield topics.IDENTIFIABLE, _vector(new, found.stamp_ns, combined)
     bounds = {
-        f"{name}_{end}": getattr(estimate, end)
+        f"{name}_{bound}": getattr(estimate, bound)
         for name, estimate in found.parameters.items()
-        for end in ("lower", "upper", "prior_share")
+        for bound in BOUNDS
     }
     yield topics.BOUNDS, named_vector(new, found.stamp_ns, list(bounds), list(bounds.values()))
     if found.reliable:
@@ -83,9 +91,11 @@ def breakdown_messages(
     if found is None:
         return
     amounts = {**found.amounts(), "measured": found.total()}
-    names, energies = list(amounts), [each.kwh * JOULES_PER_KWH for each in amounts.values()]
-    sigmas = [each.sigma_kwh * JOULES_PER_KWH for each in amounts.values()]
-    yield topics.ENERGY_BREAKDOWN, named_vector(new, stamp_ns, names, energies, sigmas)
+    energies = {
+        name: Uncertain(each.kwh * JOULES_PER_KWH, each.sigma_kwh * JOULES_PER_KWH)
+        for name, each in amounts.items()
+    }
+    yield topics.ENERGY_BREAKDOWN, _vector(new, stamp_ns, energies)
 
 
 def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
@@ -99,17 +109,9 @@ def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic
         if math.isfinite(flow.energy) and math.isfinite(flow.power)
     }
     if known:
-        yield (
-            topics.ENERGY_STATE,
-            named_vector(
-                new,
-                state.stamp_ns,
-                list(known),
-                [flow.energy for flow in known.values()],
-                [flow.sigma for flow in known.values()],
-                [flow.power for flow in known.values()],
-            ),
-        )
+        energies, powers, sigmas = zip(*known.values(), strict=True)
+        vector = named_vector(new, state.stamp_ns, list(known), energies, sigmas, powers)
+        yield topics.ENERGY_STATE, vector
     yield topics.ENERGY_CONSUMED, scalar(new, state.consumed)
 
 
@@ -153,8 +155,81 @@ def _totals(prefix: str, totals: Totals) -> dict[str, Uncertain]:
     }
 
 
-def _vector(new: NewMessage, stamp_ns: int, found: dict[str, Uncertain]) -> Any:
-    values = [each.value for each in found.values()]
-    return named_vector(
-        new, stamp_ns, list(found), values, [each.sigma for each in found.values()]
+def _vector(new: NewMessage, stamp_ns: int, found: Mapping[str, Uncertain]) -> Any:
+    values, sigmas = zip(*found.values(), strict=True)
+    return named_vector(new, stamp_ns, list(found), values, sigmas)
+
+
+# --- readers -----------------------------------------------------------------------------------
+
+
+def read_power(topic: Topic, message: Any) -> PowerEstimate:
+    """Power of one of `POWER_TOPICS`, and the energy predicted without a battery beside it."""
+    vector = read_named_vector(message)
+    if POWER not in vector.values:
+        raise BadMessage("no_power")
+    numbers = [
+        each.get(name, math.nan)
+        for name in (POWER, UNMEASURED_ENERGY)
+        for each in (vector.values, vector.sigmas)
+    ]
+    return PowerEstimate(POWER_KINDS[topic], vector.stamp_ns, *numbers)
+
+
+def read_identifiable(message: Any) -> tuple[Identifiable, Identifiable]:
+    """The combinations that data determine, and their 1-sigma."""
+    vector = read_named_vector(message)
+    values, sigmas = (
+        Identifiable(*_all(numbers, IDENTIFIABLE_NAMES))
+        for numbers in (vector.values, vector.sigmas)
     )
+    return values, sigmas
+
+
+def read_energy(message: Any) -> EnergyState:
+    """The flows of a meter; what is not on its topic is NaN or zero."""
+    vector = read_named_vector(message)
+    flows = {
+        name: Flow(vector.values[name], vector.rates[name], vector.sigmas.get(name, math.nan))
+        if name in vector.rates
+        else UNKNOWN_FLOW
+        for name in FLOWS
+    }
+    return EnergyState(
+        stamp_ns=vector.stamp_ns,
+        **flows,
+        consumed=math.nan,
+        consumed_sigma=math.nan,
+        gaps=0,
+        dropped=0,
+        unmeasured_s=math.nan,
+        unknown_s=math.nan,
+        measuring="measured" in vector.values,
+    )
+
+
+def read_parameters(parameters: Any, bounds: Any) -> ParameterSet:
+    """Parameters and the bounds published with them; their states are not on the topics."""
+    live, limits = read_named_vector(parameters), read_named_vector(bounds).values
+    estimates = {
+        name: ParameterEstimate(
+            value=value,
+            std=live.sigmas.get(name, math.nan),
+            **bounds_of(limits, name),
+            state=Trust.ESTIMATING,
+        )
+        for name, value in zip(PARAMETER_NAMES, _all(live.values, PARAMETER_NAMES), strict=True)
+    }
+    unknown = Identifiable(*([math.nan] * len(IDENTIFIABLE_NAMES)))
+    return ParameterSet(live.stamp_ns, estimates, unknown, unknown, reliable=False)
+
+
+def bounds_of(limits: Mapping[str, float], name: str) -> dict[str, float]:
+    """Each of `BOUNDS` of a parameter, from the values of `estimate/bounds`; NaN where missing."""
+    return {bound: limits.get(f"{name}_{bound}", math.nan) for bound in BOUNDS}
+
+
+def _all(numbers: Mapping[str, float], names: tuple[str, ...]) -> list[float]:
+    if not {*names} <= {*numbers}:
+        raise BadMessage("incomplete")
+    return [numbers[name] for name in names]

@@ -4,7 +4,7 @@ Builders take `new`, which makes a message of any class family, so the same code
 bags (`evpinn_ros.bags.types.new_message`). They raise ValueError rather than build a message with
 a non-finite number where the message definition does not give NaN a meaning. Readers take a
 message of any class family and raise `BadMessage` where it holds no usable value. The messages of
-all readings are in `reading_messages`, those of plans and their forecasts in `plan_messages`.
+all readings are in `readings`, those of the nodes in `estimates`, of plans in `plans`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,7 @@ import math
 from typing import Any, Protocol
 
 from evpinn_ros import topics
-from evpinn_ros.signals.readings import (
-    NANOSECONDS,
-    BatteryReading,
-    SpeedReading,
-)
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 VEHICLE_FRAME = "base_link"
 FLOAT32_MAX = 3.4028234663852886e38

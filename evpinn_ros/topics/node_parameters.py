@@ -127,12 +127,7 @@ ESTIMATOR = (
         choices=("adam", "gauss_newton"),
     ),
     Parameter(
-        "smoothing_lag",
-        0.3,
-        "How much later speed power/smoothed waits for.",
-        "s",
-        0.0,
-        1.5,
+        "smoothing_lag", 0.3, "How much later speed power/smoothed waits for.", "s", 0.0, 1.5
     ),
     Parameter(
         "allowed_lateness",
@@ -190,14 +185,7 @@ ENERGY = (
         "energy/state holds both.",
         choices=("rknn", "trapezoid"),
     ),
-    Parameter(
-        "max_gap",
-        2.0,
-        "Longest step of power that is integrated.",
-        "s",
-        0.1,
-        2.0,
-    ),
+    Parameter("max_gap", 2.0, "Longest step of power that is integrated.", "s", 0.1, 2.0),
     Parameter(
         "nominal_speed",
         0.0,
@@ -226,11 +214,7 @@ CAN_BRIDGE = (
         "CAN profile by its name in config/can, or the path of its file. Empty: the vehicle's.",
         verify=load_profile,
     ),
-    Parameter(
-        "trust_profile",
-        False,
-        "Publish also what the traffic of the bus contradicts.",
-    ),
+    Parameter("trust_profile", False, "Publish also what the traffic of the bus contradicts."),
     Parameter(
         "interface",
         "socketcan",

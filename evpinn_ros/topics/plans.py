@@ -49,11 +49,7 @@ _POINT = np.dtype(
 
 
 def forecast_bytes(
-    header: Any,
-    times: np.ndarray,
-    energies: np.ndarray,
-    powers: np.ndarray,
-    sigmas: np.ndarray,
+    header: Any, times: np.ndarray, energies: np.ndarray, powers: np.ndarray, sigmas: np.ndarray
 ) -> bytes:
     """trajectory_msgs/JointTrajectory of the joint `energy`, the header of the plan echoed.
 

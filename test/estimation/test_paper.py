@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.paper import (
     EPOCHS,
     LEARNED,
@@ -83,7 +83,7 @@ def test_before_the_first_update_it_says_what_the_physics_says(vehicle):
     assert learner.predict(sample).power == pytest.approx(power + 200.0)
     found = learner.parameters()
     assert [found.parameters[n].value for n in PARAMETER_NAMES] == pytest.approx(vehicle.initial)
-    assert {p.state for p in found.parameters.values()} == {State.UNESTIMATED}
+    assert {p.state for p in found.parameters.values()} == {Trust.UNESTIMATED}
 
 
 @pytest.mark.parametrize("form", list(RegenForm))

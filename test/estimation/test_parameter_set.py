@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.car_state import State as Index
-from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.car_state import State
+from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.parameter_set import (
     ESTIMATING_BELOW,
     IMPOSSIBLE_BEYOND,
@@ -25,10 +25,10 @@ from evpinn_ros.estimation.published import EnergySums, Published, published
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES
 
 UNESTIMATED, ESTIMATING, VALID, INVALID = (
-    State.UNESTIMATED,
-    State.ESTIMATING,
-    State.VALID,
-    State.INVALID,
+    Trust.UNESTIMATED,
+    Trust.ESTIMATING,
+    Trust.VALID,
+    Trust.INVALID,
 )
 CALM = dict.fromkeys(PARAMETER_NAMES, 0.0)
 NULL = np.array([1.0, -1.0, 1.0, 0.0, 1.0, 0.0])  # what no power tells, in the logarithms
@@ -127,7 +127,7 @@ class Judge:
     def __init__(self, prior) -> None:
         self._judge, self._prior = StateHysteresis(), prior
 
-    def __call__(self, share, *, away: float = 0.0, suspected: bool = False) -> State:
+    def __call__(self, share, *, away: float = 0.0, suspected: bool = False) -> Trust:
         found = parameter_set(0, told(self._prior, share))
         self.set = self._judge.judge(found, {**CALM, "mass": away}, suspected=suspected)
         return self.set.parameters["mass"].state
@@ -165,8 +165,8 @@ def test_a_suspicion_makes_all_invalid_while_it_lasts(judge):
 def test_what_is_stale_was_valid(prior):
     found = parameter_set(0, told(prior, 0.1))
     stale = found.stale()
-    assert {p.state for p in stale.parameters.values()} == {State.STALE}
-    assert set(stale.identifiable_states.values()) == {State.STALE} and not stale.reliable
+    assert {p.state for p in stale.parameters.values()} == {Trust.STALE}
+    assert set(stale.identifiable_states.values()) == {Trust.STALE} and not stale.reliable
     one = replace(found.parameters["mass"], state=ESTIMATING)
     assert replace(found, parameters={"mass": one}).stale().parameters["mass"].state is ESTIMATING
-    assert Index.ETA == 0
+    assert State.ETA == 0

@@ -107,6 +107,7 @@ def test_where_chance_does_much_more_is_asked():
 def test_a_saved_detector_that_does_not_fit_is_refused():
     saved = PayloadDetector().export()
     trial = {"stamp_ns": 1, "before": 7.0, "before_std": 0.01, "mass": 1800.0, "change": 0.08}
+    trial |= {"motion": 90.0, "significance": 6.0, "rival": False}
     change = {"stamp_ns": 1, "delta_mass": 150.0, "std": 20.0}
     PayloadDetector().restore({**saved, "found": trial, "change": change})
     other = PayloadDetector()
@@ -118,6 +119,7 @@ def test_a_saved_detector_that_does_not_fit_is_refused():
         {"change": {**change, "std": -1.0}},
         {"change": {"stamp_ns": 1}},
         {"found": {**trial, "change": 0.0}},
+        {"found": {**trial, "motion": -1.0}},
         {"found": {**trial, "change": 1e4}},
         {"found": [1.0]},
     ):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.gaussian import Gaussian
 from evpinn_ros.estimation.pinn import CATCH_UP, PARKED, EnergyDebt, LearnedCar, PinnLearner
 from evpinn_ros.estimation.weak_form import Warmth, spent
@@ -50,7 +50,7 @@ def learner(vehicle, town) -> PinnLearner:
 def test_before_anything_no_parameter_is_estimated(vehicle):
     learner = PinnLearner(vehicle)
     states = {found.state for found in learner.parameters().parameters.values()}
-    assert states == {State.UNESTIMATED} and not learner.parameters().reliable
+    assert states == {Trust.UNESTIMATED} and not learner.parameters().reliable
     assert learner.prepare_update() is None
     assert learner.report() == (None, 0, 0, None)
     prediction = learner.predict(sample(0))

@@ -79,7 +79,9 @@ def test_a_drive_may_be_interrupted():
     whole, halves = ReportedLoads(), ReportedLoads()
     for loads in (whole, halves):
         driven(loads, lambda t: 2000.0 + t, 5.0, 600)
-    halves = ReportedLoads.restored(halves.export())
+    again = ReportedLoads()
+    again.restore(halves.export())
+    halves = again
     for loads in (whole, halves):
         driven(loads, lambda t: 1500.0 - t, 4.0, 600)
         loads.end_drive()

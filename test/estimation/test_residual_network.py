@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-import pytest
 
-from evpinn_ros.estimation.residual_network import MEMORY, MOST_EVIDENCE, ResidualNetwork
+from evpinn_ros.estimation.residual_network import MEMORY, ResidualNetwork
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -86,7 +85,7 @@ def test_one_seed_gives_one_network_and_an_outlier_moves_it_little():
     def after(residual: float, seed: int = 0) -> float:
         network = ResidualNetwork(seed)
         network.learn(moment, residual, STEP)
-        network.restore(20.0)
+        network.evidence = 20.0
         return network.correct(moment).power
 
     assert after(3e3) == after(3e3) != after(3e3, seed=1)
@@ -95,9 +94,5 @@ def test_one_seed_gives_one_network_and_an_outlier_moves_it_little():
 
 def test_what_lasts_is_its_evidence():
     network, other = taught(pattern), ResidualNetwork(0)
-    other.restore(network.export())
-    assert other.share == network.share and other.export() == network.export()
-    for wrong in (math.nan, math.inf, 2 * MOST_EVIDENCE, "text", None, [1.0]):
-        with pytest.raises((TypeError, ValueError)):
-            other.restore(wrong)
-    assert other.export() == network.export()
+    other.evidence = network.evidence
+    assert other.share == network.share

@@ -11,7 +11,7 @@ from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.estimate import State
+from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.payload import PayloadChange
@@ -164,7 +164,7 @@ def test_what_was_noticed_of_the_car_is_told():
         STATUS,
         report=noticed,
         progress={"mass": 73.4},
-        states={"mass": State.ESTIMATING},
+        states={"mass": Trust.ESTIMATING},
         seen={"30_60_kmh_steady": 12},
         band_coverage={"smoothed": 0.9},
     )

@@ -225,7 +225,7 @@ def test_two_publishers_an_hour_apart_are_one_that_is_followed_and_one_that_is_t
     for turn in range(12):
         for offset in (0, -3600):
             drive(bench, node, range(offset + 3 * turn, offset + 3 * turn + 3))
-    assert node._guard.jumps <= 1 and node._reading_guard.jumps <= 1
+    assert node.guard.jumps <= 1 and node._reading_guard.jumps <= 1
     level, text, told = bench.diagnosis(node)["meter"]
     assert level is Level.WARN and "stamps_of_a_second_publisher" in text
     assert int(told["bad.stamps_of_a_second_publisher"]) > 80

@@ -10,7 +10,7 @@ from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.reproduction.scores import (
-    ParameterRow,
+    TableFiveRow,
     combination_rows,
     combinations,
     drift_included,
@@ -31,7 +31,7 @@ def fitted(
     return problem, fit.log_scale, fit.covariance
 
 
-def rows_of(log: DriveLog, vehicle: Vehicle) -> dict[str, ParameterRow]:
+def rows_of(log: DriveLog, vehicle: Vehicle) -> dict[str, TableFiveRow]:
     problem, z, covariance = fitted(log, vehicle)
     arguments = (vehicle, problem.values(z), covariance, RegenForm.RECOVERY)
     both = parameter_rows(*arguments) + combination_rows(*arguments)

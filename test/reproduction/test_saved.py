@@ -111,7 +111,7 @@ def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path
     write_estimator_state(path, outcome)
     settings = EstimatorSettings(mode=Mode.PAPER, regen_form=RegenForm.PRINTED)
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
-    with pytest.raises(ValueError, match="regen_form recovery, not printed"):
+    with pytest.raises(ValueError, match="regen_form 'recovery', not for regen_form 'printed'"):
         estimator.restore(read_state(path))
 
 

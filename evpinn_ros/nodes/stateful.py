@@ -1,0 +1,125 @@
+"""Base of the nodes whose core outlives them in a file: load, save, reset, and jumps of time."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar
+
+from std_srvs.srv import Trigger
+
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
+from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.settings import jump_rule
+
+SAVE_PERIOD = 60.0  # s
+
+
+class StatefulNode(GuardedNode):
+    """A node with a core that goes on where it was, after a restart and when time jumps.
+
+    Attributes:
+        FILE: parameter that names the file.
+        ANEW: how the core begins without one.
+        state_file: of the core.
+        guard: of the stamps that the core is given.
+    """
+
+    FILE: ClassVar[str]
+    ANEW: ClassVar[str]
+
+    def go_on(self, core: Stateful, leader: Topic) -> str:
+        """Load the core's state, and keep it from now on.
+
+        Args:
+            core: what is kept.
+            leader: its input without which nothing works; its stamps decide on jumps of time.
+
+        Returns:
+            State that it begins with, in a few words.
+        """
+        path = state_path(self.values[self.FILE])
+        self.state_file, self.guard = StateFile(path, core), StampGuard(leader)
+        self.state_file.load()
+        if (problem := self.state_file.problem) is not None:
+            self.get_logger().warning(f"{self.get_name()} {self.ANEW}: {problem}")
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/save", self._on_save)
+        self.every(SAVE_PERIOD, self.save)
+        self.on_clock_going_back(self._on_clock_going_back)
+        return self.state_file.start or self.ANEW
+
+    @abstractmethod
+    def reset(self) -> str:
+        """Begin anew, as a person asks for; gives the answer."""
+
+    @abstractmethod
+    def begin_anew(self) -> None:
+        """Begin anew, for time jumped and the policy is `reset`."""
+
+    @abstractmethod
+    def hold(self) -> None:
+        """Join nothing across a jump of time; what was learned or counted stays."""
+
+    def stamp_guards(self) -> Iterator[StampGuard]:
+        """All guards of stamps."""
+        yield self.guard
+
+    def in_order(
+        self,
+        topic: Topic,
+        stamp_ns: int,
+        item: Any,
+        guard: StampGuard | None = None,
+        jumped: Callable[[], None] | None = None,
+    ) -> Iterator[Any]:
+        """Items to be used now, in order, one of a topic having come; jumps of time are met.
+
+        Args:
+            topic: of the item.
+            stamp_ns: of the item.
+            item: given out once its stamp is not in doubt.
+            guard: of the core's own inputs, if not given.
+            jumped: in place of what the policy says.
+        """
+        for each in (guard or self.guard).admit(topic, stamp_ns, item, jump_rule(self.values)):
+            if not isinstance(each, Jump):
+                yield each
+            elif jumped is not None:
+                jumped()
+            else:
+                self._on_jump(each)
+
+    def save(self) -> str | None:
+        """Write the state, if there is a file for it; gives the reason when that fails."""
+        return self.state_file.save() if self.values[self.FILE] else None
+
+    def end(self) -> str | None:
+        """Save."""
+        return self.save()
+
+    def close(self) -> str | None:
+        """Save."""
+        return self.save()
+
+    def _on_clock_going_back(self) -> None:
+        for guard in self.stamp_guards():
+            guard.clock_went_back()
+
+    def _on_jump(self, jump: Jump) -> None:
+        policy = self.values["time_jump_policy"]
+        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
+        self.notice("jump", text)
+        if policy == JumpPolicy.RESET.value:
+            self.begin_anew()
+        else:
+            self.hold()
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        return self.done(response, self.reset())
+
+    def _on_save(self, _: Any, response: Any) -> Any:
+        problem = self.state_file.save()
+        return self.done(response, f"written to {self.values[self.FILE]}", problem)
