@@ -87,7 +87,7 @@ class Row:
     stretch_gross: float
     stretch_coverage: float
     likelihood: float
-    by_drive: tuple[float, ...]
+    by_drive: tuple[float, ...] = ()
 
     def gain(self, over: Row) -> tuple[float, float]:
         """Likelihood more than another variant has on the same car, and its standard error."""

@@ -13,7 +13,7 @@ heights and speeds of the weak form, leads: power is corrected by what it missed
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
@@ -26,6 +26,7 @@ from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.car_filter import CarFilter, SavedFilter
 from evpinn_ros.estimation.car_state import State
+from evpinn_ros.estimation.energy_debt import MAX_STEP, EnergyDebt
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.forecast_model import linear_power
@@ -48,10 +49,7 @@ from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import GRAVITY
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
-MAX_STEP = 10.0  # s one sample may stand for
 PARKED = 600.0  # s without speed, then it is another drive
-CATCH_UP = 10.0  # s over which power makes up for what the intervals show it missed
-HISTORY = 1000  # published samples that intervals are compared with
 
 
 class LearnedCar:
@@ -156,51 +154,6 @@ class LearnedCar:
         """True if every number is finite."""
         state = self.filter.state
         return bool(np.isfinite(state.mean).all() and np.isfinite(state.covariance).all())
-
-
-class EnergyDebt:
-    """Power that makes up for what the intervals show the published power missed.
-
-    Intervals have heights around a place and exact kinetic energy, but end some seconds ago. While
-    the battery drops out, published power is moved so that its integral follows theirs. What was
-    published since the last interval is as uncertain as it was then.
-    """
-
-    def __init__(self) -> None:
-        """Nothing owed."""
-        self._history: deque[tuple[int, float, float]] = deque(maxlen=HISTORY)
-        self._energy = self._sigma = self._start = self._paid = self._owed = 0.0
-        self._start_ns = 0
-
-    def repay(self, stamp_ns: int, power: float, sigma: float) -> float:
-        """Correction to add to a power, W, at a moment; `sigma`, W, is of the kind that lasts."""
-        step = 0.0
-        if self._history:
-            step = min(max((stamp_ns - self._history[-1][0]) / NANOSECONDS, 0.0), MAX_STEP)
-        self._energy += power * step
-        self._sigma += sigma * step
-        self._history.append((stamp_ns, self._energy, self._sigma))
-        rate = (self._owed - self._paid) / max(CATCH_UP, step)
-        self._paid += rate * step
-        return rate
-
-    def owe(self, start_ns: int, end_ns: int, energy: float) -> None:
-        """Account for the energy, J, of the intervals of a dropout: from its begin until now."""
-        if start_ns != self._start_ns:
-            self._start_ns, self._start, self._paid = start_ns, self._at(start_ns)[0], 0.0
-        self._owed = energy - (self._at(end_ns)[0] - self._start)
-
-    def sigma_since(self, stamp_ns: int) -> float:
-        """1-sigma of the energy published since a moment, J."""
-        return self._sigma - self._at(stamp_ns)[1]
-
-    def _at(self, stamp_ns: int) -> tuple[float, float]:
-        """Energy that published power has until a moment, J, and sum of its sigmas, J."""
-        if not self._history:
-            return self._energy, self._sigma
-        stamps, energies, sigmas = zip(*self._history, strict=True)
-        energy, sigma = (np.interp(stamp_ns, stamps, values) for values in (energies, sigmas))
-        return float(energy), float(sigma)
 
 
 @dataclass(frozen=True, slots=True)

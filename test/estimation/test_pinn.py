@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation.car_filter import CarFilter
+from evpinn_ros.estimation.energy_debt import CATCH_UP, EnergyDebt
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.gaussian import Gaussian
-from evpinn_ros.estimation.pinn import CATCH_UP, PARKED, EnergyDebt, LearnedCar, PinnLearner
+from evpinn_ros.estimation.pinn import PARKED, LearnedCar, PinnLearner
 from evpinn_ros.estimation.weak_form import Warmth, spent
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.readings import NANOSECONDS
