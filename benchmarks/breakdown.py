@@ -68,7 +68,8 @@ class SpanChain(CarChain):
     @property
     def breakdown(self) -> Breakdown | None:
         """Present breakdown."""
-        return self.car.breakdown()
+        found = self.car.breakdowns()
+        return found and found.of(-1)
 
 
 def part_checks(

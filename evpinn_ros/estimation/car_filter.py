@@ -111,24 +111,27 @@ class CarFilter:
 
     # What goes on ----------------------------------------------------------------------------
 
-    def begin_drive(self) -> None:
+    def begin_drive(self, keep: bool = False) -> None:
         """Another drive: another road, and other offsets, of which some is as it was.
+
+        The sums of the drives before are kept beside those of this one, or not.
 
         The variance of what is of a drive is learned from the drive that was (expectation
         maximisation with a prior of `PRIOR_DRIVES` drives).
         """
+        kept, fresh = np.ones(SIZE), np.zeros(SIZE)
         if self.intervals:
             whole = self.mixture()
             for state, before in self._drive_variance.items():
                 found = whole.mean[state] ** 2 + whole.covariance[state, state]
                 self._drive_variance[state] = (self._drives * before + found) / (self._drives + 1)
             self._drives = min(self._drives + 1, DRIVES_KEPT)
-            keep, fresh = np.ones(SIZE), np.zeros(SIZE)
             for state, variance in self._drive_variance.items():
-                keep[state], fresh[state] = DRIVE_KEPT, (1.0 - DRIVE_KEPT**2) * variance
-            self.state = predict(self.state, np.diag(keep), np.diag(fresh))
+                kept[state], fresh[state] = DRIVE_KEPT, (1.0 - DRIVE_KEPT**2) * variance
+            self.state = predict(self.state, np.diag(kept), np.diag(fresh))
         self.intervals, self._seconds = 0, 0.0
-        self.parts = PartSums.none(len(self._scale))
+        before = self.parts if keep else None
+        self.parts = before.next_drive(kept) if before else PartSums.none(len(self._scale))
         self._begin_road(height_known=self._height_known)
 
     def forget_road(self) -> None:
