@@ -69,7 +69,7 @@ class SpanChain(CarChain):
     def breakdown(self) -> Breakdown | None:
         """Present breakdown."""
         found = self.car.breakdowns()
-        return found and found.of(-1)
+        return None if found is None else found.of(-1)
 
 
 def part_checks(

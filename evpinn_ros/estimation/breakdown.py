@@ -36,6 +36,9 @@ REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold drivi
 DISTANCE = 1e5  # m that a difference of drives is of
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
 LONG_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
+# Between drives: efficiency changes by this much for each e-fold of power, and a constant one
+# has air, the part that grows with speed most, account for it.
+MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
 TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
 LEAST_DISTANCE = 100.0  # m; over less no consumption is known
 LEAST_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
@@ -175,16 +178,22 @@ class Breakdowns:
     def difference(self, drive: int, base: int) -> Breakdown:
         """What a drive took more than another, of 100 km each.
 
-        What is not known of the car is the same in both, and mostly gone from the difference.
+        What is not known of the car is the same in both, and mostly gone from the difference. What
+        stays is that its efficiency is a map: the more the power of the drives differs, the more.
         Both must be longer than `LEAST_DISTANCE`.
         """
         pair = [drive, base]
         more, less = (self.drives[each] for each in pair)
         scale = np.array([DISTANCE / more.distance, -DISTANCE / less.distance])
-        covariance = self.covariance[pair][:, :, pair]
+        covariance = np.einsum("a,aibj,b->ij", scale, self.covariance[pair][:, :, pair], scale)
+        drawn = [self.drives[each].measured + self.energy[each, Part.REGAINED] for each in pair]
+        lasted = more.seconds, less.seconds
+        efolds = math.log(max(drawn[0] / lasted[0], 1.0) / max(drawn[1] / lasted[1], 1.0))
+        map_error = MAP_SHARE * efolds * float(np.abs(scale) @ drawn) / 2.0
+        covariance += map_error**2 * np.outer(MAP_ERROR, MAP_ERROR)
         return Breakdown(
             energy=scale @ self.energy[pair],
-            covariance=np.einsum("a,aibj,b->ij", scale, covariance, scale),
+            covariance=covariance,
             measured=float(scale @ [more.measured, less.measured]),
             measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
             distance=DISTANCE,

@@ -130,8 +130,8 @@ class CarFilter:
                 kept[state], fresh[state] = DRIVE_KEPT, (1.0 - DRIVE_KEPT**2) * variance
             self.state = predict(self.state, np.diag(kept), np.diag(fresh))
         self.intervals, self._seconds = 0, 0.0
-        before = self.parts if keep else None
-        self.parts = before.next_drive(kept) if before else PartSums.none(len(self._scale))
+        earlier = self.parts if keep else None
+        self.parts = earlier.next_drive(kept) if earlier else PartSums.none(len(self._scale))
         self._begin_road(height_known=self._height_known)
 
     def forget_road(self) -> None:

@@ -215,7 +215,7 @@ class OnlineEstimator:
     def breakdown(self) -> Breakdown | None:
         """Energy of this drive by where it went; None in the paper's mode, and before any."""
         found = self.breakdowns()
-        return found and found.of(-1)
+        return None if found is None else found.of(-1)
 
     def breakdowns(self) -> Breakdowns | None:
         """Those of all drives that were kept, the present one last."""
