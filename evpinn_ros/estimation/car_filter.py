@@ -28,6 +28,7 @@ from evpinn_ros.estimation.car_state import (
     DRIVE_KEPT,
     DRIVE_STD,
     DRIVES_KEPT,
+    OTHER_TYRES,
     PRIOR_DRIVES,
     ROLL_WARM_TIME,
     SIZE,
@@ -95,10 +96,8 @@ class CarFilter:
         self.prior = prior_of(vehicle)
         self._hypotheses = np.array(list(product(range(3), FORCES, LOADS)))
         count = len(self._hypotheses)
-        self.state = Gaussian(
-            np.tile(self.prior.mean, (count, 1)),
-            np.tile(self.prior.covariance, (count, 1, 1)),
-        )
+        one = self.prior.mean, self.prior.covariance
+        self.state = Gaussian(*(np.repeat(each[None], count, axis=0) for each in one))
         self._evidence = np.zeros(count)
         self._scale = np.ones(count)
         self._drive_variance = {state: std**2 for state, std in DRIVE_STD.items()}
@@ -114,12 +113,13 @@ class CarFilter:
     def begin_drive(self, keep: bool = False) -> None:
         """Another drive: another road, and other offsets, of which some is as it was.
 
-        The sums of the drives before are kept beside those of this one, or not.
+        With `keep` the sums of the drives before stay, to compare, and no offset is as it was.
 
         The variance of what is of a drive is learned from the drive that was (expectation
         maximisation with a prior of `PRIOR_DRIVES` drives).
         """
         kept, fresh = np.ones(SIZE), np.zeros(SIZE)
+        share, fresh[State.ROLL_DRIVE] = (0.0, OTHER_TYRES**2) if keep else (DRIVE_KEPT, 0.0)
         if self.intervals:
             whole = self.mixture()
             for state, before in self._drive_variance.items():
@@ -127,7 +127,8 @@ class CarFilter:
                 self._drive_variance[state] = (self._drives * before + found) / (self._drives + 1)
             self._drives = min(self._drives + 1, DRIVES_KEPT)
             for state, variance in self._drive_variance.items():
-                kept[state], fresh[state] = DRIVE_KEPT, (1.0 - DRIVE_KEPT**2) * variance
+                kept[state] = share
+                fresh[state] += (1.0 - share**2) * variance
             self.state = predict(self.state, np.diag(kept), np.diag(fresh))
         self.intervals, self._seconds = 0, 0.0
         earlier = self.parts if keep else None
@@ -156,14 +157,14 @@ class CarFilter:
         weights = self.weights
         lost = (self._scale * _lost(found))[:, None] * loss_shares(found)
         seen = self._see(found.gradient, interval.energy - found.energy, noise, lost)
-        known = self.state, weights, self.warmth, self._constants
-        self.parts = self.parts and self.parts.plus(interval, *known)
+        known = interval, self.state, weights, self.warmth, self._constants
+        self.parts = self.parts and self.parts.plus(*known)
         if abs(interval.distance) > STANDSTILL_SPEED * interval.duration:
             self._judge(seen)  # a standing car is not informative on slopes, winds and their noise
         self.intervals += 1
         mean = float(weights @ seen.residual)
-        away = seen.residual - mean
-        return Learned(mean, math.sqrt(float(weights @ (seen.variance + away**2))))
+        variance = weights @ (seen.variance + (seen.residual - mean) ** 2)
+        return Learned(mean, math.sqrt(float(variance)))
 
     def fork(self, mass_std: float) -> CarFilter:
         """A copy that knows the mass less well, by this 1-sigma of its logarithm."""
@@ -256,8 +257,8 @@ class CarFilter:
         drives, seconds = float(saved["drives"]), float(saved["seconds"])
         intervals = int(saved["intervals"])
         shapes = (mean.shape, covariance.shape, evidence.shape, scale.shape, variances.shape)
-        own = (self.state.mean.shape, self.state.covariance.shape, self._evidence.shape)
-        if shapes != (*own, self._scale.shape, (len(DRIVE_STD),)):
+        own = (*(each.shape for each in (*self.state, self._evidence, self._scale)),)
+        if shapes != (*own, (len(DRIVE_STD),)):
             raise ValueError("the saved filter has another shape")
         self._check(mean, covariance)
         if not (

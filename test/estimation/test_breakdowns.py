@@ -1,5 +1,6 @@
 """Breakdowns of drives of one car: kept beside each other, and compared."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,11 +25,13 @@ def breakdowns(seeds: tuple[int, ...], keep: bool = True) -> Breakdowns:
     return filter_.parts.breakdowns(filter_.weights, 2e4, filter_.hilliness)
 
 
-def test_keeping_drives_changes_nothing_of_the_present_one():
-    kept, alone = breakdowns((1, 2, 3)), breakdowns((1, 2, 3), keep=False)
-    assert len(kept.drives) == 3 and len(alone.drives) == 1
-    assert kept.energy[-1] == pytest.approx(alone.energy[-1], rel=1e-9)
-    assert kept.covariance[-1, :, -1] == pytest.approx(alone.covariance[-1, :, -1], rel=1e-6)
+def test_kept_drives_may_have_other_tyres_and_change_nothing_else():
+    kept, alone = breakdowns((1, 2)), breakdowns((1, 2), keep=False)
+    assert len(kept.drives) == 2 and len(alone.drives) == 1
+    assert kept.drives[-1].distance == alone.drives[-1].distance
+    tyres = [found.of(-1).of(Part.TYRES).sigma_kwh for found in (kept, alone)]
+    assert tyres[0] > tyres[1]
+    assert breakdowns((1,)).energy == pytest.approx(breakdowns((1,), keep=False).energy)
 
 
 def test_the_joint_covariance_is_one():
@@ -46,13 +49,26 @@ def test_a_later_drive_sharpens_what_is_known_of_an_earlier_one():
 
 
 def test_what_is_not_known_of_the_car_leaves_the_difference():
-    """The same drive twice: tyres of each are unsure, their difference much less."""
+    """The same drive twice: what the drivetrain of each lost is unsure, the difference is not."""
     found = breakdowns((1, 1))
-    parts = [found.of(drive).of(Part.TYRES) for drive in (0, 1)]
+    parts = [found.of(drive).of(Part.DRIVETRAIN) for drive in (0, 1)]
     apart = np.hypot(*(part.sigma_kwh / found.of(0).distance * DISTANCE for part in parts))
-    difference = found.difference(1, 0)
-    assert difference.of(Part.TYRES).sigma_kwh < 0.5 * apart
-    assert difference.of(Part.TYRES).kwh == difference.of(Part.TYRES).kwh_per_100km
+    difference = found.difference(1, 0).of(Part.DRIVETRAIN)
+    assert difference.sigma_kwh < 0.3 * apart
+    assert difference.kwh == difference.kwh_per_100km
+
+
+def test_drives_of_other_power_leave_an_error_of_the_efficiency_map():
+    """Twice the energy in the same time: air and drivetrain are the less sure, together not."""
+    found = breakdowns((1, 1))
+    totals = [replace(found.drives[0], seconds=found.drives[0].seconds / 2), found.drives[1]]
+    unlike = replace(found, drives=tuple(totals))
+    for parts, more in (((Part.AIR,), 1.05), ((Part.DRIVETRAIN,), 1.2)):
+        sigmas = [each.difference(1, 0).of(*parts).sigma_kwh for each in (unlike, found)]
+        assert sigmas[0] > more * sigmas[1]
+    pair = Part.AIR, Part.DRIVETRAIN
+    sigmas = [each.difference(1, 0).of(*pair).sigma_kwh for each in (unlike, found)]
+    assert sigmas[0] == pytest.approx(sigmas[1])
 
 
 def test_a_difference_is_the_one_less_the_other_per_100_km_and_adds_up():
