@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.replay.breakdown_text import COLUMNS, breakdown_rows
+from evpinn_ros.replay.comparison import short_names
 from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.owner_text import DRIVES_COLUMNS, drives_rows
 from evpinn_ros.replay.parameter_text import MEANINGS, number
 from evpinn_ros.replay.run import WARM_UP
 from evpinn_ros.replay.tables import (
@@ -55,6 +58,13 @@ def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP
     """Scores of power and energy, with the baselines that say what they are worth."""
     title = f"Predict, then update; after {warm_up:.0f} s"
     return columns_table(title, SCORE_COLUMNS, score_rows(drive, found, warm_up))
+
+
+def drives_table(drives: Sequence[tuple[Drive, Mapping[str, Any]]]) -> PlainTable:
+    """Drives of one car with their metrics, a row each."""
+    names = short_names([Path(found["input"]["path"]) for _, found in drives])
+    rows = drives_rows([(name, *each) for name, each in zip(names, drives, strict=True)])
+    return columns_table("Drives", DRIVES_COLUMNS, rows, left=("took most",))
 
 
 def columns_table(

@@ -125,7 +125,7 @@ class Breakdown:
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """What the sums of a drive are of.
+    """Energy, distance and time that the sums of a drive are of.
 
     Attributes:
         measured: J of the battery.
@@ -176,7 +176,7 @@ class Breakdowns:
         return Breakdown(self.energy[drive], self.covariance[drive, :, drive], *counts)
 
     def difference(self, drive: int, base: int) -> Breakdown:
-        """What a drive took more than another, of 100 km each.
+        """Energy that a drive took more than another, of 100 km each.
 
         What is not known of the car is the same in both, and mostly gone from the difference. What
         stays is that its efficiency is a map: the more the power of the drives differs, the more.

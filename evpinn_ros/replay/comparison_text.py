@@ -50,7 +50,7 @@ def common_groups(found: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
 
 
 def trip_rows(found: Comparison) -> Rows:
-    """What each drive was: its length, time and mean speed, and how much of it is compared."""
+    """Length, time and mean speed of each drive, and how much of it is compared."""
     columns = []
     for drive, parts in zip(found.drives, found.parts(), strict=True):
         km = driven(drive)[1][-1] / 1000
@@ -68,7 +68,7 @@ def trip_rows(found: Comparison) -> Rows:
 
 
 def sentences(found: Comparison) -> Iterator[str]:
-    """What explains the difference of each drive to the first, in words."""
+    """Sentences on what explains the difference of each drive to the first."""
     base = found.parts()[0].total().kwh_per_100km or 0.0
     for name, difference in zip(found.names[1:], found.differences(), strict=True):
         total = difference.total().kwh

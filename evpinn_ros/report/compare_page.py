@@ -72,7 +72,7 @@ def write_comparison(path: Path, found: Comparison, command: str) -> None:
 
 
 def _bars(names: Sequence[str], parts: Sequence[Breakdown]) -> list[dict[str, Any]]:
-    """What took energy of each drive, side by side: widths in percent of the longest bar."""
+    """Parts that took energy of each drive, side by side: widths in percent of the longest bar."""
     groups = common_groups(parts)
     sizes = [[one.of(*group) for group in groups] for one in parts]
     longest = max(
