@@ -38,6 +38,9 @@ def compare(
     state: Annotated[
         Path | None, typer.Option(help="What was learned before, of evpinn replay --state.")
     ] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, help="Compare this much of each drive, s.")
+    ] = None,
     column: Annotated[
         list[str] | None,
         typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
@@ -65,7 +68,10 @@ def compare(
             sources,
             car,
             learned=read_state(state) if state is not None else None,
-            progress=lambda one: progress_bar(one.path.name, total=stated_seconds(one.path)),
+            duration=duration,
+            progress=lambda one: progress_bar(
+                one.path.name, total=duration or stated_seconds(one.path)
+            ),
         )
     except ValueError as error:
         raise InputError(f"{state}: {error}") from error

@@ -25,10 +25,10 @@ from evpinn_ros.estimation.breakdown import FAST, PartSums, loss_shares
 from evpinn_ros.estimation.car_state import (
     CABIN_TIME,
     CAR,
+    COMPARED_STD,
     DRIVE_KEPT,
     DRIVE_STD,
     DRIVES_KEPT,
-    OTHER_TYRES,
     PRIOR_DRIVES,
     ROLL_WARM_TIME,
     SIZE,
@@ -119,7 +119,7 @@ class CarFilter:
         maximisation with a prior of `PRIOR_DRIVES` drives).
         """
         kept, fresh = np.ones(SIZE), np.zeros(SIZE)
-        share, fresh[State.ROLL_DRIVE] = (0.0, OTHER_TYRES**2) if keep else (DRIVE_KEPT, 0.0)
+        share, more = (0.0, COMPARED_STD) if keep else (DRIVE_KEPT, {})
         if self.intervals:
             whole = self.mixture()
             for state, before in self._drive_variance.items():
@@ -128,7 +128,7 @@ class CarFilter:
             self._drives = min(self._drives + 1, DRIVES_KEPT)
             for state, variance in self._drive_variance.items():
                 kept[state] = share
-                fresh[state] += (1.0 - share**2) * variance
+                fresh[state] = (1.0 - share**2) * variance + more.get(state, 0.0) ** 2
             self.state = predict(self.state, np.diag(kept), np.diag(fresh))
         self.intervals, self._seconds = 0, 0.0
         earlier = self.parts if keep else None

@@ -74,6 +74,7 @@ def compare(
     vehicle: Vehicle,
     *,
     learned: Mapping[str, Any] | None = None,
+    duration: float | None = None,
     progress: Bar,
 ) -> Comparison:
     """Drive one car through all recordings, and compare where the energy of each went.
@@ -82,6 +83,7 @@ def compare(
         sources: the drives, the one to compare with first.
         vehicle: the car of all of them.
         learned: what an estimator exported of earlier drives.
+        duration: s of each that are compared, None for all.
         progress: a bar for each source.
 
     Raises:
@@ -105,7 +107,7 @@ def compare(
             done = replay(
                 source,
                 chain,
-                ReplayOptions(),
+                ReplayOptions(duration=duration),
                 vehicle=vehicle.key,
                 mode=settings.mode.value,
                 progress=report,
