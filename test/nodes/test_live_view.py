@@ -176,7 +176,7 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
             bench.send(topics.SPEED, messages[0])
             line = running.stdout.readline()
         speed = messages[0].twist.twist.linear.x
-        assert line.startswith(f"{3.6 * speed:.1f} km/h; measured - kW")
+        assert line.startswith(f"{3.6 * speed:.1f} km/h; charge  -  range")
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=20)
         assert running.returncode == 0
