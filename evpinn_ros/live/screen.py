@@ -13,7 +13,7 @@ from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
 from evpinn_ros.estimation.operating_range import MANNERS
 from evpinn_ros.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
-from evpinn_ros.live.state import POWERS, LiveState, ParameterRow
+from evpinn_ros.live.state import NOTHING, POWERS, LiveState, ParameterRow
 from evpinn_ros.replay.parameter_text import MEANINGS, UNITS, number
 from evpinn_ros.topics.messages import Level
 
@@ -100,6 +100,8 @@ def screen(state: LiveState, now: float, width: int, height: int) -> Text:
 
 def plain_line(state: LiveState, now: float) -> str:
     """The state in one line without styles, for pipes and files."""
+    if not state.received:
+        return NOTHING
     parts = [f"{_number(3.6 * state.fresh_speed(now), 1)} km/h", _owner(state).plain]
     for topic, name in POWERS.items():
         found = state.power(topic, now)

@@ -145,9 +145,7 @@ def _plain(out: TextIO) -> Show:
             if line not in shown:
                 print(printable(line), file=out)
         shown[:] = found
-        if state.received:
-            print(printable(plain_line(state, now)), file=out)
-        out.flush()
+        print(printable(plain_line(state, now)), file=out, flush=True)
 
     return show
 

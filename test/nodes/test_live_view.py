@@ -267,7 +267,7 @@ def test_a_namespace_that_is_none_is_one_line(tmp_path):
 def test_a_terminal_that_knows_neither_cursor_nor_braille_gets_lines():
     environment = {"TERM": "dumb", "PYTHONIOENCODING": "ascii"}
     with terminal(*EVPINN, "watch", **environment) as screen:
-        screen.read_until(lambda written: b"nothing received" in written)
+        screen.read_until(lambda written: written.count(b"nothing received") > 2)
         screen.type(CTRL_C)
         assert screen.end() == 0
     assert b"\x1b" not in screen.written

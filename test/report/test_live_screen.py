@@ -162,7 +162,10 @@ def test_a_plain_line_says_the_same(well):
 
 
 def test_a_plain_line_knows_what_is_not_known():
-    assert plain_line(LiveState(), 0.0).startswith("- km/h; charge  -  range - km  - Wh/km  used")
+    assert plain_line(LiveState(), 0.0) == NOTHING
+    state = LiveState()
+    state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, []), 0.0)
+    assert plain_line(state, 0.0).startswith("- km/h; charge  -  range - km  - Wh/km  used")
 
 
 def test_what_is_drawn_has_one_sign_on_screen(well):
