@@ -158,6 +158,24 @@ def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
     assert ALTERNATE not in screen.written
 
 
+def test_the_end_of_a_run_names_what_was_saved_and_what_is_next(drive, tmp_path):
+    bag, state = tmp_path / "my drive", tmp_path / "car.json"
+    files = ("--record", str(bag), "--state", str(state))
+    running = subprocess.Popen([*EVPINN, *drive, *files], cwd=ROOT, stderr=subprocess.PIPE)
+    try:
+        assert any(b"playing" in line for line in running.stderr)
+        time.sleep(3.0)  # for a message to be recorded
+        running.send_signal(signal.SIGINT)
+        said = running.communicate(timeout=60)[1].decode().splitlines()
+    finally:
+        running.kill()
+    assert running.returncode == 0
+    assert said[-2:] == [
+        f"evpinn: saved the drive: {bag}, what was learned: {state}",
+        f"evpinn: next: evpinn replay '{bag}' --report drive.html",
+    ]
+
+
 def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
     running = subprocess.Popen(
         [*EVPINN, "watch"],
