@@ -181,17 +181,25 @@ def _power(state: LiveState, now: float, width: int, rows: int) -> Iterable[Text
 
 def _owner(state: LiveState) -> Text:
     """An owner's line: charge, range with its 90 % band, consumption, energy of the trip."""
-    energy, reach = state.vector(topics.ENERGY_STATE), state.vector(topics.ENERGY_RANGE)
-    ends = ("to_empty", "lower", "upper")
-    middle, low, high = (_number(reach.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
+    energy = state.vector(topics.ENERGY_STATE)
     words = (
         f"  {_percent(100 * state.charge())}",
-        f"  range {middle} km" + (f" ({low}-{high})" if low != UNKNOWN else ""),
+        f"  range {_range(state)}",
         f"  {_number(state.consumption(), 0)} Wh/km",
         f"  used {_watt_hours(energy, 'consumed')} Wh",
         f"  regained {_watt_hours(energy, 'regenerated')} Wh",
     )
     return Text("charge", style=HEADING).append("".join(words), "not bold")
+
+
+def _range(state: LiveState) -> str:
+    """Distance to empty with its 90 % band; why there is none, if the charge is known."""
+    found = state.vector(topics.ENERGY_RANGE)
+    ends = ("to_empty", "lower", "upper")
+    middle, low, high = (_number(found.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
+    if "distance_to_empty" in found:
+        return f"{middle} km ({low}-{high})"
+    return UNKNOWN if math.isnan(state.charge()) else "from 10 km on"
 
 
 def _breakdown(state: LiveState, width: int) -> Iterable[Text]:

@@ -80,7 +80,7 @@ def test_nothing_heard_is_a_screen_too():
     assert found[0] == f" evpinn  no nodes{'- km/h':>62}"
     assert found[-1] == f"! {NOTHING}"
     assert found[1:3] == [
-        "charge  -  range - km  - Wh/km  used - Wh  regained - Wh",
+        "charge  -  range -  - Wh/km  used - Wh  regained - Wh",
         "Wh went to  -",
     ]
     assert "eta   motor                -        -                  -     -     - -" in found
@@ -165,7 +165,7 @@ def test_a_plain_line_knows_what_is_not_known():
     assert plain_line(LiveState(), 0.0) == NOTHING
     state = LiveState()
     state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, []), 0.0)
-    assert plain_line(state, 0.0).startswith("- km/h; charge  -  range - km  - Wh/km  used")
+    assert plain_line(state, 0.0).startswith("- km/h; charge  -  range -  - Wh/km  used")
 
 
 def test_what_is_drawn_has_one_sign_on_screen(well):
@@ -196,6 +196,7 @@ def test_charge_is_that_of_the_battery_until_the_node_projects_it():
     message = named_vector(new_message, 10**9, ["state_of_charge"], [0.49])
     state.take(topics.ENERGY_RANGE, message, 1.0)
     assert state.charge() == 0.49
+    assert "range from 10 km on" in lines(state, 1.0, 80, 24)[1]  # what it costs is not known yet
 
 
 def test_what_others_write_cannot_move_the_cursor(well):
