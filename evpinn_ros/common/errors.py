@@ -20,6 +20,12 @@ class InputError(Exception):
         return printable(super().__str__())
 
 
+def printable(text: str) -> str:
+    """One line of a text, without what would speak to the terminal, and of bearable length."""
+    shown = "".join(character if character.isprintable() else " " for character in text)
+    return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."
+
+
 def near_names(name: str, known: Iterable[str]) -> str:
     """Words to append to an error: known names near to what was typed, empty if none is."""
     by_lower = {each.lower(): each for each in known}
@@ -30,9 +36,3 @@ def near_names(name: str, known: Iterable[str]) -> str:
 def known_names(name: str, known: Collection[str]) -> str:
     """The same, and all that is known."""
     return f"{near_names(name, known)}; known are {', '.join(known)}"
-
-
-def printable(text: str) -> str:
-    """One line of a text, without what would speak to the terminal, and of bearable length."""
-    shown = "".join(character if character.isprintable() else " " for character in text)
-    return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."

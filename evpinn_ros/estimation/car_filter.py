@@ -257,8 +257,8 @@ class CarFilter:
         drives, seconds = float(saved["drives"]), float(saved["seconds"])
         intervals = int(saved["intervals"])
         shapes = (mean.shape, covariance.shape, evidence.shape, scale.shape, variances.shape)
-        own = (*(each.shape for each in (*self.state, self._evidence, self._scale)),)
-        if shapes != (*own, (len(DRIVE_STD),)):
+        own = (self.state.mean.shape, self.state.covariance.shape, self._evidence.shape)
+        if shapes != (*own, self._scale.shape, (len(DRIVE_STD),)):
             raise ValueError("the saved filter has another shape")
         self._check(mean, covariance)
         if not (

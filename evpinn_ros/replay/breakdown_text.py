@@ -90,22 +90,16 @@ def breakdown_lines(found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def largest(found: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
-    """Name and amount of what took most, of what is known to two sigmas."""
+def _sentence(found: Mapping[str, Any]) -> str:
+    """The largest row that is known to two sigmas, in words."""
     known = [
         (name, part)
         for name, part in shown(found)
         if name != UNEXPLAINED and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
     ]
-    return max(known, key=lambda row: row[1]["kwh"], default=None)
-
-
-def _sentence(found: Mapping[str, Any]) -> str:
-    """A sentence on what took most."""
-    row = largest(found)
-    if row is None:
+    if not known:
         return ""
-    name, most = row
+    name, most = max(known, key=lambda row: row[1]["kwh"])
     digits = 1 if most["sigma_kwh"] >= 0.095 else 2 if most["sigma_kwh"] >= 0.0095 else 3
     amount = f"{most['kwh']:.{digits}f} +- {most['sigma_kwh']:.{digits}f} kWh"
     return f"{name.capitalize()} took {amount}, {_share(most['share'])} of this drive."

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, LEAST_DISTANCE
-from evpinn_ros.replay.breakdown_text import largest
+from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, LEAST_DISTANCE, UNEXPLAINED
+from evpinn_ros.replay.breakdown_text import shown
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.over_distance import driven
 from evpinn_ros.replay.tables import signed_percent, watts
@@ -56,5 +56,10 @@ def _figures(drive: Drive, found: Mapping[str, Any]) -> tuple[str, str, str, str
 
 
 def _most(breakdown: Mapping[str, Any]) -> str:
-    row = None if breakdown["unknown"] else largest(breakdown)
-    return "-" if row is None else f"{row[0]}, {100 * row[1]['share']:.0f} %"
+    """Name and share of what took most, of what is known to two sigmas."""
+    known = [
+        (part["kwh"], f"{name}, {100 * part['share']:.0f} %")
+        for name, part in ([] if breakdown["unknown"] else shown(breakdown))
+        if name != UNEXPLAINED and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
+    ]
+    return max(known)[1] if known else "-"
