@@ -16,9 +16,7 @@ from evpinn_ros.cli.options import CanProfileOption, JsonOption, VehicleOption
 from evpinn_ros.cli.table_columns import explain_columns
 from evpinn_ros.cli.tables import columns_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.replay.comparison import Comparison
 from evpinn_ros.replay.comparison import compare as compare_drives
 from evpinn_ros.replay.comparison_text import UNIT, part_rows, sentences, trip_rows
@@ -63,18 +61,15 @@ def compare(
     sources = [options(path) for path in drives]
     for source in sources:
         explain_columns(source)
-    try:
-        found = compare_drives(
-            sources,
-            car,
-            learned=read_state(state) if state is not None else None,
-            duration=duration,
-            progress=lambda one: progress_bar(
-                one.path.name, total=duration or stated_seconds(one.path)
-            ),
-        )
-    except ValueError as error:
-        raise InputError(f"{state}: {error}") from error
+    found = compare_drives(
+        sources,
+        car,
+        state=state,
+        duration=duration,
+        progress=lambda one: progress_bar(
+            one.path.name, total=duration or stated_seconds(one.path)
+        ),
+    )
     _show(found)
     if json_file is not None:
         write_json(json_file, found.metrics())

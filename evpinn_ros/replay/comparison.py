@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, Breakdown, Breakdowns
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replay.breakdown_text import NOTHING, breakdown_metrics
 from evpinn_ros.replay.chain import Chain
@@ -73,7 +74,7 @@ def compare(
     sources: Iterable[Source],
     vehicle: Vehicle,
     *,
-    learned: Mapping[str, Any] | None = None,
+    state: Path | None = None,
     duration: float | None = None,
     progress: Bar,
 ) -> Comparison:
@@ -82,19 +83,17 @@ def compare(
     Args:
         sources: the drives, the one to compare with first.
         vehicle: the car of all of them.
-        learned: what an estimator exported of earlier drives.
+        state: file of what was learned of the car before, which is left as it is.
         duration: s of each that are compared, None for all.
         progress: a bar for each source.
 
     Raises:
-        InputError: a drive is too short, or its battery was not measured.
-        ValueError: what was learned does not fit.
+        InputError: a drive is too short, its battery was not measured, or the state does not fit.
     """
     settings, rule = EstimatorSettings(keep_drives=True), JumpRule(JumpPolicy.HOLD)
     chain = Chain(vehicle, settings, InlineWorker(time.perf_counter), rule)
-    if learned is not None:
-        chain.estimator.restore(learned)
-        chain.begin_next_drive()
+    if state is not None:
+        _restore(chain, state)
     found: Breakdowns | None = None
     paths: list[Path] = []
     drives: list[Drive] = []
@@ -129,6 +128,17 @@ def compare(
         breakdowns=found.joined(owners + owners[-1:] * (len(found.drives) - len(owners))),
         problems=tuple(problems),
     )
+
+
+def _restore(chain: Chain, state: Path) -> None:
+    saved = read_state(state)
+    if saved is None:
+        raise InputError(f"{state}: no such file")
+    try:
+        chain.estimator.restore(saved)
+    except ValueError as error:
+        raise InputError(f"{state}: {error}") from error
+    chain.begin_next_drive()
 
 
 def short_names(paths: list[Path]) -> tuple[str, ...]:

@@ -36,9 +36,9 @@ def driven(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(steps)))
 
 
-def measured_energy_until(drive: Drive, begin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Time and energy, J, of measured power from a time on, none across gaps; shape (n,) each."""
-    time, power = drive.measured[drive.measured[:, 0] >= begin].T
+def measured_energy_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Time and energy, J, of measured power since the start, none across gaps; shape (n,) each."""
+    time, power = drive.measured.T
     steps = np.diff(time)
     used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
     return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))

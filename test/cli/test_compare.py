@@ -44,6 +44,7 @@ def test_the_same_for_scripts(compared, drives):
         (("mild",), 2, "two drives or more"),
         (("mild", "none"), 1, "none"),
         (("mild", "cold", "--state", "mild/truth.yaml"), 1, "truth.yaml"),
+        (("mild", "cold", "--state", "none.json"), 1, "none.json: no such file"),
     ],
 )
 def test_what_cannot_be_compared_is_said_in_words(evpinn, drives, arguments, code, text):
