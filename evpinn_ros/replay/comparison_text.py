@@ -94,4 +94,5 @@ def _explained(difference: Breakdown) -> str:
 def per_100_km(amount: Amount, distance: float, signed: bool = False) -> str:
     """Consumption of a part over a distance, m, with its 1-sigma."""
     scale = DISTANCE / distance
-    return f"{amount.kwh * scale:{'+' if signed else ''}.2f} +- {amount.sigma_kwh * scale:.2f}"
+    value = round(amount.kwh * scale, 2) + 0.0  # no -0.00
+    return f"{value:{'+' if signed else ''}.2f} +- {amount.sigma_kwh * scale:.2f}"
