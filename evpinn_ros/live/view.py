@@ -118,7 +118,7 @@ def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool 
     finally:
         rclpy.try_shutdown()
     if multiprocessing.parent_process() is None:
-        print(_ending(listener.state), file=sys.stderr)
+        print(printable(_ending(listener.state)), file=sys.stderr)
 
 
 def _ending(state: LiveState) -> str:
