@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.truth import INTERVAL, PROFILE, CarChain
-from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
+from evpinn_ros.estimation.breakdown import DISTANCE, JOULES_PER_KWH, Breakdown
 from evpinn_ros.estimation.energy_parts import WHOLE, Part
+from evpinn_ros.estimation.pinn import LearnedCar
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
@@ -46,9 +47,10 @@ class PartCheck:
 class SpanChain(CarChain):
     """A chain that notes the intervals learned from, as s since the start of the simulation."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the priors of a vehicle file."""
+    def __init__(self, vehicle: Vehicle, car: LearnedCar | None = None) -> None:
+        """Start at the priors of a vehicle file, or go on with a car that began another drive."""
         super().__init__(vehicle)
+        self.car = car or self.car
         self.spans: list[tuple[float, float]] = []
 
     def take(self, interval: Interval) -> None:
@@ -68,7 +70,8 @@ class SpanChain(CarChain):
     @property
     def breakdown(self) -> Breakdown | None:
         """Present breakdown."""
-        return self.car.breakdown()
+        found = self.car.breakdowns()
+        return None if found is None else found.of(-1)
 
 
 def part_checks(
@@ -136,6 +139,55 @@ def part_checks(
                 amount.sigma_kwh,
                 true,
                 found.total().kwh,
+            )
+
+
+def difference_checks(
+    vehicles: Sequence[str], seeds: Iterable[int], *, seconds: float, altitude: bool
+) -> Iterator[PartCheck]:
+    """Two drives of one car per seed: each part of their difference, per 100 km, and the truth.
+
+    By turns both on mixed roads, and one in town with one on a motorway.
+    """
+    for number, seed in enumerate(seeds):
+        vehicle = load_vehicle(vehicles[number % len(vehicles)])
+        wish = prior_parameters(vehicle, np.random.default_rng(seed))._asdict()
+        unlike = DriveKind.URBAN, DriveKind.HIGHWAY
+        kinds = unlike if number % 2 else (DriveKind.MIXED, DriveKind.MIXED)
+        car, truths = LearnedCar(vehicle), []
+        for drive_seed, kind in enumerate(kinds, start=2 * seed):
+            drive = simulate(
+                *(kind, vehicle, seconds, drive_seed),
+                car=wish,
+                can_profile=PROFILE,
+                altitude=altitude,
+            )
+            car.begin_drive(keep=True)
+            chain = SpanChain(vehicle, car)
+            for reading in drive.readings:
+                chain.add_reading(reading)
+            car = chain.car
+            truths.append(true_parts(drive.car, drive.trace, chain.spans))
+        found = car.breakdowns()
+        if found is None or len(found.drives) < len(kinds):
+            continue
+        difference = found.difference(1, 0)
+        for part in Part:
+            base, other = (
+                truth[part.name.lower()] / whole.distance * DISTANCE / JOULES_PER_KWH
+                for truth, whole in zip(truths, found.drives, strict=True)
+            )
+            amount = difference.of(part)
+            total = sum(found.drives[i].measured / found.drives[i].distance for i in (0, 1)) / 2
+            yield PartCheck(
+                vehicle=vehicle.key,
+                kind="+".join(kind.value for kind in kinds),
+                seed=seed,
+                name=part.name.lower(),
+                kwh=amount.kwh,
+                sigma_kwh=amount.sigma_kwh,
+                true_kwh=other - base,
+                total_kwh=total * DISTANCE / JOULES_PER_KWH,
             )
 
 

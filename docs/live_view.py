@@ -27,7 +27,12 @@ from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_stat
 from evpinn_ros.replay.chain import Chain, ChainOutput
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
-from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
+from evpinn_ros.topics.estimates import (
+    breakdown_messages,
+    energy_messages,
+    output_messages,
+    summary_messages,
+)
 from evpinn_ros.topics.messages import diagnostics
 from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.files import load_vehicle
@@ -75,6 +80,9 @@ def drive(state: LiveState) -> float:
                     if shown in WATCHED:
                         state.take(shown, message, now)
     now = begin + SECONDS
+    found = breakdown_messages(new_message, int(now * NANOSECONDS), chain.estimator.breakdown())
+    for shown, message in found:
+        state.take(shown, message, now)
     report = EstimatorReport(chain.estimator.status(), Health({}, {}), 0.0, 0, None)
     name, level, text, values = estimator_status(report)
     status = (f"{NAMESPACE}/estimator: {name}", level, text, values)

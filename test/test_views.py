@@ -5,6 +5,7 @@ from pathlib import Path
 import re
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 
@@ -13,9 +14,16 @@ from evpinn_ros.bags.types import new_message, typestore
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
 from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.estimation.breakdown import Breakdown
+from evpinn_ros.estimation.energy_parts import COUNT
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
-from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
+from evpinn_ros.topics.estimates import (
+    breakdown_messages,
+    energy_messages,
+    output_messages,
+    summary_messages,
+)
 from evpinn_ros.vehicle.files import vehicle_names
 from evpinn_ros.vehicle.identifiable import Identifiable
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
@@ -71,18 +79,59 @@ def vector_names() -> dict[Topic, list[str]]:
     ]
     names = {t: m.name for t, m in messages if t.type_name == topics.NAMED_VECTOR_TYPE}
     powers = (topics.POWER_MEASURED, topics.POWER_PREDICTED, topics.POWER_SMOOTHED)
-    ranges = ["distance_to_empty", "distance_lower", "distance_upper"]
-    return names | {power: ["power"] for power in powers} | {topics.ENERGY_RANGE: ranges}
+    parts = Breakdown(np.zeros(COUNT), np.zeros((COUNT, COUNT)), 0.0, 0.0, 0.0, 0.0)
+    ((_, breakdown),) = breakdown_messages(new_message, 1, parts)
+    ranges = ["distance_to_empty", "distance_lower", "distance_upper", "state_of_charge"]
+    return names | {
+        **{power: ["power"] for power in powers},
+        topics.ENERGY_BREAKDOWN: breakdown.name,
+        topics.ENERGY_RANGE: ranges,
+        topics.ENERGY_CONSUMPTION: [f"wh_per_km_{over}" for over in ("1", "10", "100", "trip")],
+    }
 
 
 NAMES = vector_names()
+
+
+SCRIPTS = [each["sourceCode"] for each in FOXGLOVE["userNodes"].values()]
+
+
+def exported(script: str) -> tuple[str, str, list[str]]:
+    """The topic that a user script takes, the topic that it gives, and the fields of that."""
+    topic = re.search(r'inputs = \["(.+)"\]', script)[1]
+    output = re.search(r'output = "(.+)"', script)[1]
+    return topic, output, re.findall(r"(\w+): number", script.partition("type Output")[2])
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: exported(script)[1])
+def test_foxglove_scripts_read_what_is_there_by_name(script):
+    name, output, fields = exported(script)
+    assert output.startswith("/studio_script/") and f'Input<"{name}">' in script
+    wanted = re.findall(r'(\w+): at\("(\w+)"\)', script)
+    if BY_NAME[name] is not topics.FORECAST:
+        assert [field for field, _ in wanted] == fields
+        assert {quantity for _, quantity in wanted} <= set(NAMES[BY_NAME[name]])
+
+
+def test_foxglove_plots_what_scripts_give_and_no_quantity_by_index():
+    known = {f"{output}.{f}" for _, output, fields in map(exported, SCRIPTS) for f in fields}
+    values = [path["value"] for path in paths()]
+    assert {each for each in values if each.startswith("/studio_script/")} <= known
+    assert {output for _, output, _ in map(exported, SCRIPTS)} == {
+        each.rpartition(".")[0] for each in values if each.startswith("/studio_script/")
+    }
+    assert all(each.endswith("[0]") for each in values if "[" in each)  # vectors of one name
 
 
 def test_foxglove_places_every_panel_once():
     assert sorted(panels(FOXGLOVE["layout"])) == sorted(FOXGLOVE["configById"])
 
 
-@pytest.mark.parametrize("path", paths(), ids=lambda path: path["value"])
+@pytest.mark.parametrize(
+    "path",
+    [path for path in paths() if not path["value"].startswith("/studio_script/")],
+    ids=lambda path: path["value"],
+)
 def test_foxglove_plots_numbers_that_exist(path):
     name, _, inside = path["value"].partition(".")
     topic = BY_NAME[name]
@@ -100,14 +149,7 @@ def test_foxglove_takes_the_quantity_that_the_label_says(path):
     name, index = re.fullmatch(r"([\w/]+)\.\w+\[(\d+)\]", path["value"]).groups()
     topic = BY_NAME[name]
     quantity = NAMES[topic][int(index)]
-    label = path["label"]
-    if topic is topics.BOUNDS:
-        wanted = {"lower bound": "mass_lower", "upper bound": "mass_upper"}
-        assert quantity == wanted.get(label, f"{label}_prior_share")
-    elif quantity == "power":
-        assert label == topic.name.rpartition("/")[2]
-    else:
-        assert label == quantity
+    assert quantity == "power" and path["label"] == topic.name.rpartition("/")[2]
 
 
 def test_foxglove_shows_diagnostics():

@@ -7,7 +7,13 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.breakdown import PartCheck, PartSummary, part_checks, part_summaries
+from benchmarks.breakdown import (
+    PartCheck,
+    PartSummary,
+    difference_checks,
+    part_checks,
+    part_summaries,
+)
 from benchmarks.truth import VEHICLES
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
@@ -30,6 +36,9 @@ def breakdown(
     altitude: Annotated[bool, typer.Option(help="With a barometer.")] = False,
     temperature: Annotated[bool, typer.Option(help="With a thermometer.")] = False,
     motor_torque: Annotated[bool, typer.Option(help="With the torque of the motor.")] = False,
+    pairs: Annotated[
+        bool, typer.Option("--pairs", help="The difference of two drives of each car instead.")
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Compare each part of the breakdown with what it truly took, on simulated cars.
@@ -40,19 +49,24 @@ def breakdown(
     """
     limit_blas_threads()
     found: list[PartCheck] = []
+    seeds = range(FIRST_SEED, FIRST_SEED + drives)
+    if pairs:
+        checks = difference_checks(VEHICLES, seeds, seconds=seconds, altitude=altitude)
+    else:
+        checks = part_checks(
+            list(DriveKind),
+            VEHICLES,
+            seeds,
+            seconds=seconds,
+            from_priors=not plausible,
+            rms_grade=rms_grade,
+            altitude=altitude,
+            temperature=temperature,
+            motor_torque=motor_torque,
+        )
     try:
         with progress_bar("drives", drives, unit="drives") as progress:
-            for check in part_checks(
-                list(DriveKind),
-                VEHICLES,
-                range(FIRST_SEED, FIRST_SEED + drives),
-                seconds=seconds,
-                from_priors=not plausible,
-                rms_grade=rms_grade,
-                altitude=altitude,
-                temperature=temperature,
-                motor_torque=motor_torque,
-            ):
+            for check in checks:
                 found.append(check)
                 progress(check.seed - FIRST_SEED + 1)
     finally:  # Ctrl-C leaves the drives so far

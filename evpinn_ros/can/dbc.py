@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
+from collections.abc import Mapping
 from io import TextIOWrapper
 from itertools import combinations
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 import cantools
 
 from evpinn_ros.can.dbc_size import LARGEST_FILE, excess
+from evpinn_ros.common.errors import near_names
 from evpinn_ros.common.plain_file import open_file
 from evpinn_ros.common.yaml_section import Section
 
@@ -58,7 +58,7 @@ class DbcFile:
         """
         name = section.text("message")
         if name not in self._messages:
-            reason = f"the DBC file has no message '{name}'{nearest(name, self._messages)}"
+            reason = f"the DBC file has no message '{name}'{near_names(name, self._messages)}"
             raise section.error_at("message", reason)
         message = self._messages[name]
         if not message.is_multiplexed() and self._has_pages(name):
@@ -87,7 +87,7 @@ def find_signal(section: Section, key: str, message: Any) -> Any:
     names = [str(signal.name) for signal in message.signals]
     if name not in names:
         reason = f"message '{message.name}' of the DBC file has no signal '{name}'"
-        raise section.error_at(key, reason + nearest(name, names))
+        raise section.error_at(key, reason + near_names(name, names))
     signal = message.get_signal_by_name(name)
     if signal.is_float:
         raise section.error_at(key, f"'{name}' is a floating-point signal; only integers are read")
@@ -138,10 +138,3 @@ def bits(signal: Any) -> frozenset[int]:
     # Motorola counts on from the highest bit of a byte to its lowest, then to the next byte.
     first = signal.start ^ 7
     return frozenset(place ^ 7 for place in range(first, first + signal.length))
-
-
-def nearest(name: str, names: Iterable[str]) -> str:
-    """Nearest name, to append to an error; empty when nothing is near."""
-    by_lower = {each.lower(): each for each in names}
-    found = [by_lower[each] for each in get_close_matches(name.lower(), by_lower, cutoff=0.5)]
-    return f"; nearest are {', '.join(found)}" if found else ""

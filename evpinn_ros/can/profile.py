@@ -30,7 +30,7 @@ from evpinn_ros.can.signal_rule import (
     refuse_impossible,
     signal_rule,
 )
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, known_names
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.yaml_section import Section, compose
 
@@ -127,10 +127,8 @@ def load_profile(name_or_path: str | Path) -> CanProfile:
         )
     if path.suffix not in (".yaml", ".yml"):
         if str(name_or_path) not in profile_names():
-            known = ", ".join(profile_names())
-            raise InputError(
-                f"no CAN profile named '{name_or_path}'; known are {known}, or give a path"
-            )
+            known = known_names(str(name_or_path), profile_names())
+            raise InputError(f"no CAN profile named '{name_or_path}'{known}, or give a path")
         path = _profile_directory() / f"{name_or_path}.yaml"
     return _parse(path)
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import json
 import math
 from pathlib import Path
+import time
 from typing import Any
 
 from rich.console import Console
@@ -31,6 +32,7 @@ Report = Callable[[float], None]  # takes what is done, seconds of the drive unl
 
 STDOUT = "-"  # as the path of a file
 DRIVE = "s of the drive"
+LINE_PERIOD_S = 10.0  # between lines of progress in a pipe; what takes less has none
 
 results = Console(highlight=False)
 TITLE = TextColumn("{task.description}", markup=False)
@@ -117,7 +119,7 @@ class RateColumn(ProgressColumn):
 
 @contextmanager
 def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator[Report]:
-    """Show progress, rate and time left on a terminal, and nothing in a pipe.
+    """Show progress, rate and time left: a bar on a terminal, in a pipe a line every 10 s.
 
     Args:
         title: of the bar.
@@ -132,9 +134,36 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
         RateColumn(unit),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
+    if not notes.is_terminal:
+        yield progress_lines(title, total, lambda done: f"{done:.0f} {unit}")
+        return
+    with Progress(*columns, console=notes) as bar:
         task = bar.add_task(printable(title), total=total)
         yield lambda done: bar.update(task, completed=done)
+
+
+def progress_lines(title: str, total: float | None, amount: Callable[[float], str]) -> Report:
+    """Progress as lines on stderr, none within the first `LINE_PERIOD_S`.
+
+    Args:
+        title: at the begin of each.
+        total: how much there is to do, None if unknown.
+        amount: text of what is done.
+    """
+    begun = due = time.monotonic()
+
+    def report(done: float) -> None:
+        nonlocal due
+        now = time.monotonic()
+        if now - due < LINE_PERIOD_S:
+            return
+        due = now
+        share = done / total if total else 0.0
+        left = (now - begun) * (1.0 - share) / share if 0.0 < share <= 1.0 else None
+        known = "" if left is None else f", {100.0 * share:.0f} %, {left:.0f} s left"
+        note(f"{title}: {amount(done)}{known}")
+
+    return report
 
 
 @contextmanager
@@ -147,7 +176,10 @@ def bytes_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
         TransferSpeedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
+    if not notes.is_terminal:
+        yield progress_lines(title, total, lambda done: f"{done / 1e6:.0f} MB")
+        return
+    with Progress(*columns, console=notes) as bar:
         task = bar.add_task(printable(title), total=total)
         yield lambda done: bar.update(task, completed=done)
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
 from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.cli.tables import titled_table
@@ -38,7 +39,7 @@ def info(
     problems = 0
     for path in inputs:
         try:
-            with progress_bar(path.name, total=None) as progress:
+            with progress_bar(path.name, total=stated_seconds(path)) as progress:
                 found.append(contents(path, column or (), progress))
         except InputError as error:
             problems += 1

@@ -8,6 +8,8 @@ from typing import Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from evpinn_ros.common.errors import near_names
+
 
 class LazyCommands(TyperGroup):
     """Imports a command when it is asked for: torch alone takes more than a second.
@@ -41,6 +43,13 @@ class LazyCommands(TyperGroup):
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         alone.command(cmd_name)(found)
         return typer.main.get_command(alone)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command of some words; one that there is not fails with what was meant."""
+        near = near_names(args[0], self.list_commands(ctx))
+        if near and not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
+            ctx.fail(f"No such command '{args[0]}'{near}.")
+        return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
         """Completions: names and options, without importing each for a line of help."""

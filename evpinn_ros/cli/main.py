@@ -22,8 +22,8 @@ class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
     names = (
-        *("replay", "run", "watch", "view", "convert", "simulate", "reproduce", "fleet"),
-        *("bench", "demo"),
+        *("replay", "compare", "run", "watch", "view", "convert", "simulate"),
+        *("reproduce", "fleet", "bench", "demo"),
         *("info", "recover"),
         "can",
         "vehicles",

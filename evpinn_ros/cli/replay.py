@@ -19,13 +19,14 @@ from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, wr
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
-from evpinn_ros.cli.tables import breakdown_table, parameter_table, score_table
+from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.replay.breakdown_text import breakdown_lines
 from evpinn_ros.replay.car import CarReplay
+from evpinn_ros.replay.owner_text import owner_line
 from evpinn_ros.replay.run import (
     WARM_UP,
     Replayed,
@@ -115,10 +116,14 @@ def replay(
                 if interruption.asked:
                     break
                 found = _one(car, source, folder, lambda: interruption.asked)
-                _show(found, source, warm_up)
+                _show(found, source, warm_up, len(folders) > 1)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
             written = _write(car, (metrics, report, state))
+    if len(car.done) > 1:
+        show(drives_table([(each.drive, each.metrics) for each in car.done]))
+        show(parameter_table(car.done[-1].metrics))
+        say("evpinn compare puts the breakdowns of these drives side by side.")
     if not written or any(result.problem for result in car.done):
         raise typer.Exit(1)
 
@@ -137,8 +142,8 @@ def _one(
         return car.replay(source, writer=writer, progress=progress, stopped=stopped)
 
 
-def _show(result: Replayed, source: Source, warm_up: float) -> None:
-    """Tables for people, and a line for each thing that was missing."""
+def _show(result: Replayed, source: Source, warm_up: float, briefly: bool) -> None:
+    """Tables for people, of one of many drives a line, and one for each thing that was missing."""
     found = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
@@ -152,14 +157,17 @@ def _show(result: Replayed, source: Source, warm_up: float) -> None:
     dropped = ", ".join(f"{n} {reason}" for reason, n in found["input"]["dropped"].items())
     if dropped:
         say(f"Dropped readings: {dropped}")
-    show(score_table(result.drive, found, warm_up))
-    for line in energy_lines(found):
-        say(line)
-    show(parameter_table(found, read_truth(source.path)))
+    say(owner_line(result.drive, found))
+    if briefly:
+        return
     if found["breakdown"]["unknown"] is None:
         show(breakdown_table(found["breakdown"]))
     for line in breakdown_lines(found["breakdown"]):
         say(line)
+    show(score_table(result.drive, found, warm_up))
+    for line in energy_lines(found):
+        say(line)
+    show(parameter_table(found, read_truth(source.path)))
 
 
 def _write(car: CarReplay, files: tuple[Path | None, Path | None, Path | None]) -> bool:

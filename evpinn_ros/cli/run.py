@@ -5,13 +5,16 @@ from __future__ import annotations
 from contextlib import ExitStack
 import math
 from pathlib import Path
+import shlex
 import sys
+import time
 from typing import Annotated
 
 import typer
 
 from evpinn_ros.bags.foxglove import LOOPBACK, PORT
 from evpinn_ros.bags.writer import Split
+from evpinn_ros.cli.console import note
 from evpinn_ros.cli.drive_report import reported
 from evpinn_ros.cli.options import (
     CanProfileOption,
@@ -26,6 +29,7 @@ from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 
 MEGABYTE = 1e6
+BRIEF_S = 5.0  # what ends sooner was a mistake, and has said so
 
 
 def learned_before(state: Path | None, params: Path | None) -> Path | None:
@@ -33,6 +37,20 @@ def learned_before(state: Path | None, params: Path | None) -> Path | None:
     if state is None and params is not None:
         return state_path(str(read_parameter_file(params, "estimator").get("state_file", "")))
     return state_path(str(state or ""))
+
+
+def _say_what_is_kept(begun: float, record: Path | None, state: Path | None) -> None:
+    """After a drive: what was saved, and what to do next."""
+    files = {"the drive": record, "what was learned": state}
+    kept = {what: f for what, f in files.items() if f and f.exists() and f.stat().st_mtime > begun}
+    if kept:
+        note("evpinn: saved " + ", ".join(f"{what}: {file}" for what, file in kept.items()))
+    elif time.time() - begun > BRIEF_S:
+        note(
+            "evpinn: nothing was saved; --record FOLDER keeps a drive, --state FILE what it taught"
+        )
+    if record in kept.values():
+        note(f"evpinn: next: evpinn replay {shlex.quote(str(record))} --report drive.html")
 
 
 def run(
@@ -133,6 +151,7 @@ def run(
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
     with ExitStack() as beside:  # left when the nodes have ended, before this process is
+        beside.callback(_say_what_is_kept, time.time(), record, learned_before(state, params))
         if report is not None:
             learning = {"--vehicle": vehicle, "--mode": mode and mode.value, "--params": params}
             options = [str(word) for pair in learning.items() if pair[1] for word in pair]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.replay.breakdown_text import COLUMNS, breakdown_rows
+from evpinn_ros.replay.comparison import short_names
 from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.owner_text import DRIVES_COLUMNS, drives_rows
 from evpinn_ros.replay.parameter_text import MEANINGS, number
 from evpinn_ros.replay.run import WARM_UP
 from evpinn_ros.replay.tables import (
@@ -21,12 +24,9 @@ from evpinn_ros.vehicle.parameters import Parameters
 
 def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -> PlainTable:
     """Live value, 1-sigma, prior share and state of each parameter, and the truth if known."""
-    table = titled_table("Parameters of the car")
-    for name in parameter_columns(truth):
-        table.add_column(name, justify="left" if name in ("parameter", "state") else "right")
-    for row in parameter_rows(found, truth):
-        table.add_row(*row)
-    return table
+    columns = parameter_columns(truth)
+    rows = parameter_rows(found, truth)
+    return columns_table("Parameters of the car", columns, rows, left=("state",))
 
 
 def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
@@ -51,20 +51,34 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
 
 def breakdown_table(found: Mapping[str, Any]) -> PlainTable:
     """Breakdown of the energy: kWh, 1-sigma, kWh/100 km and share of each part."""
-    table = titled_table("Where the energy went")
-    for name in COLUMNS:
-        table.add_column(name, justify="left" if name == COLUMNS[0] else "right")
-    for row in breakdown_rows(found):
-        table.add_row(*row)
-    return table
+    return columns_table("Where the energy went", COLUMNS, breakdown_rows(found))
 
 
 def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
     """Scores of power and energy, with the baselines that say what they are worth."""
-    table = titled_table(f"Predict, then update; after {warm_up:.0f} s")
-    for name in SCORE_COLUMNS:
-        table.add_column(name, justify="right" if name != SCORE_COLUMNS[0] else "left")
-    for row in score_rows(drive, found, warm_up):
+    title = f"Predict, then update; after {warm_up:.0f} s"
+    return columns_table(title, SCORE_COLUMNS, score_rows(drive, found, warm_up))
+
+
+def drives_table(drives: Sequence[tuple[Drive, Mapping[str, Any]]]) -> PlainTable:
+    """Drives of one car with their metrics, a row each."""
+    names = short_names([Path(found["input"]["path"]) for _, found in drives])
+    rows = drives_rows([(name, *each) for name, each in zip(names, drives, strict=True)])
+    return columns_table("Drives", DRIVES_COLUMNS, rows, left=("took most",))
+
+
+def columns_table(
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Iterable[str]],
+    left: Sequence[str] = (),
+) -> PlainTable:
+    """Rows of numbers under their columns; the first column and those of `left` are words."""
+    table = titled_table(title)
+    for column in columns:
+        words = column in (columns[0], *left)
+        table.add_column(column, justify="left" if words else "right")
+    for row in rows:
         table.add_row(*row)
     return table
 
@@ -76,10 +90,4 @@ def titled_table(title: str) -> PlainTable:
 
 def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> PlainTable:
     """Table of figures, each beside its goal: (name, measured, goal)."""
-    table = titled_table(title)
-    table.add_column("")
-    for column in ("measured", "goal"):
-        table.add_column(column, justify="right")
-    for row in rows:
-        table.add_row(*row)
-    return table
+    return columns_table(title, ("", "measured", "goal"), rows)

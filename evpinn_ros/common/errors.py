@@ -1,5 +1,10 @@
 """The one error a person can mend: wrong input, in one line."""
 
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from difflib import get_close_matches
+
 LONGEST_TEXT = 1000  # characters: what is shown may be quoted from a file, which may hold anything
 
 
@@ -19,3 +24,15 @@ def printable(text: str) -> str:
     """One line of a text, without what would speak to the terminal, and of bearable length."""
     shown = "".join(character if character.isprintable() else " " for character in text)
     return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."
+
+
+def near_names(name: str, known: Iterable[str]) -> str:
+    """Words to append to an error: known names near to what was typed, empty if none is."""
+    by_lower = {each.lower(): each for each in known}
+    near = [by_lower[each] for each in get_close_matches(name.lower(), by_lower, cutoff=0.6)]
+    return f"; did you mean {', '.join(near)}" if near else ""
+
+
+def known_names(name: str, known: Collection[str]) -> str:
+    """The same, and all that is known."""
+    return f"{near_names(name, known)}; known are {', '.join(known)}"

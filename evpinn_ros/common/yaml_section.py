@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, known_names
 from evpinn_ros.common.plain_file import open_file
 
 MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
@@ -227,7 +227,7 @@ class Section:
         """Raise when the section has a key that is not in `known`."""
         for name, (key, _) in self._items.items():
             if name not in known:
-                raise self.error(f"unknown key '{name}'; known are {', '.join(known)}", key)
+                raise self.error(f"unknown key '{name}'{known_names(name, known)}", key)
 
     def _list(self, key: str) -> list[yaml.Node]:
         node = self._value(key)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.drives.quantities import (
     BY_COLUMN,
     COLUMNS_OF_APPS,
@@ -126,10 +126,14 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
     quantity, _, rest = text.partition("=")
     if quantity not in QUANTITIES or not rest:
         known = ", ".join(QUANTITIES)
-        raise InputError(f"--column {text}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {known}")
+        near = near_names(quantity, QUANTITIES)
+        raise InputError(
+            f"--column {text}{near}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {known}"
+        )
     name, unit = (rest, "") if rest in header else (*rest.rpartition(":")[::2],)
     if name not in header:
-        raise InputError(f"--column {text}: no such column; there are {', '.join(header)}")
+        near = near_names(rest.partition(":")[0], header)
+        raise InputError(f"--column {text}: no such column{near}; there are {', '.join(header)}")
     place = list(header).index(name)
     if not unit:
         given_unit, meant = unit_of(quantity, name)

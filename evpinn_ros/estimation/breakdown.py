@@ -11,7 +11,8 @@ the data tell apart worse than they tell their sum are to be read together (`tog
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
 import math
 
 import numpy as np
@@ -24,6 +25,7 @@ from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.physics import GRAVITY
 
 FAST = slice(State.AUX, State.ENERGY)  # states that pass
+NOW = slice(-COUNT, None)  # the sums of the drive that goes on
 LOST = [Part.BRAKES, Part.DRIVETRAIN, Part.REGAINED]  # what noise of losses is of
 UNEXPLAINED, REGAINED = "unexplained", "regained"
 JOULES_PER_KWH = 3.6e6
@@ -31,8 +33,12 @@ JOULES_PER_KWH = 3.6e6
 # the root of its length; this much of it, for long hills are less steep.
 LONG_HILLS, HILL_LENGTH = 0.15, 600.0
 REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold driving and braking
+DISTANCE = 1e5  # m that a difference of drives is of
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
 LONG_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
+# Between drives: efficiency changes by this much for each e-fold of power, and a constant one
+# has air, the part that grows with speed most, account for it.
+MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
 TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
 LEAST_DISTANCE = 100.0  # m; over less no consumption is known
 LEAST_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
@@ -118,34 +124,135 @@ class Breakdown:
 
 
 @dataclass(frozen=True, slots=True)
-class PartSums:
-    """Sums of the parts over intervals, for each of K hypotheses; a value that is replaced.
+class Totals:
+    """Energy, distance and time that the sums of a drive are of.
 
     Attributes:
-        mean: J, shape (K, COUNT).
-        covariance: J^2, shape (K, COUNT, COUNT).
-        cross: covariance with the states, shape (K, COUNT, SIZE).
-        measured: J of the battery over the same intervals.
+        measured: J of the battery.
         measured_variance: due to the rate of its readings, J^2.
         distance: m.
         seconds: s.
         unseen: m of it where no height was known.
     """
 
-    mean: np.ndarray
-    covariance: np.ndarray
-    cross: np.ndarray
     measured: float = 0.0
     measured_variance: float = 0.0
     distance: float = 0.0
     seconds: float = 0.0
     unseen: float = 0.0
 
+    def plus(self, interval: Interval) -> Totals:
+        """With one more interval."""
+        distance = abs(interval.distance)
+        return Totals(
+            measured=self.measured + interval.energy,
+            measured_variance=self.measured_variance + max(0.0, interval.sampling_variance),
+            distance=self.distance + distance,
+            seconds=self.seconds + interval.duration,
+            unseen=self.unseen + (0.0 if interval.height_known else distance),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Breakdowns:
+    """Breakdowns of D drives of one car, and how their errors go together.
+
+    Attributes:
+        energy: of each part of each drive, J, shape (D, COUNT).
+        covariance: of these, J^2, shape (D, COUNT, D, COUNT).
+        drives: what they are of.
+    """
+
+    energy: np.ndarray
+    covariance: np.ndarray
+    drives: tuple[Totals, ...]
+
+    def of(self, drive: int) -> Breakdown | None:
+        """Breakdown of one drive, None of no interval."""
+        whole = self.drives[drive]
+        if whole.seconds == 0.0:
+            return None
+        counts = whole.measured, whole.measured_variance, whole.distance, whole.seconds
+        return Breakdown(self.energy[drive], self.covariance[drive, :, drive], *counts)
+
+    def difference(self, drive: int, base: int) -> Breakdown:
+        """Energy that a drive took more than another, of 100 km each.
+
+        What is not known of the car is the same in both, and mostly gone from the difference. What
+        stays is that its efficiency is a map: the more the power of the drives differs, the more.
+        Both must be longer than `LEAST_DISTANCE`.
+        """
+        pair = [drive, base]
+        more, less = (self.drives[each] for each in pair)
+        scale = np.array([DISTANCE / more.distance, -DISTANCE / less.distance])
+        covariance = np.einsum("a,aibj,b->ij", scale, self.covariance[pair][:, :, pair], scale)
+        drawn = [self.drives[each].measured + self.energy[each, Part.REGAINED] for each in pair]
+        lasted = more.seconds, less.seconds
+        efolds = math.log(max(drawn[0] / lasted[0], 1.0) / max(drawn[1] / lasted[1], 1.0))
+        map_error = MAP_SHARE * efolds * float(np.abs(scale) @ drawn) / 2.0
+        covariance += map_error**2 * np.outer(MAP_ERROR, MAP_ERROR)
+        return Breakdown(
+            energy=scale @ self.energy[pair],
+            covariance=covariance,
+            measured=float(scale @ [more.measured, less.measured]),
+            measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
+            distance=DISTANCE,
+            seconds=0.0,
+        )
+
+    def joined(self, owners: Sequence[int]) -> Breakdowns:
+        """The same where some belong together, as those before and after a long stop.
+
+        Args:
+            owners: number of the whole that each belongs to; all from 0 on.
+        """
+        which = (np.arange(max(owners) + 1)[:, None] == np.array(owners)).astype(float)
+        covariance = np.einsum("ad,dier,be->aibr", which, self.covariance, which)
+        whole = which @ [astuple(each) for each in self.drives]
+        return Breakdowns(which @ self.energy, covariance, tuple(Totals(*row) for row in whole))
+
+
+@dataclass(frozen=True, slots=True)
+class PartSums:
+    """Sums of the parts over intervals, for each of K hypotheses; a value that is replaced.
+
+    Of the drive that goes on, and where they are kept (`next_drive`) of those before it: D drives,
+    COUNT sums each, N in all, those of the drive that goes on last.
+
+    Attributes:
+        mean: J, shape (K, N).
+        covariance: J^2, shape (K, N, N).
+        cross: covariance with the states, shape (K, N, SIZE).
+        drives: what the sums of each drive are of.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    cross: np.ndarray
+    drives: tuple[Totals, ...] = (Totals(),)
+
     @classmethod
     def none(cls, hypotheses: int) -> PartSums:
         """Of no interval."""
         count = hypotheses, COUNT
         return cls(np.zeros(count), np.zeros((*count, COUNT)), np.zeros((*count, SIZE)))
+
+    def next_drive(self, kept: np.ndarray) -> PartSums:
+        """With another drive, of no interval yet.
+
+        Args:
+            kept: share of each state that is kept between drives, shape (SIZE,).
+        """
+        cross = self.cross * kept
+        if not self.drives[-1].seconds:
+            return replace(self, cross=cross)
+        all_, more = (0, 0), (0, COUNT)
+        return PartSums(
+            np.pad(self.mean, (all_, more)),
+            np.pad(self.covariance, (all_, more, more)),
+            np.pad(cross, (all_, more, all_)),
+            (*self.drives, Totals()),
+        )
 
     def passed(self, transition: np.ndarray) -> PartSums:
         """After a step of the states, of which all but `FAST` stay."""
@@ -171,12 +278,14 @@ class PartSums:
             lost: how much of the noise is of each part, J^2, shape (K, COUNT).
         """
         variance = (seen.variance + extra)[:, None]
-        along = np.matmul(self.cross, gradient[:, :, None])[:, :, 0] + lost
+        along = np.matmul(self.cross, gradient[:, :, None])[:, :, 0]
+        along[:, NOW] += lost
         gain = along / variance
         covariance = self.covariance - gain[:, :, None] * along[:, None, :]
-        covariance[:, LOST, LOST] += np.abs(lost[:, LOST])
-        covariance[:, Part.BRAKES, Part.REGAINED] -= lost[:, Part.BRAKES]
-        covariance[:, Part.REGAINED, Part.BRAKES] -= lost[:, Part.BRAKES]
+        own = covariance[:, NOW, NOW]
+        own[:, LOST, LOST] += np.abs(lost[:, LOST])
+        own[:, Part.BRAKES, Part.REGAINED] -= lost[:, Part.BRAKES]
+        own[:, Part.REGAINED, Part.BRAKES] -= lost[:, Part.BRAKES]
         return replace(
             self,
             mean=self.mean + gain * seen.residual[:, None],
@@ -203,39 +312,36 @@ class PartSums:
         """
         about = weights @ state.mean
         energy, gradient = parts(about, interval.steps, interval.conditions, warmth, car)
+        mean, covariance, cross = self.mean.copy(), self.covariance.copy(), self.cross.copy()
         own = gradient @ state.covariance
         shared = self.cross @ gradient.T
-        added = own @ gradient.T + shared + np.swapaxes(shared, 1, 2)
-        return PartSums(
-            mean=self.mean + energy + (state.mean - about) @ gradient.T,
-            covariance=self.covariance + added,
-            cross=self.cross + own,
-            measured=self.measured + interval.energy,
-            measured_variance=self.measured_variance + max(0.0, interval.sampling_variance),
-            distance=self.distance + abs(interval.distance),
-            seconds=self.seconds + interval.duration,
-            unseen=self.unseen + (0.0 if interval.height_known else abs(interval.distance)),
-        )
+        mean[:, NOW] += energy + (state.mean - about) @ gradient.T
+        covariance[:, NOW, NOW] += own @ gradient.T
+        covariance[:, :, NOW] += shared
+        covariance[:, NOW, :] += np.swapaxes(shared, 1, 2)
+        cross[:, NOW] += own
+        drives = *self.drives[:-1], self.drives[-1].plus(interval)
+        return PartSums(mean, covariance, cross, drives)
 
-    def breakdown(self, weights: np.ndarray, weight: float, hilliness: float) -> Breakdown | None:
-        """The sums over all hypotheses, None before the first interval.
+    def breakdowns(self, weights: np.ndarray, weight: float, hilliness: float) -> Breakdowns:
+        """The sums over all hypotheses, of every drive.
 
         Args:
             weights: of the hypotheses, shape (K,).
             weight: of the car, N.
             hilliness: 1-sigma of the unseen slope.
         """
-        if self.seconds == 0.0:
-            return None
         mean, covariance = mixture(weights, Gaussian(self.mean, self.covariance))
-        height = LONG_HILLS * hilliness * math.sqrt(HILL_LENGTH * self.unseen)
-        covariance += (weight * height) ** 2 * np.outer(LONG_HILL, LONG_HILL)
-        covariance[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * mean[Part.REGAINED]) ** 2
-        mass = weight / GRAVITY
-        edges = 2.0 * mass * EDGE_SPEED**2 * abs(mean[Part.SPEED])  # (m v dv)^2
-        covariance[Part.SPEED, Part.SPEED] += edges
-        counts = self.measured, self.measured_variance, self.distance, self.seconds
-        return Breakdown(mean, covariance, *counts)
+        for drive, totals in enumerate(self.drives):
+            span = slice(drive * COUNT, (drive + 1) * COUNT)
+            own, energy = covariance[span, span], mean[span]
+            height = LONG_HILLS * hilliness * math.sqrt(HILL_LENGTH * totals.unseen)
+            own += (weight * height) ** 2 * np.outer(LONG_HILL, LONG_HILL)
+            own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
+            edges = 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])  # (m v dv)^2
+            own[Part.SPEED, Part.SPEED] += edges
+        shape = len(self.drives), COUNT
+        return Breakdowns(mean.reshape(shape), covariance.reshape(shape + shape), self.drives)
 
 
 def loss_shares(found: Spent) -> np.ndarray:

@@ -28,6 +28,7 @@ from evpinn_ros.estimation.calibration import MOST_SUM
 from evpinn_ros.estimation.car_state import (
     CABIN_TIME,
     CAR,
+    COMPARED_STD,
     DRIVE_KEPT,
     DRIVE_STD,
     DRIVES_KEPT,
@@ -117,10 +118,8 @@ class CarFilter(Saveable[SavedFilter]):
         self.prior = prior_of(vehicle)
         self._hypotheses = np.array(list(product(range(3), FORCES, LOADS)))
         count = len(self._hypotheses)
-        self.state = Gaussian(
-            np.tile(self.prior.mean, (count, 1)),
-            np.tile(self.prior.covariance, (count, 1, 1)),
-        )
+        one = self.prior.mean, self.prior.covariance
+        self.state = Gaussian(*(np.repeat(each[None], count, axis=0) for each in one))
         self._evidence = np.zeros(count)
         self._scale = np.ones(count)
         self._drive_variance = {state: std**2 for state, std in DRIVE_STD.items()}
@@ -134,24 +133,29 @@ class CarFilter(Saveable[SavedFilter]):
 
     # What goes on ----------------------------------------------------------------------------
 
-    def begin_drive(self) -> None:
+    def begin_drive(self, keep: bool = False) -> None:
         """Another drive: another road, and other offsets, of which some is as it was.
+
+        With `keep` the sums of the drives before stay, to compare, and no offset is as it was.
 
         The variance of what is of a drive is learned from the drive that was (expectation
         maximisation with a prior of `PRIOR_DRIVES` drives).
         """
+        kept, fresh = np.ones(SIZE), np.zeros(SIZE)
+        share, more = (0.0, COMPARED_STD) if keep else (DRIVE_KEPT, {})
         if self.intervals:
             whole = self.mixture()
             for state, before in self._drive_variance.items():
                 found = whole.mean[state] ** 2 + whole.covariance[state, state]
                 self._drive_variance[state] = (self._drives * before + found) / (self._drives + 1)
             self._drives = min(self._drives + 1, DRIVES_KEPT)
-            keep, fresh = np.ones(SIZE), np.zeros(SIZE)
             for state, variance in self._drive_variance.items():
-                keep[state], fresh[state] = DRIVE_KEPT, (1.0 - DRIVE_KEPT**2) * variance
-            self.state = predict(self.state, np.diag(keep), np.diag(fresh))
+                kept[state] = share
+                fresh[state] = (1.0 - share**2) * variance + more.get(state, 0.0) ** 2
+            self.state = predict(self.state, np.diag(kept), np.diag(fresh))
         self.intervals, self._seconds = 0, 0.0
-        self.parts = PartSums.none(len(self._scale))
+        earlier = self.parts if keep else None
+        self.parts = earlier.next_drive(kept) if earlier else PartSums.none(len(self._scale))
         self._begin_road(height_known=self._height_known)
 
     def forget_road(self) -> None:
@@ -178,14 +182,14 @@ class CarFilter(Saveable[SavedFilter]):
         weights = self.weights
         lost = (self._scale * lost_variance(interval, found))[:, None] * loss_shares(found)
         seen = self._see(found.gradient, interval.energy - found.energy, noise, lost)
-        known = self.state, weights, self.warmth, self._constants
-        self.parts = self.parts and self.parts.plus(interval, *known)
+        known = interval, self.state, weights, self.warmth, self._constants
+        self.parts = self.parts and self.parts.plus(*known)
         if abs(interval.distance) > STANDSTILL_SPEED * interval.duration:
             self._judge(seen)  # a standing car is not informative on slopes, winds and their noise
         self.intervals += 1
         mean = float(weights @ seen.residual)
-        away = seen.residual - mean
-        return Learned(mean, math.sqrt(float(weights @ (seen.variance + away**2))))
+        variance = weights @ (seen.variance + (seen.residual - mean) ** 2)
+        return Learned(mean, math.sqrt(float(variance)))
 
     def fork(self, mass_std: float) -> CarFilter:
         """A copy that knows the mass less well, by this 1-sigma of its logarithm."""

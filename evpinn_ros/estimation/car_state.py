@@ -84,6 +84,9 @@ DRIVE_STD = {State.ROLL_DRIVE: 0.10, State.AUX_DRIVE: 250.0}
 DRIVE_KEPT = 0.8
 PRIOR_DRIVES = 4.0
 DRIVES_KEPT = 30.0
+# Drives that are compared may have nothing of that in common, and differ by this much more: other
+# tyres (from class A to E of Regulation (EU) 2020/740 C_rr grows by half), heating in winter.
+COMPARED_STD = {State.ROLL_DRIVE: 0.2, State.AUX_DRIVE: 1000.0}
 
 
 class StatePrior(NamedTuple):

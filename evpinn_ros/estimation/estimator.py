@@ -16,7 +16,7 @@ import math
 from typing import Annotated, Any, TypeAlias
 
 from evpinn_ros.common.saved_fields import SAME, Saveable
-from evpinn_ros.estimation.breakdown import Breakdown
+from evpinn_ros.estimation.breakdown import Breakdown, Breakdowns
 from evpinn_ros.estimation.calibration import BandCalibration, SavedBand
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.estimation.evidence import Evidence
@@ -82,6 +82,7 @@ class EstimatorSettings:
         paper_optimizer: of `paper`.
         seed: of the networks.
         stream: how readings become samples.
+        keep_drives: whether breakdowns of earlier drives are kept, to be compared.
     """
 
     mode: Mode = Mode.HYBRID
@@ -89,6 +90,7 @@ class EstimatorSettings:
     paper_optimizer: PaperOptimizer = PaperOptimizer.ADAM
     seed: int = 0
     stream: StreamSettings = field(default_factory=StreamSettings)
+    keep_drives: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +225,12 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def breakdown(self) -> Breakdown | None:
         """Energy of this drive by where it went; None in the paper's mode, and before any."""
-        return self._learner.breakdown()
+        found = self.breakdowns()
+        return None if found is None else found.of(-1)
+
+    def breakdowns(self) -> Breakdowns | None:
+        """Those of all drives that were kept, the present one last."""
+        return self._learner.breakdowns()
 
     def evidence(self) -> Evidence:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
@@ -302,14 +309,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         prediction = self._learner.predict(sample)
         self._predictions[kind].append((sample, prediction))
         sigma = self._bands[kind].sigma(sample, prediction.sigma)
-        yield PowerEstimate(
-            kind,
-            sample.stamp_ns,
-            prediction.power,
-            sigma,
-            prediction.energy,
-            prediction.energy_sigma,
-        )
+        dropout = prediction.energy, prediction.energy_sigma
+        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma, *dropout)
 
     def _learn_bands(self, event: MeasuredSample) -> None:
         """Hold the predictions made for this moment against what was measured."""
@@ -390,10 +391,6 @@ def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
         # Imported here: it alone needs torch, which takes longer to load than all else together.
         from evpinn_ros.estimation.paper import PaperLearner
 
-        return PaperLearner(
-            vehicle,
-            seed=settings.seed,
-            form=settings.regen_form,
-            optimizer=settings.paper_optimizer,
-        )
-    return PinnLearner(vehicle, seed=settings.seed)
+        form, optimizer = settings.regen_form, settings.paper_optimizer
+        return PaperLearner(vehicle, seed=settings.seed, form=form, optimizer=optimizer)
+    return PinnLearner(vehicle, seed=settings.seed, keep_drives=settings.keep_drives)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import math
 from typing import Any, NamedTuple, Protocol
 
-from evpinn_ros.estimation.breakdown import Breakdown
+from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.payload import PayloadChange
@@ -80,8 +80,11 @@ class Learner(Protocol):
     def evidence(self) -> Evidence:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
 
-    def breakdown(self) -> Breakdown | None:
-        """Energy of this drive by where it went, None while or where that is not known."""
+    def breakdowns(self) -> Breakdowns | None:
+        """Energy of this drive, and of those kept before it, by where it went.
+
+        None where that is not known.
+        """
 
     def linear_power(self, celsius: float | None) -> LinearPower | None:
         """Linear power model for forecasts at an ambient temperature, None where unknown.

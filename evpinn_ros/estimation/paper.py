@@ -239,7 +239,7 @@ class PaperLearner(Saveable[SavedPaper]):
         std = _combined_std(combined, self._trained.covariance, prior.std)
         return ParameterSet(self._last_ns or 0, estimates, combined, std, reliable=False)
 
-    def breakdown(self) -> None:
+    def breakdowns(self) -> None:
         """None: eq. 21 alone does not tell losses and loads apart."""
 
     def linear_power(self, celsius: float | None) -> None:

@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range, Saveable
-from evpinn_ros.estimation.breakdown import Breakdown
+from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.car_filter import CarFilter, SavedFilter
 from evpinn_ros.estimation.car_state import State
@@ -120,13 +120,13 @@ class LearnedCar:
         self.grade.learn(interval, learned.residual, weight)
         self.filter = self.payload.learn(self.filter, self.sums, interval)
 
-    def breakdown(self) -> Breakdown | None:
-        """Energy of this drive by where it went, None before the first interval."""
+    def breakdowns(self) -> Breakdowns | None:
+        """Energy of this drive, and of those kept before it, by where it went."""
         car = self.filter
         if car.parts is None:
             return None
         weight = GRAVITY * math.exp(car.mixture().mean[State.MASS])
-        return car.parts.breakdown(car.weights, weight, car.hilliness)
+        return car.parts.breakdowns(car.weights, weight, car.hilliness)
 
     @property
     def measured(self) -> bool:
@@ -141,12 +141,12 @@ class LearnedCar:
         self.filter.forget_road()
         self.known_ns = self.end_ns
 
-    def begin_drive(self) -> None:
-        """Another drive of this car."""
+    def begin_drive(self, keep: bool = False) -> None:
+        """Another drive of this car; the breakdowns of those before are kept, or not."""
         self.stretches += 1
         self.loads.end_drive()
         self.rehearsal.end()
-        self.filter.begin_drive()
+        self.filter.begin_drive(keep)
         self.sums.begin_drive()
         self.payload.forget_time()
 
@@ -174,9 +174,9 @@ class SavedPinn:
 class PinnLearner(Saveable[SavedPinn]):
     """See the module's text."""
 
-    def __init__(self, vehicle: Vehicle, *, seed: int = 0) -> None:
+    def __init__(self, vehicle: Vehicle, *, seed: int = 0, keep_drives: bool = False) -> None:
         """Start at the vehicle's priors, with a network whose output is zero."""
-        self._vehicle = vehicle
+        self._vehicle, self._keep_drives = vehicle, keep_drives
         self._network = ResidualNetwork(seed)
         self._suspicion = SignSuspicion()
         self._states = StateHysteresis()
@@ -263,9 +263,9 @@ class PinnLearner(Saveable[SavedPinn]):
         now = parameter_set(self._last_ns or 0, found)
         return self._states.judge(now, deviations(found), suspected=self._suspicion.suspected)
 
-    def breakdown(self) -> Breakdown | None:
-        """Energy of this drive by where it went."""
-        return self._car.breakdown()
+    def breakdowns(self) -> Breakdowns | None:
+        """Energy of this drive, and of those kept before it, by where it went."""
+        return self._car.breakdowns()
 
     def linear_power(self, celsius: float | None) -> LinearPower:
         """Linear power model of the car for forecasts."""
@@ -292,7 +292,7 @@ class PinnLearner(Saveable[SavedPinn]):
     def end_drive(self) -> None:
         """Begin another drive."""
         self.forget_window()
-        self._car.begin_drive()
+        self._car.begin_drive(self._keep_drives)
         self._use(self._car)
 
     def saved(self) -> SavedPinn:

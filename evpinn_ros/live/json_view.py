@@ -23,7 +23,14 @@ def as_json(state: LiveState, now: float) -> dict[str, Any]:
         "voltage_v": _known(battery.voltage) if battery else None,
         "current_a": _known(battery.current) if battery else None,
         "power_w": {name: _estimate(*state.power(topic, now)) for topic, name in POWERS.items()},
+        "receiving": state.received,
+        "state_of_charge": _known(state.charge()),
+        "wh_per_km": _known(state.consumption()),
         "energy_j": _numbers(state.vector(topics.ENERGY_STATE)),
+        "breakdown_j": {
+            name: _estimate(value, state.sigmas(topics.ENERGY_BREAKDOWN).get(name, math.nan))
+            for name, value in state.vector(topics.ENERGY_BREAKDOWN).items()
+        },
         "consumption": _numbers(state.vector(topics.ENERGY_CONSUMPTION)),
         "range_m": _numbers(state.vector(topics.ENERGY_RANGE)),
         "parameters": {

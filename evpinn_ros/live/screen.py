@@ -13,7 +13,7 @@ from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
 from evpinn_ros.estimation.operating_range import MANNERS
 from evpinn_ros.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
-from evpinn_ros.live.state import POWERS, LiveState, ParameterRow
+from evpinn_ros.live.state import NOTHING, POWERS, LiveState, ParameterRow
 from evpinn_ros.replay.parameter_text import MEANINGS, UNITS, number
 from evpinn_ros.topics.messages import Level
 
@@ -37,7 +37,8 @@ RATES = {
 
 WIDE = 76  # characters from which every column is shown
 AXIS_WIDTH = 6
-MOST_CHART_ROWS, MOST_PROBLEMS = 6, 3
+MOST_CHART_ROWS, MOST_PROBLEMS, MOST_BREAKDOWN_ROWS = 6, 3, 2
+BESIDE = {"measured", "regained"}  # of the breakdown: not parts that add up
 UNKNOWN = "-"
 GREATEST = 1e7  # shown in full
 
@@ -64,13 +65,15 @@ COLUMNS = (
 def screen(state: LiveState, now: float, width: int, height: int) -> Text:
     """The view, never wider or higher than asked; what does not fit is left out, by weight."""
     problems = state.problems(now)
+    breakdown = list(_breakdown(state, width))
     # In the order of their weight, with the rows that each needs.
     needs = {
         "title": 1,
         "problems": min(len(problems), 1),
+        "owner": 1,
+        "breakdown": len(breakdown),
         "parameters": 1 + len(state.parameters()),
         "power": 1 + len(POWERS),
-        "energy": 1,
         "coverage": 1 + len(MANNERS),
     }
     kept, left = set(), height
@@ -82,9 +85,10 @@ def screen(state: LiveState, now: float, width: int, height: int) -> Text:
     chart_rows = min(1 + (left - more_problems) // len(POWERS), MOST_CHART_ROWS)
     parts: dict[str, Iterable[Text]] = {
         "title": [_title(state, now, width)],
+        "owner": [_owner(state)],
+        "breakdown": breakdown,
         "parameters": _parameters(state, width),
         "power": _power(state, now, width, chart_rows),
-        "energy": [_energy(state)],
         "coverage": _coverage(state, now, width),
         "problems": _problems(problems[: 1 + more_problems]),
     }
@@ -96,11 +100,13 @@ def screen(state: LiveState, now: float, width: int, height: int) -> Text:
 
 def plain_line(state: LiveState, now: float) -> str:
     """The state in one line without styles, for pipes and files."""
-    parts = [f"{_number(3.6 * state.fresh_speed(now), 1)} km/h"]
+    if not state.received:
+        return NOTHING
+    parts = [f"{_number(3.6 * state.fresh_speed(now), 1)} km/h", _owner(state).plain]
     for topic, name in POWERS.items():
         found = state.power(topic, now)
-        parts.append(f"{name} {_kilowatts(found.value)}{_sigma(found.sigma)} kW")
-    parts.append(_energy(state).plain)
+        parts.append(f"{name} {_kilowatts(found.value)}{_sigma(found.sigma)} kW drawn")
+    parts.append(f"Wh went to {', '.join(_amounts(state)) or UNKNOWN}")
     parts += [
         f"{row.name} {_parameter(row, row.value)} +- {_parameter(row, row.sigma)}"
         + (f" {row.state}" if row.state else "")
@@ -119,9 +125,10 @@ def _title(state: LiveState, now: float, width: int) -> Text:
     battery = state.fresh_battery(now)
     right = f"{_number(3.6 * state.fresh_speed(now), 1)} km/h "
     if battery is not None:
-        right = f"{_number(battery.voltage, 0)} V  {_number(battery.current, 1)} A  {right}"
+        drawn = f"{_number(0.0 - battery.current, 1)} A drawn"  # as power: + is drawn
+        right = f"{_number(battery.voltage, 0)} V  {drawn}  {right}"
     room = max(width - len(right) - 1, 0)
-    left = set_cell_size(f" evpinn  {state.activity(now) or 'estimator silent'}", room)
+    left = set_cell_size(f" evpinn  {state.activity(now) or _silent(state)}", room)
     return Text(f"{left} {right}", style=TITLE)
 
 
@@ -153,7 +160,7 @@ def _power(state: LiveState, now: float, width: int, rows: int) -> Iterable[Text
     bins = room * DOT_COLUMNS
     lines = {name: state.line.last(name, bins) for name in POWERS.values()}
     axis = power_axis([value for line in lines.values() for value in line])
-    heading = Text("power kW", style=HEADING)
+    heading = Text("kW drawn", style=HEADING)
     for topic, name in POWERS.items():
         found = state.power(topic, now)
         heading.append(f"  {name} ", "not bold")
@@ -172,22 +179,56 @@ def _power(state: LiveState, now: float, width: int, rows: int) -> Iterable[Text
             )
 
 
-def _energy(state: LiveState) -> Text:
+def _owner(state: LiveState) -> Text:
+    """An owner's line: charge, range with its 90 % band, consumption, energy of the trip."""
     energy = state.vector(topics.ENERGY_STATE)
-    consumption = state.vector(topics.ENERGY_CONSUMPTION)
-    reach = state.vector(topics.ENERGY_RANGE)
-    text = Text("energy Wh", style=HEADING)
-    for name in ("consumed", "predicted"):
-        text.append(f"  {name} {_watt_hours(energy, name)}", "not bold")
-    if "wh_per_km_trip" in consumption:
-        text.append(f"  {_number(consumption['wh_per_km_trip'], 0)} Wh/km", "not bold")
-    if "distance_to_empty" in reach:
-        low, high = (
-            _number(reach.get(f"distance_{end}", math.nan) / 1e3, 0) for end in ("lower", "upper")
-        )
-        middle = _number(reach["distance_to_empty"] / 1e3, 0)
-        text.append(f"  range {middle} km ({low}-{high})", "not bold")
-    return text.append(f"  regenerated {_watt_hours(energy, 'regenerated')}", "not bold")
+    words = (
+        f"  {_percent(100 * state.charge())}",
+        f"  range {_range(state)}",
+        f"  {_number(state.consumption(), 0)} Wh/km",
+        f"  used {_watt_hours(energy, 'consumed')} Wh",
+        f"  regained {_watt_hours(energy, 'regenerated')} Wh",
+    )
+    return Text("charge", style=HEADING).append("".join(words), "not bold")
+
+
+def _range(state: LiveState) -> str:
+    """Distance to empty with its 90 % band; why there is none, if the charge is known."""
+    found = state.vector(topics.ENERGY_RANGE)
+    ends = ("to_empty", "lower", "upper")
+    middle, low, high = (_number(found.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
+    if "distance_to_empty" in found:
+        return f"{middle} km ({low}-{high})"
+    return UNKNOWN if math.isnan(state.charge()) else "from 10 km on"
+
+
+def _breakdown(state: LiveState, width: int) -> Iterable[Text]:
+    """Parts of the energy so far, the largest first, in as many rows as they need, but two."""
+    title = "Wh went to"
+    rows = [""]
+    for each in _amounts(state) or [UNKNOWN]:
+        if rows[-1] and len(title) + len(rows[-1]) + len(each) + 2 > width:
+            rows.append("")
+        rows[-1] += f"  {each}"
+    for index, row in enumerate(rows[:MOST_BREAKDOWN_ROWS]):
+        head = title if index == 0 else " " * len(title)
+        yield Text(head, style=HEADING).append(row, "not bold")
+
+
+def _amounts(state: LiveState) -> list[str]:
+    """Each part with its 1-sigma, Wh, the largest first."""
+    values = state.vector(topics.ENERGY_BREAKDOWN)
+    sigmas = state.sigmas(topics.ENERGY_BREAKDOWN)
+    names = sorted(set(values) - BESIDE, key=lambda name: -abs(values[name]))
+    return [
+        f"{printable(name)} {_watt_hours(values, name)}+-{_watt_hours(sigmas, name)}"
+        for name in names
+        if values[name] or sigmas.get(name)
+    ]
+
+
+def _silent(state: LiveState) -> str:
+    return "estimator silent" if state.received else "no nodes"
 
 
 def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:

@@ -34,6 +34,7 @@ VECTORS = (
     topics.POWER_MEASURED,
     topics.POWER_PREDICTED,
     topics.ENERGY_STATE,
+    topics.ENERGY_BREAKDOWN,
     topics.ENERGY_CONSUMPTION,
     topics.ENERGY_RANGE,
 )
@@ -46,6 +47,8 @@ STALE_AFTER = 3.0  # s without a message
 RATE_WINDOW = 5.0  # s over which messages are counted
 MOST_ARRIVALS = 5000  # of a topic, for its rate
 MOST_PARTS = 50  # of all nodes that are followed; ours have ten
+LEAST_DISTANCE = 100.0  # m; over less a consumption says nothing
+NOTHING = "nothing received yet: are nodes up (evpinn run), with this ROS_DOMAIN_ID?"
 
 
 class Power(NamedTuple):
@@ -180,6 +183,20 @@ class LiveState:
         found = self._vectors.get(topic)
         return {} if found is None else found.sigmas
 
+    def charge(self) -> float:
+        """State of charge, 0 to 1, NaN where unknown: projected to now, else as last received."""
+        received = math.nan if self.battery is None else self.battery.state_of_charge
+        return self.vector(topics.ENERGY_RANGE).get("state_of_charge", received)
+
+    def consumption(self) -> float:
+        """Wh/km of this trip, NaN while unknown; the node gives it from the first km on."""
+        found = self.vector(topics.ENERGY_CONSUMPTION)
+        distance = found.get("distance_trip", 0.0)
+        if "wh_per_km_trip" in found or distance < LEAST_DISTANCE:
+            return found.get("wh_per_km_trip", math.nan)
+        consumed = self.vector(topics.ENERGY_STATE).get("consumed", math.nan)
+        return consumed / 3600.0 / (distance / 1000.0)
+
     def parameters(self) -> list[ParameterRow]:
         """All parameters, also those of which nothing was received."""
         values, sigmas = self.vector(topics.PARAMETERS), self.sigmas(topics.PARAMETERS)
@@ -208,12 +225,15 @@ class LiveState:
         """Share of recent samples in the 90 % band of power/predicted, NaN when not received."""
         return _number(self._estimator().get("in_90_band.predicted"))
 
+    @property
+    def received(self) -> bool:
+        """True once there was any message."""
+        return bool(self._last)
+
     def problems(self, now: float) -> list[tuple[Level, str]]:
         """Missing inputs and their reasons, the worst first; empty when all is well."""
-        if not self._last:
-            return [
-                (Level.WARN, "nothing received yet: are the nodes up, with this ROS_DOMAIN_ID?")
-            ]
+        if not self.received:
+            return [(Level.WARN, NOTHING)]
         if not self.statuses:
             found = [(Level.WARN, "no /diagnostics of our nodes yet")]
         else:

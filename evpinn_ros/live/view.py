@@ -24,7 +24,7 @@ from rich.live import Live
 from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.live.json_view import as_json
 from evpinn_ros.live.screen import plain_line, problem_lines, screen
-from evpinn_ros.live.state import WATCHED, LiveState
+from evpinn_ros.live.state import NOTHING, WATCHED, LiveState
 from evpinn_ros.nodes.factory import message_class, qos_profile
 from evpinn_ros.topics import NAMESPACE, SUBSCRIBER_DEPTH, Qos
 
@@ -117,6 +117,18 @@ def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool 
         # The shutdown came in the middle of a call into rclpy.
     finally:
         rclpy.try_shutdown()
+    if multiprocessing.parent_process() is None:
+        print(printable(_ending(listener.state)), file=sys.stderr)
+
+
+def _ending(state: LiveState) -> str:
+    """Words for the end of a view of its own: what was saved, and what to do next."""
+    if not state.received:
+        return f"evpinn: {NOTHING}"
+    return (
+        "evpinn: the view has ended and saved nothing; the nodes go on. To keep a drive and what "
+        "was learned: evpinn run --record FOLDER --state FILE"
+    )
 
 
 def _picture(live: Live, state: LiveState, now: float) -> None:

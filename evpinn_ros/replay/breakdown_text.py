@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -113,9 +113,14 @@ def _share(share: float) -> str:
     return plain[near] if abs(near - share) < 0.02 else f"{100 * share:.0f} %"
 
 
-def _together(names: list[str]) -> str:
-    *first, last = (MEANINGS[name] for name in names)
-    return f"{', '.join(first)} and {last}, together"
+def _together(names: Iterable[str]) -> str:
+    return name_of(Part[name.upper()] for name in names)
+
+
+def name_of(parts: Iterable[Part]) -> str:
+    """The name of a part, or of some that are not separated."""
+    *first, last = (MEANINGS[part.name.lower()] for part in parts)
+    return f"{', '.join(first)} and {last}, together" if first else last
 
 
 def _row(name: str, amount: Mapping[str, float | None]) -> tuple[str, ...]:

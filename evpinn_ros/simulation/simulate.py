@@ -10,7 +10,7 @@ import numpy as np
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, known_names
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
@@ -139,7 +139,7 @@ def _wish(vehicle: Vehicle, named: Mapping[str, float], rng: np.random.Generator
     """Plausible parameters, with those that are named as named."""
     for name, value in named.items():
         if name not in LIMITS:
-            raise InputError(f"no parameter '{name}'; known are {', '.join(LIMITS)}")
+            raise InputError(f"no parameter '{name}'{known_names(name, LIMITS)}")
         if not LIMITS[name].lower <= value <= LIMITS[name].upper:
             lower, upper = LIMITS[name]
             raise InputError(f"{name} = {value:g} is outside [{lower:g}, {upper:g}]")

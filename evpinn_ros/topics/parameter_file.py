@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import yaml
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, known_names
 from evpinn_ros.common.yaml_section import Section, compose, plain
 from evpinn_ros.topics.node_parameters import TABLES, Value, refuse_wrong
 
@@ -46,7 +46,7 @@ def _read(path: Path) -> dict[str, dict[str, Value]]:
     found: dict[str, dict[str, Value]] = {node: {} for node in TABLES}
     for name, key, parameters in sections:
         if name not in (*TABLES, *WILDCARDS):
-            raise root.error(f"unknown node '{name}'; known are {', '.join(TABLES)}", key)
+            raise root.error(f"unknown node '{name}'{known_names(name, TABLES)}", key)
         nodes = list(TABLES) if name in WILDCARDS else [name]
         values = _checked(root, nodes, parameters)
         for node in nodes:
@@ -76,7 +76,7 @@ def _checked(root: Section, nodes: list[str], section: yaml.Node) -> dict[str, A
         if name.partition(".")[0] in OF_EVERY_NODE:
             continue
         if name not in known:
-            raise root.error(f"unknown parameter '{name}'; known are {', '.join(known)}", key)
+            raise root.error(f"unknown parameter '{name}'{known_names(name, known)}", key)
         try:
             values[name] = _value(node)
         except ValueError as error:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks.breakdown import PartCheck, part_checks, part_summaries
+from benchmarks.breakdown import PartCheck, difference_checks, part_checks, part_summaries
 from benchmarks.truth import VEHICLES
+from evpinn_ros.estimation.energy_parts import Part
 from evpinn_ros.simulation.drive import DriveKind
 
 DRIVES = 6
@@ -63,3 +64,12 @@ def test_a_summary_counts_what_is_covered():
     assert row.coverage_percent == pytest.approx(50.0)
     assert row.bias_percent == pytest.approx(-10.0)
     assert row.deviation == pytest.approx(np.sqrt((1.0 + 9.0) / 2))
+
+
+def test_differences_of_two_drives_lie_within_their_sigmas():
+    """Of the eight parts that differ, in each of two cars; braking and slopes stray most."""
+    found = list(difference_checks(VEHICLES, range(8100, 8102), seconds=240.0, altitude=True))
+    assert len(found) == 2 * len(Part)
+    assert all(abs(one.kwh - one.true_kwh) <= 4.0 * one.sigma_kwh + 1e-9 for one in found)
+    sigmas = {one.name: one.sigma_kwh / one.total_kwh for one in found}
+    assert max(sigmas.values()) < 0.15

@@ -106,9 +106,9 @@ def _loaded(write, cache={}):  # noqa: B006
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ("message: MotorSpeed", "message: Motorspeed", "'Motorspeed'; nearest are MotorSpeed"),
+        ("message: MotorSpeed", "message: Motorspeed", "'Motorspeed'; did you mean MotorSpeed"),
         ("message: MotorSpeed", "message: Xyz", "the DBC file has no message 'Xyz'"),
-        ("signal: VehicleSpeed", "signal: vehicle_speed", "nearest are VehicleSpeed"),
+        ("signal: VehicleSpeed", "signal: vehicle_speed", "did you mean VehicleSpeed"),
         ("signal: VehicleSpeed", "signal: SpeedFloat", "is a floating-point signal"),
         ("signal: VehicleSpeed", "signal: TooFar", "'TooFar' hangs over the 8 bytes"),
         ("signal: VehicleSpeed", "signal: MilesPerHour", "gives 'MilesPerHour' in MPH"),

@@ -100,7 +100,7 @@ def interval_with(one: Interval, energy: float) -> Interval:
 
 
 def breakdown_of(filter_: CarFilter) -> Breakdown:
-    found = filter_.parts.breakdown(filter_.weights, 2e4, filter_.hilliness)
+    found = filter_.parts.breakdowns(filter_.weights, 2e4, filter_.hilliness).of(-1)
     assert found is not None
     return found
 
@@ -128,7 +128,7 @@ def test_covariances_stay_possible_and_shrink_with_what_is_learned():
 def test_what_is_learned_later_moves_the_sums_of_before():
     """Half of the drive has no data on the standing load; a stop has, and the sum moves."""
     filter_ = driven(CarFilter(MODEL_3), 3, 20)
-    before = filter_.parts.breakdown(filter_.weights, 2e4, 0.0)
+    before = filter_.parts.breakdowns(filter_.weights, 2e4, 0.0).of(-1)
     sums, state = filter_.parts, filter_.mixture()
     sigma = math.sqrt(state.covariance[State.P_AUX, State.P_AUX])
     still = Steps(*(np.array([x]) for x in (60.0, 0.0, 0.0, 0.0, 0.0, math.nan, math.nan)))
@@ -138,7 +138,7 @@ def test_what_is_learned_later_moves_the_sums_of_before():
         60.0 * load, 0.0,
     )  # fmt: skip
     filter_.learn(stop)
-    after = filter_.parts.breakdown(filter_.weights, 2e4, 0.0)
+    after = filter_.parts.breakdowns(filter_.weights, 2e4, 0.0).of(-1)
     own = float(filter_.mixture().mean[[State.P_AUX, State.AUX_DRIVE, State.AUX]].sum()) * 60.0
     moved = after.energy[Part.STANDING] - before.energy[Part.STANDING] - own
     assert sums is not filter_.parts
@@ -148,7 +148,7 @@ def test_what_is_learned_later_moves_the_sums_of_before():
 def test_another_drive_begins_with_nothing():
     filter_ = driven(CarFilter(MODEL_3), 4, 10)
     filter_.begin_drive()
-    assert filter_.parts.breakdown(filter_.weights, 2e4, 0.0) is None
+    assert filter_.parts.breakdowns(filter_.weights, 2e4, 0.0).of(-1) is None
 
 
 def test_an_interval_without_battery_is_not_counted():

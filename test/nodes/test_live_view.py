@@ -22,7 +22,7 @@ from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.live.state import WATCHED
+from evpinn_ros.live.state import NOTHING, WATCHED
 from evpinn_ros.live.view import LiveListener
 from evpinn_ros.signals.readings import SpeedReading
 from evpinn_ros.topics.readings import to_reading
@@ -158,6 +158,24 @@ def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
     assert ALTERNATE not in screen.written
 
 
+def test_the_end_of_a_run_names_what_was_saved_and_what_is_next(drive, tmp_path):
+    bag, state = tmp_path / "my drive", tmp_path / "car.json"
+    files = ("--record", str(bag), "--state", str(state))
+    running = subprocess.Popen([*EVPINN, *drive, *files], cwd=ROOT, stderr=subprocess.PIPE)
+    try:
+        assert any(b"playing" in line for line in running.stderr)
+        time.sleep(3.0)  # for a message to be recorded
+        running.send_signal(signal.SIGINT)
+        said = running.communicate(timeout=60)[1].decode().splitlines()
+    finally:
+        running.kill()
+    assert running.returncode == 0
+    assert said[-2:] == [
+        f"evpinn: saved the drive: {bag}, what was learned: {state}",
+        f"evpinn: next: evpinn replay '{bag}' --report drive.html",
+    ]
+
+
 def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
     running = subprocess.Popen(
         [*EVPINN, "watch"],
@@ -176,10 +194,14 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
             bench.send(topics.SPEED, messages[0])
             line = running.stdout.readline()
         speed = messages[0].twist.twist.linear.x
-        assert line.startswith(f"{3.6 * speed:.1f} km/h; measured - kW")
+        assert line.startswith(f"{3.6 * speed:.1f} km/h; charge  -  range")
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=20)
-        assert (running.returncode, said) == (0, "")
+        assert running.returncode == 0
+        assert said.splitlines() == [
+            "evpinn: the view has ended and saved nothing; the nodes go on. To keep a drive and "
+            "what was learned: evpinn run --record FOLDER --state FILE"
+        ]
     finally:
         running.kill()
 
@@ -199,6 +221,26 @@ def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
         assert running.wait(20) == 0
     finally:
         running.kill()
+
+
+@pytest.mark.parametrize("form", [(), ("--json",)])
+def test_watch_without_nodes_says_so_in_a_pipe(form):
+    environment = {**os.environ, "ROS_DOMAIN_ID": "85"}  # where no test of ours has nodes
+    running = subprocess.Popen(
+        [*EVPINN, "watch", *form],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        line = running.stdout.readline()
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=20)
+    finally:
+        running.kill()
+    assert NOTHING in line and said == f"evpinn: {NOTHING}\n"
 
 
 def test_watch_publishes_nothing(bench):
@@ -243,7 +285,7 @@ def test_a_namespace_that_is_none_is_one_line(tmp_path):
 def test_a_terminal_that_knows_neither_cursor_nor_braille_gets_lines():
     environment = {"TERM": "dumb", "PYTHONIOENCODING": "ascii"}
     with terminal(*EVPINN, "watch", **environment) as screen:
-        screen.read_until(lambda written: written.count(b"km/h") > 1)
+        screen.read_until(lambda written: written.count(b"nothing received") > 2)
         screen.type(CTRL_C)
         assert screen.end() == 0
     assert b"\x1b" not in screen.written

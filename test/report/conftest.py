@@ -214,6 +214,18 @@ ESTIMATE = {
 }
 
 
+PARTS = [  # J and 1-sigma
+    ("air", 0.72e6, 0.108e6),
+    ("tyres", 1.44e6, 0.18e6),
+    ("slope", -0.108e6, 0.036e6),
+    ("climate", 0.0, 0.0),
+    ("drivetrain", 0.648e6, 0.072e6),
+    ("unexplained", 0.018e6, 0.036e6),
+    ("measured", 3.96e6, 0.0),
+    ("regained", 0.9e6, 0.1e6),
+]
+
+
 def vector(stamp_ns: int, **values: float) -> Any:
     return named_vector(new_message, stamp_ns, list(values), list(values.values()))
 
@@ -240,10 +252,17 @@ def heard(now: float) -> list[tuple[Topic, Any]]:
             named_vector(new_message, stamp, ["power"], [13900.0], [1200.0]),
         ),
         (topics.ENERGY_STATE, vector(stamp, predicted=3.6e6, consumed=3.96e6)),
+        (topics.ENERGY_BREAKDOWN, named_vector(new_message, stamp, *zip(*PARTS, strict=True))),
         (topics.ENERGY_CONSUMPTION, vector(stamp, wh_per_km_trip=163.0)),
         (
             topics.ENERGY_RANGE,
-            vector(stamp, distance_to_empty=2.45e5, distance_lower=2.1e5, distance_upper=2.9e5),
+            vector(
+                stamp,
+                distance_to_empty=2.45e5,
+                distance_lower=2.1e5,
+                distance_upper=2.9e5,
+                state_of_charge=0.614,
+            ),
         ),
         (topics.DIAGNOSTICS, diagnostics(new_message, stamp, said)),
     ]

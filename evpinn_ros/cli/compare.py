@@ -1,0 +1,92 @@
+"""`evpinn compare`: drives of one car side by side."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+import shlex
+import sys
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.bags.metadata import stated_seconds
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.options import CanProfileOption, JsonOption, VehicleOption
+from evpinn_ros.cli.table_columns import explain_columns
+from evpinn_ros.cli.tables import columns_table
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.drives.sources import open_source
+from evpinn_ros.replay.comparison import Comparison
+from evpinn_ros.replay.comparison import compare as compare_drives
+from evpinn_ros.replay.comparison_text import UNIT, part_rows, sentences, trip_rows
+from evpinn_ros.report.compare_page import write_comparison
+from evpinn_ros.vehicle.files import load_vehicle
+
+
+def compare(
+    drives: Annotated[
+        list[Path],
+        typer.Argument(help="Bags, CAN logs or tables of one car; the first is the reference."),
+    ],
+    vehicle: VehicleOption = "generic",
+    report: Annotated[
+        Path | None, typer.Option(help="Write it as a page too: one HTML file, for a browser.")
+    ] = None,
+    state: Annotated[
+        Path | None, typer.Option(help="What was learned before, of evpinn replay --state.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, help="Compare this much of each drive, s.")
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
+    ] = None,
+    can_profile: CanProfileOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Compare drives of one car: where the energy of each went, and what explains the difference.
+
+    The same road with other tyres, in another season, with another driver. One model of the car
+    learns from all drives; what is not known of the car is common to all and leaves differences.
+
+    Example: evpinn compare bags/urban bags/highway --vehicle tesla_model_3_lr
+    """
+    if len(drives) < 2:
+        raise typer.BadParameter("two drives or more", param_hint="DRIVES...")
+    limit_blas_threads()
+    car = load_vehicle(vehicle)
+    options = partial(open_source, vehicle=car, can_profile=can_profile, columns=column or ())
+    sources = [options(path) for path in drives]
+    for source in sources:
+        explain_columns(source)
+    found = compare_drives(
+        sources,
+        car,
+        state=state,
+        duration=duration,
+        progress=lambda one: progress_bar(
+            one.path.name, total=duration or stated_seconds(one.path)
+        ),
+    )
+    _show(found)
+    if json_file is not None:
+        write_json(json_file, found.metrics())
+    if report is not None:
+        write_comparison(report, found, shlex.join(["evpinn", *sys.argv[1:]]))
+    if found.problems:
+        raise typer.Exit(1)
+
+
+def _show(found: Comparison) -> None:
+    """Tables and sentences for people."""
+    for problem in found.problems:
+        note(f"evpinn: {problem}")
+    rows = trip_rows(found) + part_rows(found.parts())
+    show(columns_table(f"Where the energy went, {UNIT}", ("", *found.names), rows))
+    less = tuple(f"{name} less {found.names[0]}" for name in found.names[1:])
+    rows = part_rows(found.differences(), signed=True)
+    show(columns_table("What explains the difference", ("", *less), rows))
+    for line in sentences(found):
+        say(line)

@@ -1,0 +1,62 @@
+"""A drive over the distance driven, so that drives of one road lie on each other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.estimation.breakdown import JOULES_PER_KWH
+from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.scoring import longest_step
+
+KMH, KM = 3.6, 1000.0
+
+
+class Course(NamedTuple):
+    """Values at even distances; shape (n,) each, NaN where unknown.
+
+    Attributes:
+        distance: km.
+        energy: measured since the start, kWh; none is counted while the battery is not measured.
+        speed: mean since the point before, km/h.
+        height: m, where altitude was recorded.
+    """
+
+    distance: np.ndarray
+    energy: np.ndarray
+    speed: np.ndarray
+    height: np.ndarray
+
+
+def driven(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Time, s, and distance until then, m, of each speed; shape (n,) each."""
+    time, speed = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")].T
+    steps = np.diff(time) * (np.abs(speed[1:]) + np.abs(speed[:-1])) / 2.0
+    return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(steps)))
+
+
+def measured_energy_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Time and energy, J, of measured power since the start, none across gaps; shape (n,) each."""
+    time, power = drive.measured.T
+    steps = np.diff(time)
+    used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
+    return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))
+
+
+def over_distance(drive: Drive, points: int) -> Course:
+    """The course of a drive at `points` even distances."""
+    time, metres = driven(drive)
+    at = np.linspace(0.0, metres[-1], points)
+    moments = np.interp(at, metres, time)
+    speed = np.full(points, np.nan)
+    speed[1:] = np.diff(at) / np.maximum(np.diff(moments), 1e-3) * KMH
+    energy = _at(moments, *measured_energy_until(drive)) / JOULES_PER_KWH
+    return Course(at / KM, energy, speed, _at(moments, *drive.altitude.T))
+
+
+def _at(moments: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    if not len(time):
+        return np.full(len(moments), np.nan)
+    order = np.argsort(time, kind="stable")
+    return np.asarray(np.interp(moments, time[order], values[order]))

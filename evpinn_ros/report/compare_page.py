@@ -1,0 +1,168 @@
+"""The page of a comparison: drives of one car side by side, without a script."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+import numpy as np
+
+from evpinn_ros.common.fsync import replaced
+from evpinn_ros.estimation.breakdown import Breakdown
+from evpinn_ros.replay.breakdown_text import name_of
+from evpinn_ros.replay.comparison import Comparison
+from evpinn_ros.replay.comparison_text import (
+    UNIT,
+    common_groups,
+    part_rows,
+    per_100_km,
+    sentences,
+    trip_rows,
+)
+from evpinn_ros.replay.over_distance import over_distance
+from evpinn_ros.report.html import BROWSER
+
+TEMPLATES = Path(__file__).with_name("templates")
+POINTS = 400  # of a curve: more than a narrow page has pixels
+MOST_TICKS = 6
+CURVES = {
+    "energy": "Energy measured since the start, kWh",
+    "speed": "Speed, km/h",
+    "height": "Height, m",
+}
+
+
+def write_comparison(path: Path, found: Comparison, command: str) -> None:
+    """Write the page.
+
+    Args:
+        path: of the new file.
+        found: what to show.
+        command: that made it, text.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    templates = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined
+    )
+    parts = found.parts()
+    page = templates.get_template("compare.html.j2").render(
+        title=f"{' and '.join(found.names)} compared",
+        style=(BROWSER / "page.css").read_text(encoding="utf-8"),
+        command=command,
+        unit=UNIT,
+        names=found.names,
+        vehicle=found.vehicle.name,
+        sentences=list(sentences(found)),
+        rows=trip_rows(found) + part_rows(parts),
+        bars=_bars(found.names, parts),
+        differences=[
+            (name, _whiskers(difference), part_rows([difference], signed=True))
+            for name, difference in zip(found.names[1:], found.differences(), strict=True)
+        ],
+        curves=_curves(found),
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced(path) as draft:
+        draft.write_bytes(page.encode("utf-8", "replace"))  # a path may hold what is no text
+
+
+def _bars(names: Sequence[str], parts: Sequence[Breakdown]) -> list[dict[str, Any]]:
+    """Parts that took energy of each drive, side by side: widths in percent of the longest bar."""
+    groups = common_groups(parts)
+    sizes = [[one.of(*group) for group in groups] for one in parts]
+    longest = max(
+        sum(max(each.kwh, 0.0) for each in amounts) / one.distance
+        for one, amounts in zip(parts, sizes, strict=True)
+    )
+    return [
+        {
+            "name": name,
+            "boxes": [
+                {
+                    "colour": colour,
+                    "width": round(100.0 * each.kwh / one.distance / longest, 2),
+                    "words": f"{name_of(group)} {per_100_km(each, one.distance)}",
+                }
+                for colour, (group, each) in enumerate(zip(groups, amounts, strict=True))
+                if each.kwh > 0.0
+            ],
+        }
+        for name, one, amounts in zip(names, parts, sizes, strict=True)
+    ]
+
+
+def _whiskers(difference: Breakdown) -> list[dict[str, Any]]:
+    """A bar with its 1-sigma for each part, in percent of the width; zero is at `zero`."""
+    rows = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
+    rows = [row for row in rows if row[1].kwh or row[1].sigma_kwh]
+    low = min(0.0, *(each.kwh - each.sigma_kwh for _, each in rows))
+    high = max(0.0, *(each.kwh + each.sigma_kwh for _, each in rows))
+
+    def at(kwh: float) -> float:
+        return round(100.0 * (kwh - low) / (high - low), 2)
+
+    return [
+        {
+            "name": name,
+            "text": per_100_km(each, difference.distance, signed=True),
+            "zero": at(0.0),
+            "left": min(at(each.kwh), at(0.0)),
+            "width": abs(at(each.kwh) - at(0.0)),
+            "from_": at(each.kwh - each.sigma_kwh),
+            "to": at(each.kwh + each.sigma_kwh),
+        }
+        for name, each in sorted(rows, key=lambda row: -abs(row[1].kwh))
+    ]
+
+
+def _curves(found: Comparison) -> list[dict[str, Any]]:
+    """Lines over distance in a box of 1000 by 1000, with the ticks of both axes in percent."""
+    courses = [over_distance(drive, POINTS) for drive in found.drives]
+    across = ticks(0.0, max(float(course.distance[-1]) for course in courses))
+    curves = []
+    for key, title in CURVES.items():
+        lines = [getattr(course, key) for course in courses]
+        known = np.concatenate([line[np.isfinite(line)] for line in lines])
+        if not len(known):
+            continue
+        low = float(known.min()) if key == "height" else min(0.0, float(known.min()))
+        up = ticks(low, float(known.max()))
+        points = [
+            " ".join(
+                f"{1000 * _share(x, across):.0f},{1000 - 1000 * _share(y, up):.0f}"
+                for x, y in zip(course.distance, line, strict=True)
+                if math.isfinite(y)
+            )
+            for course, line in zip(courses, lines, strict=True)
+        ]
+        curves.append(
+            {
+                "title": title,
+                "lines": points,
+                "across": [(f"{each:g}", round(100 * _share(each, across), 2)) for each in across],
+                "up": [(f"{each:g}", round(100 * _share(each, up), 2)) for each in up],
+            }
+        )
+    return curves
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Round values of an axis, at most `MOST_TICKS`, that hold both ends."""
+    span = max(high - low, 1e-3)
+    size = 10.0 ** math.floor(math.log10(span))
+    step = next(
+        step
+        for step in (size * each for each in (0.2, 0.5, 1.0, 2.0, 5.0))
+        if math.ceil(high / step) - math.floor(low / step) < MOST_TICKS
+    )
+    first, last = math.floor(low / step), math.ceil(high / step)
+    return [round(i * step, 10) for i in range(first, max(last, first + 1) + 1)]
+
+
+def _share(value: float, axis: Sequence[float]) -> float:
+    return (value - axis[0]) / (axis[-1] - axis[0])

@@ -1,0 +1,70 @@
+"""`evpinn compare`, and `evpinn replay` of several drives: tables, not a stack of blocks."""
+
+import json
+
+import pytest
+
+CAR = ("--vehicle", "tesla_model_3_lr")
+
+
+@pytest.fixture(scope="module")
+def drives(evpinn, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drives")
+    for name, load in (("mild", 500), ("cold", 3500)):
+        given = ("--duration", 90, "--seed", 3, "--true", f"p_aux={load}")
+        assert evpinn("simulate", name, *given, cwd=folder).returncode == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def compared(evpinn, drives):
+    files = ("--json", "c.json", "--report", "deep/c.html")
+    return evpinn("compare", "mild", "cold", *CAR, *files, cwd=drives)
+
+
+def test_two_drives_side_by_side(compared, drives):
+    assert compared.returncode == 0, compared.stderr
+    assert "cold less mild" in compared.stdout
+    assert "More than chance: other standing load +" in compared.stdout
+    assert "cold less mild" in (drives / "deep" / "c.html").read_text()
+
+
+def test_the_same_for_scripts(compared, drives):
+    found = json.loads((drives / "c.json").read_text())
+    assert [each["name"] for each in found["drives"]] == ["mild", "cold"]
+    (difference,) = found["differences"]
+    assert (difference["drive"], difference["less"]) == ("cold", "mild")
+    one, other = (each["breakdown"]["measured"]["kwh_per_100km"] for each in found["drives"])
+    assert difference["breakdown"]["measured"]["kwh"] == pytest.approx(other - one)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (("mild",), 2, "two drives or more"),
+        (("mild", "none"), 1, "none"),
+        (("mild", "cold", "--state", "mild/truth.yaml"), 1, "truth.yaml"),
+        (("mild", "cold", "--state", "none.json"), 1, "none.json: no such file"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_in_words(evpinn, drives, arguments, code, text):
+    done = evpinn("compare", *arguments, *CAR, cwd=drives)
+    assert done.returncode == code and "Traceback" not in done.stderr
+    assert text in done.stderr
+
+
+def test_several_drives_of_a_replay_are_one_table(evpinn, drives):
+    done = evpinn("replay", "mild", "cold", *CAR, "--warm-up", 30, cwd=drives)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("Parameters of the car") == 1
+    assert "Where the energy went" not in done.stdout
+    rows = [line.split() for line in done.stdout.splitlines()]
+    mild, cold = (next(row for row in rows if row[:1] == [name]) for name in ("mild", "cold"))
+    assert float(cold[4]) > float(mild[4])  # kWh/100 km
+
+
+def test_of_one_drive_the_owner_is_answered_before_the_scores(evpinn, drives):
+    done = evpinn("replay", "mild", *CAR, "--warm-up", 30, cwd=drives)
+    words = ("kWh from the battery", "Where the energy went", "Predict, then update")
+    places = [done.stdout.index(each) for each in words]
+    assert places == sorted(places)

@@ -1,0 +1,115 @@
+"""Drives of one car compared: from recordings to rows, sentences, curves and a page."""
+
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+import re
+
+import numpy as np
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.replay.comparison import Comparison, compare, short_names
+from evpinn_ros.replay.comparison_text import part_rows, sentences, trip_rows
+from evpinn_ros.replay.over_distance import driven, over_distance
+from evpinn_ros.report.compare_page import MOST_TICKS, ticks, write_comparison
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.replay.test_replay import Recorded
+
+LOAD = 3000.0  # W more in the second drive
+
+
+def heated(readings, watts: float):
+    """The same drive with a load that nothing tells of."""
+    for each in readings:
+        if isinstance(each, BatteryReading):
+            yield replace(each, current=each.current - watts / each.voltage)
+        else:
+            yield each
+
+
+def compared(vehicle, *drives) -> Comparison:
+    sources = [Recorded(list(one), Path(f"drive{i}")) for i, one in enumerate(drives)]
+    return compare(sources, vehicle, progress=lambda _: nullcontext(lambda _: None))
+
+
+@pytest.fixture(scope="module")
+def winter(vehicle, readings) -> Comparison:
+    return compared(vehicle, readings, heated(readings, LOAD))
+
+
+def test_a_load_is_found_as_what_explains_the_difference(winter):
+    """Same road, same driver: the load and nothing else differs, and it is known how much."""
+    (difference,) = winter.differences()
+    one = winter.parts()[0]
+    true = LOAD * one.seconds / one.distance * 1e5 / 3.6e6
+    standing = difference.amounts()["standing"]
+    assert abs(standing.kwh - true) < 3.0 * standing.sigma_kwh
+    assert standing.sigma_kwh < 0.25 * true
+    for name, part in difference.amounts().items():
+        if name not in ("standing", "unexplained"):
+            assert abs(part.kwh) < 0.1 * true, name
+    first, second = sentences(winter)
+    assert first.startswith("drive1 took") and "more than drive0" in first
+    assert second.startswith("More than chance: other standing load +")
+
+
+def test_rows_are_per_100_km_and_of_every_drive(winter):
+    rows = {name: cells for name, *cells in part_rows(winter.parts())}
+    total = winter.parts()[1].total().kwh_per_100km
+    assert rows["measured"][1].startswith(f"{total:.2f} +- ")
+    assert trip_rows(winter)[0][0] == "length"
+    assert all(len(cells) == 2 for cells in rows.values())
+
+
+def test_what_was_read_first_is_known_as_in_a_replay_of_its_own(vehicle, readings, winter):
+    alone = compared(vehicle, readings).parts()[0]
+    assert winter.parts()[0].measured == pytest.approx(alone.measured)
+    assert winter.parts()[0].distance == pytest.approx(alone.distance)
+
+
+def test_a_long_stop_within_a_drive_belongs_to_it(vehicle, readings, winter):
+    hour = 3600 * 10**9
+    later = [replace(each, stamp_ns=each.stamp_ns + hour) for each in readings]
+    found = compared(vehicle, [*readings, *later], readings)
+    assert len(found.parts()) == 2
+    assert found.parts()[0].distance == pytest.approx(2 * winter.parts()[0].distance, rel=0.05)
+
+
+def test_a_drive_without_battery_is_refused_by_name(vehicle, readings):
+    speeds = [each for each in readings if isinstance(each, SpeedReading)]
+    with pytest.raises(InputError, match=r"drive1: nothing to compare: the battery was measured"):
+        compared(vehicle, readings, speeds)
+
+
+def test_names_are_as_short_as_they_can_be():
+    assert short_names([Path("a/x"), Path("b/y")]) == ("x", "y")
+    assert short_names([Path("a/x"), Path("b/x")]) == ("a/x", "b/x")
+    assert short_names([Path("a/x"), Path("a/x")]) == ("1: x", "2: x")
+
+
+def test_curves_end_where_the_drive_does(winter):
+    drive = winter.drives[0]
+    course = over_distance(drive, 200)
+    assert course.distance[-1] == pytest.approx(driven(drive)[1][-1] / 1000)
+    assert np.isnan(course.height).all()  # no altitude was recorded
+    assert np.nanmax(course.speed) <= 3.6 * drive.speed[:, 1].max() * 1.01
+    whole = winter.parts()[0].total().kwh
+    assert course.energy[-1] == pytest.approx(whole, rel=0.15)  # the last interval is not learned
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 0.0), (-3.2, 7.1), (312.0, 314.5), (0.0, 2e4)])
+def test_ticks_hold_both_ends_and_are_few(low, high):
+    found = ticks(low, high)
+    assert found[0] <= low and found[-1] >= high and 2 <= len(found) <= MOST_TICKS + 1
+
+
+def test_the_page_loads_and_runs_nothing_and_escapes_names(winter, tmp_path):
+    hostile = replace(winter, names=("<script>alert(1)</script>", "b"))
+    page = tmp_path / "deep" / "c.html"
+    write_comparison(page, hostile, "evpinn compare <a> b")
+    text = page.read_text()
+    assert "<script" not in text and "&lt;script&gt;" in text
+    assert "default-src 'none'" in text and not re.search(r"(src|href)=", text)
+    assert text.count("<polyline") == 2 * 2  # energy and speed of both drives, no height
+    assert "other standing load" in text and "&lt;a&gt; b" in text
