@@ -26,7 +26,7 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.energy": ["rknn_weights.npz"],
-        f"{NAME}.report": ["browser/*.*", "browser/uplot/*"],
+        f"{NAME}.report": ["browser/*.*", "browser/uplot/*", "templates/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -40,6 +40,7 @@ setup(
     install_requires=[
         "can-isotp",
         "cantools",
+        "jinja2",
         "lz4",
         "matplotlib",
         "mcap",

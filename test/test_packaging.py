@@ -34,6 +34,7 @@ NAMES = {
     "distributed": ("dask", None),
     "foxglove": ("foxglove-sdk", None),
     "isotp": ("can-isotp", None),
+    "jinja2": ("jinja2", "python3-jinja2"),
     "libsumo": ("libsumo", None),
     "lz4": ("lz4", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
@@ -58,10 +59,10 @@ NAMES = {
 # Seen in rosdep/python.yaml of rosdistro, in its fork InvincibleRMC/rosdistro at commit 30d139d7
 # (numpy and msgpack: ros/rosdistro at 000730dc).
 ROSDEP_KEYS = {
-    *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-matplotlib"),
-    *("python3-msgpack", "python3-numpy", "python3-pytest", "python3-pytest-timeout"),
-    *("python3-rich", "python3-rosbags-pip", "python3-scipy", "python3-serial"),
-    *("python3-torch", "python3-typer", "python3-yaml"),
+    *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-jinja2"),
+    *("python3-matplotlib", "python3-msgpack", "python3-numpy", "python3-pytest"),
+    *("python3-pytest-timeout", "python3-rich", "python3-rosbags-pip", "python3-scipy"),
+    *("python3-serial", "python3-torch", "python3-typer", "python3-yaml"),
 }
 
 
