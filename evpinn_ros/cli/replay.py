@@ -23,6 +23,7 @@ from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, parameter_table, score_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.drives.sources import Source, open_source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
@@ -68,6 +69,7 @@ def replay(
         Path | None, typer.Option(help="Write a report: one HTML file, for a browser.")
     ] = None,
     metrics: MetricsOption = None,
+    units: Annotated[UnitSystem, typer.Option(help="Of the report.")] = UnitSystem.METRIC,
     withhold_battery_after: Annotated[
         float | None,
         typer.Option(min=0.0, help="Hide the battery from here on, s: what is speed worth alone?"),
@@ -144,7 +146,8 @@ def replay(
                 _show(done[-1], source, warm_up)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
-            written = _write(done, chain, car, options, (metrics, report, state))
+            files = metrics, report, state
+            written = _write(done, chain, car, options, files, units.units)
     if not written or any(result.problem for result in done):
         raise typer.Exit(1)
 
@@ -237,6 +240,7 @@ def _write(
     car: Vehicle,
     options: ReplayOptions,
     files: tuple[Path | None, Path | None, Path | None],
+    units: Units,
 ) -> bool:
     """Write all that was asked for; one file that cannot be written does not cost the others."""
     if not done:
@@ -244,7 +248,7 @@ def _write(
     metrics, report, state = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
         (metrics, lambda path: _write_metrics(path, done)),
-        (report, lambda path: _write_report(path, done, car, options)),
+        (report, lambda path: _write_report(path, done, car, options, units)),
         (state, lambda path: write_state(path, chain.estimator.export())),
     ]
     problems = 0
@@ -266,7 +270,9 @@ def _write_metrics(path: Path, done: list[Replayed]) -> None:
     write_json(path, found if len(found) > 1 else found[0])
 
 
-def _write_report(path: Path, done: list[Replayed], car: Vehicle, options: ReplayOptions) -> None:
+def _write_report(
+    path: Path, done: list[Replayed], car: Vehicle, options: ReplayOptions, units: Units
+) -> None:
     after, warm_up = options.withhold_battery_after, options.warm_up
     drives = [
         ReportedDrive(
@@ -279,4 +285,4 @@ def _write_report(path: Path, done: list[Replayed], car: Vehicle, options: Repla
         )
         for each in done
     ]
-    write_drives(path, drives, shlex.join(["evpinn", *sys.argv[1:]]))
+    write_drives(path, drives, shlex.join(["evpinn", *sys.argv[1:]]), units)

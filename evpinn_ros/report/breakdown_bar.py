@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from evpinn_ros.replay.breakdown_text import breakdown_lines, breakdown_rows, shown
+from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.replay.breakdown_text import (
+    COLUMNS,
+    breakdown_lines,
+    breakdown_notes,
+    breakdown_rows,
+    breakdown_sentence,
+    shown,
+)
 
 WIDTH = 1000.0  # of the picture
+TINY = 1e-9  # kWh
 
 
 class Box(NamedTuple):
@@ -21,29 +30,30 @@ class Box(NamedTuple):
     high: float
 
 
-def breakdown_values(found: Mapping[str, Any]) -> dict[str, Any]:
+def breakdown_values(found: Mapping[str, Any], units: Units) -> dict[str, Any]:
     """Values for `breakdown.html.j2`, from the metrics under `breakdown`."""
-    lines, rows = breakdown_lines(found), breakdown_rows(found)
-    parts = [(name, part) for name, part in shown(found) if (part["kwh"] or 0.0) > 0.0]
-    if not parts:
-        return {"lines": lines, "rows": rows, "boxes": []}
+    if found["unknown"] is not None:
+        return {"sentence": "", "notes": breakdown_lines(found), "rows": [], "boxes": []}
+    parts = [(name, part) for name, part in shown(found) if part["kwh"] > 0.0]
     measured = found["measured"]["kwh"]
-    scale = WIDTH / max(sum(part["kwh"] for _, part in parts), measured)
+    scale = WIDTH / max(sum(part["kwh"] for _, part in parts), measured, TINY)
     return {
-        "lines": lines,
-        "rows": rows,
-        "boxes": list(_boxes(parts, scale)),
+        "sentence": breakdown_sentence(found),
+        "notes": breakdown_notes(found, units),
+        "columns": [units.rate if name == METRIC.rate else name for name in COLUMNS],
+        "rows": breakdown_rows(found, units),
+        "boxes": list(_boxes(parts, scale, 2 if measured >= 1.0 else 3)),
         "measured": round(max(measured, 0.0) * scale, 1),
     }
 
 
-def _boxes(parts: list[tuple[str, Any]], scale: float) -> Iterator[Box]:
-    """Boxes side by side."""
+def _boxes(parts: list[tuple[str, Any]], scale: float, digits: int) -> Iterator[Box]:
+    """Boxes side by side, their kWh with so many digits."""
     begin = 0.0
     for name, part in parts:
         kwh, sigma_kwh = part["kwh"], part["sigma_kwh"]
         end, sigma = begin + kwh * scale, sigma_kwh * scale
         ends = (begin, end - begin, end, max(end - sigma, 0.0), min(end + sigma, WIDTH))
-        words = f"{name} {kwh:.2f} \u00b1 {sigma_kwh:.2f} kWh"
+        words = f"{name} {kwh:.{digits}f} ± {sigma_kwh:.{digits}f} kWh"
         yield Box(words, *(round(each, 1) for each in ends))
         begin = end

@@ -8,11 +8,8 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from evpinn_ros.energy.quadrature import trapezoid
-from evpinn_ros.replay.breakdown_text import COLUMNS
-from evpinn_ros.replay.events import Event, EventKind, drive_events
+from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.replay.events import drive_events
 from evpinn_ros.replay.forecasts import forecast_outcomes
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import Span, baseline_scores
@@ -23,13 +20,16 @@ from evpinn_ros.replay.tables import (
     parameter_rows,
     score_rows,
     signed_percent,
-    watt_hours,
     watts,
 )
 from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.breakdown_bar import breakdown_values
+from evpinn_ros.report.drive_energy import running_totals, speed_energy_chart
 from evpinn_ros.report.drive_knowledge import knowledge
+from evpinn_ros.report.drive_tiles import clock, drive_tiles
+from evpinn_ros.report.driven import Steps, measured_steps, travelled
 from evpinn_ros.report.html import write_page
+from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 
@@ -37,10 +37,10 @@ POINTS = 40_000  # of a curve, all drives of a page together: an hour at 10 Hz l
 LEAST_POINTS = 2_000  # of a curve of one of many drives
 SMALL = 4  # times fewer points for parameters, which come once a second and change slowly
 MOST_EVENTS = 200  # shown
-# With these, energy measured is of a part of the drive, and distance of another.
-PARTIAL = (EventKind.SPEED_DROPOUT, EventKind.BATTERY_DROPOUT, EventKind.WITHHELD, EventKind.RESET)
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-LAST_STAMP = 253_402_300_799 * 10**9  # ns, the end of the year 9999: a calendar has no more
+FIRST_STAMP = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its own zero
+DAY = 86_400 * NANOSECONDS
+LAST_STAMP = 253_402_300_799 * NANOSECONDS  # the end of the year 9999: a calendar has no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +70,12 @@ class ReportedDrive:
         return path.name or path.resolve().name
 
 
-def write_drives(path: Path, drives: Sequence[ReportedDrive], command: str) -> None:
+def write_drives(
+    path: Path, drives: Sequence[ReportedDrive], command: str, units: Units = METRIC
+) -> None:
     """Write the report; of several drives each can be opened, the first is open."""
     points = max(POINTS // len(drives), LEAST_POINTS)
-    found = [_drive(reported, points) for reported in drives]
+    found = [_drive(reported, points, units) for reported in drives]
     write_page(
         path,
         "drive.html.j2",
@@ -81,114 +83,123 @@ def write_drives(path: Path, drives: Sequence[ReportedDrive], command: str) -> N
         command=command,
         plots=[plots for _, plots in found],
         drives=[values for values, _ in found],
+        units=units,
         score_columns=SCORE_COLUMNS,
-        breakdown_columns=COLUMNS,
         parameter_titles=drive_charts.TITLES,
         most_events=MOST_EVENTS,
     )
 
 
-def _drive(reported: ReportedDrive, points: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def _drive(
+    reported: ReportedDrive, points: int, units: Units
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """One drive for the template, and what the page's script draws into it."""
     drive, found = reported.drive, reported.found
     events = drive_events(drive, reported.withheld_from)
+    steps = travelled(drive), measured_steps(drive)
+    charts = dict(_charts(reported, steps[1], points, units))
+    charts["by_speed"] = speed_energy_chart(drive, reported.vehicle, steps[1], units)
     parts = forecast_outcomes(drive, reported.vehicle.air_density)
-    moments = drive_maps.moments(drive)
-    charts = dict(_curves(reported, points)) | dict(_maps(reported, moments))
     if parts:
         charts["outcome"] = drive_charts.outcome_chart(parts)
+    moments = drive_maps.moments(drive)
+    charts |= dict(_maps(reported, moments, units))
     shaded = [[0.0, min(reported.warm_up, drive.duration)]]
     if reported.withheld_from is not None:
         shaded.append([reported.withheld_from, drive.duration])
+    minutes = drive_maps.driven_minutes(moments)
     values = {
         "name": reported.name,
-        "lines": _lines(reported, events),
-        "breakdown": breakdown_values(found["breakdown"]),
-        "tiles": list(_tiles(reported, events)),
+        "about": f"{reported.vehicle.name}, {_date(drive.start_ns)}",
+        "record": _record(found),
+        "breakdown": breakdown_values(found["breakdown"], units),
+        "tiles": list(drive_tiles(drive, *steps, units)),
         "warm_up": f"{reported.warm_up:.0f}",
+        "score_tiles": list(_score_tiles(reported)),
         "scores": score_rows(drive, found, reported.warm_up),
         "energy_lines": energy_lines(found),
         "parameter_columns": parameter_columns(reported.truth),
         "parameters": parameter_rows(found, reported.truth),
         "charts": charts,
-        "knowledge": knowledge(reported.vehicle, drive, drive_maps.driven_minutes(moments)),
+        "knowledge": knowledge(reported.vehicle, drive, minutes, units),
         "forecasts": parts,
-        "events": [(_clock(event.time), event.kind.value, event.text) for event in events],
+        "events": [(clock(event.time), event.kind.value, event.text) for event in events],
     }
     return values, {
         "duration": drive.duration,
         "events": [event.time for event in events[:MOST_EVENTS]],
         "shaded": shaded,
         "charts": charts,
+        "totals": running_totals(*steps, drive.duration, points // SMALL),
+        "units": units._asdict(),
     }
 
 
-def _curves(reported: ReportedDrive, points: int) -> Iterator[tuple[str, drive_charts.Chart]]:
-    drive = reported.drive
-    yield "speed", drive_charts.speed_chart(drive, points)
+def _charts(
+    reported: ReportedDrive, measured: Steps, points: int, units: Units
+) -> Iterator[tuple[str, drive_charts.Chart]]:
+    """The curves over time."""
+    drive, few = reported.drive, points // SMALL
+    speed = drive.speed * (1.0, units.speeds)
+    yield "speed", drive_charts.line_chart(drive, "speed", f"speed, {units.speed}", speed, points)
     yield "power", drive_charts.power_chart(drive, points)
+    for name, axis, rows in (
+        ("height", f"height, {units.height}", drive.altitude * (1.0, 1.0 / units.height_metres)),
+        ("charge", "charge, %", drive.charge * (1.0, 100.0)),
+        (
+            "temperature",
+            f"outside, {units.temperature}",
+            drive.temperature * (1.0, units.degrees) + (0.0, units.zero),
+        ),
+    ):
+        if len(rows):
+            yield name, drive_charts.line_chart(drive, name, axis, rows, few) | {"height": 130}
     yield "error", drive_charts.error_chart(drive, points) | {"height": 160}
-    yield "energy", drive_charts.energy_chart(drive, points // SMALL)
+    yield "energy", drive_charts.energy_chart(drive, measured, few)
     if drive.final is None:
         return
     for name in drive.parameters:
-        chart = drive_charts.parameter_chart(drive, name, reported.truth, points // SMALL)
+        chart = drive_charts.parameter_chart(drive, name, reported.truth, few)
         yield name, chart | {"height": 170}
-    yield "shares", drive_charts.share_chart(drive, points // SMALL)
+    yield "shares", drive_charts.share_chart(drive, few)
 
 
 def _maps(
-    reported: ReportedDrive, moments: drive_maps.Moments
+    reported: ReportedDrive, moments: drive_maps.Moments, units: Units
 ) -> Iterator[tuple[str, drive_maps.Chart]]:
     if not len(moments.time):
         return
-    yield "coverage", drive_maps.coverage_map(moments)
+    yield "coverage", drive_maps.coverage_map(moments, units)
     counted = drive_maps.scored_moments(reported.drive, moments, reported.warm_up)
     if len(counted.time):
-        yield "errors", drive_maps.error_map(counted)
-        yield "over_speed", drive_maps.spread_chart(counted, "speed")
-        yield "over_acceleration", drive_maps.spread_chart(counted, "acceleration")
+        yield "errors", drive_maps.error_map(counted, units)
+        yield "over_speed", drive_maps.spread_chart(counted, "speed", units)
+        yield "over_acceleration", drive_maps.spread_chart(counted, "acceleration", units)
 
 
-def _lines(reported: ReportedDrive, events: Sequence[Event]) -> list[str]:
-    drive, found = reported.drive, reported.found
+def _record(found: Mapping[str, Any]) -> str:
+    """What was recorded, and by which mode it was learned from."""
     dropped = ", ".join(f"{n} {why}" for why, n in found["input"]["dropped"].items())
-    return [
-        f"{reported.vehicle.name}, mode {found['mode']}. {found['input']['path']}",
-        f"Began {_date(drive.start_ns)}; {found['input']['samples']} samples; "
-        f"dropped readings: {dropped or 'none'}; events: {len(events) or 'none'}.",
-    ]
+    return (
+        f"{found['input']['path']}, mode {found['mode']}; {found['input']['samples']} samples; "
+        f"dropped readings: {dropped or 'none'}."
+    )
 
 
-def _tiles(reported: ReportedDrive, events: Sequence[Event]) -> Iterator[tuple[str, str]]:
-    """Values with what they are."""
-    drive, found = reported.drive, reported.found
-    energy, power = found["energy"], found["power"]
-    distance = _distance(drive)
-    yield (_clock(drive.duration), f"for {distance:.1f} km")
-    yield (watt_hours(energy["measured_j"]), "energy measured")
-    yield (signed_percent(energy["error_percent"]), "error of the energy predicted")
-    whole = not any(event.kind in PARTIAL for event in events)
-    if energy["measured_j"] is not None and whole and distance >= 1.0:
-        consumption = energy["measured_j"] / 3600 / distance
-        yield (f"{consumption:.0f} Wh/km", "consumption")
+def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
+    """Scores with what they are."""
+    drive, power = reported.drive, reported.found["power"]
+    error = reported.found["energy"]["error_percent"]
+    yield signed_percent(error), "error of the energy predicted"
     held = watts(baseline_scores(drive, Span(reported.warm_up, drive.duration))["last_value"])
-    yield (watts(power["rmse_w"]), f"RMSE of power; last value held: {held}")
+    yield watts(power["rmse_w"]), f"RMSE of power; last value held: {held}"
     covered = power["coverage_90"]
-    yield ("-" if covered is None else f"{100 * covered:.1f} %", "of power in its 90 % band")
-
-
-def _distance(drive: Drive) -> float:
-    """Distance driven, km."""
-    time, speed = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")].T
-    return trapezoid(np.abs(speed), time) / 1000
-
-
-def _clock(seconds: float) -> str:
-    return str(timedelta(seconds=round(seconds)))
+    yield "-" if covered is None else f"{100 * covered:.1f} %", "of power in its 90 % band"
 
 
 def _date(stamp_ns: int) -> str:
     if not 0 <= stamp_ns <= LAST_STAMP:
         return "at an impossible time"
-    return (EPOCH + timedelta(seconds=stamp_ns // 10**9)).strftime("%Y-%m-%d %H:%M:%S UTC")
+    if stamp_ns < FIRST_STAMP or 0 <= stamp_ns - DRIVE_START_NS < DAY:
+        return "undated"
+    return (EPOCH + timedelta(seconds=stamp_ns // NANOSECONDS)).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -12,6 +12,9 @@ import math
 from typing import TypeAlias
 
 NANOSECONDS = 1_000_000_000
+# A drive without a date is placed on this day, 2020-01-01: header stamps must not be zero, and the
+# same file must give the same bag.
+DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
 MAX_TORQUE = 20_000.0  # N m, more than the axle of any production car
 MAX_MOTOR_SPEED = 4_000.0  # rad/s, 38,000 rpm, faster than any traction motor turns
 

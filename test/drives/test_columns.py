@@ -16,8 +16,7 @@ from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.column import columns_by_name
 from evpinn_ros.drives.evidence import Signal, at_times
 from evpinn_ros.drives.table_drive import TableDrive
-from evpinn_ros.drives.times import DRIVE_START_NS
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 NOMINAL = 350.0

@@ -9,8 +9,8 @@ import pytest
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
-from evpinn_ros.drives.times import DRIVE_START_NS
 from evpinn_ros.signals.readings import (
+    DRIVE_START_NS,
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
