@@ -66,6 +66,7 @@ _TEMPERATURE |= dict.fromkeys(("f", "°f", "℉", "degf", "deg f", "fahrenheit")
 _TEMPERATURE |= {"k": Unit(1.0, -273.15)}
 _LENGTH = _units(m=1.0, meters=1.0, ft=0.3048, feet=0.3048)
 _DISTANCE = _units(km=1e3, kilometers=1e3, mi=1609.344, miles=1609.344, m=1.0)
+_DEGREES = {"deg": Unit(1.0), "°": Unit(1.0), "degrees": Unit(1.0)}
 _PERCENT = {"%": Unit(1.0), "pct": Unit(1.0), "percent": Unit(1.0), "fraction": Unit(100.0)}
 
 _BATTERY = "battery,batt,bat,pack,hv,ht,traction,dc,total,v b,batterie,batería,batteria,bateria"
@@ -135,6 +136,18 @@ QUANTITIES: Mapping[str, Quantity] = {
         (),
         _phrases("accuracy,error"),
         _LENGTH,
+    ),
+    "latitude": Quantity(
+        "latitude", _phrases("latitude,lat"), (), (), (), _phrases("accuracy"), _DEGREES
+    ),
+    "longitude": Quantity(
+        "longitude",
+        _phrases("longitude,long,lon,lng"),
+        (),
+        (),
+        (),
+        _phrases("accuracy"),
+        _DEGREES,
     ),
     "ambient": Quantity(
         "ambient_c",

@@ -89,6 +89,7 @@ class Drive:
         final: the last parameters, None if there never were any.
         start_ns: stamp of the first reading.
         altitude: time and m, shape (n, 2).
+        position: time, latitude and longitude, degrees, shape (n, 3).
         charge: time and state of charge, 0..1, shape (n, 2).
         temperature: time and degrees Celsius of the air outside, shape (n, 2).
         combinations: for each identifiable combination time, value, 1-sigma, shape (n, 3).
@@ -108,6 +109,7 @@ class Drive:
     final: ParameterSet | None
     start_ns: int = 0
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     temperature: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -128,6 +130,7 @@ class History:
         self._speed, self._energy = Columns(2), Columns(4)
         self._voltage, self._current = Columns(2), Columns(2)
         self._altitude, self._charge, self._temperature = Columns(2), Columns(2), Columns(2)
+        self._position = Columns(3)
         self._combinations = {name: Columns(3) for name in IDENTIFIABLE_NAMES}
         self._detections: list[Detection] = []
         self._models: list[KnownModel] = []
@@ -169,6 +172,8 @@ class History:
                 self._charge.add(time, reading.state_of_charge)
         elif isinstance(reading, AltitudeReading) and math.isfinite(reading.altitude):
             self._altitude.add(time, reading.altitude)
+            if reading.has_position:
+                self._position.add(time, reading.latitude, reading.longitude)
         elif isinstance(reading, TemperatureReading) and math.isfinite(reading.celsius):
             self._temperature.add(time, reading.celsius)
 
@@ -236,6 +241,7 @@ class History:
             final=self._final,
             start_ns=self._start_ns or 0,
             altitude=self._altitude.values(),
+            position=self._position.values(),
             charge=self._charge.values(),
             temperature=self._temperature.values(),
             combinations={name: rows.values() for name, rows in self._combinations.items()},

@@ -9,6 +9,7 @@ import numpy as np
 from evpinn_ros.common.units import Units
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import Span, longest_step, measured_at, scored
+from evpinn_ros.report.driven import Steps
 from evpinn_ros.report.thinning import packed
 
 KILO = 1000.0
@@ -16,6 +17,8 @@ HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
 ACCELERATION_CELL, ACCELERATION_AXIS = 0.25, "acceleration, m/s²"
 LARGEST_SPEED, LARGEST_ACCELERATION = 300.0 / 3.6, 5.0  # m/s, m/s^2: what is beyond counts as this
 LEAST = 1.0  # s in a cell or bin before an error is shown of it
+DEGREE = 111_195.0  # m of latitude, of the mean radius of the Earth
+ROUTE_POINTS = 500  # evenly along the road
 POINTS = 2500  # of single moments beside their spread
 HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
 FAST, SLOW = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag tells above, auxiliary power below
@@ -84,6 +87,36 @@ def driven_minutes(found: Moments) -> dict[str, float]:
     return {name: float(found.seconds[kind].sum()) / 60 for name, kind in kinds.items()}
 
 
+def route_map(drive: Drive, steps: Steps, units: Units) -> Chart:
+    """Map of the road, east and north of where the drive began, with mean measured power.
+
+    A degree is as long as at the mean latitude, which is right to a pixel for what one drives in
+    a day. Power is of the time up to each point, kW, unknown where the battery was not measured.
+    """
+    rows = drive.position[np.argsort(drive.position[:, 0], kind="stable")]
+    lengths = np.array([np.cos(np.radians(rows[:, 1].mean())), 1.0]) * DEGREE / units.metres
+    road = (rows[:, [2, 1]] - rows[0, [2, 1]]) * lengths
+    along = np.cumsum(np.hypot(*np.diff(road, axis=0, prepend=road[:1]).T))
+    chosen = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], ROUTE_POINTS)))
+    time, (east, north) = rows[chosen, 0], road[chosen].T
+    spent, measured = (
+        np.diff(np.interp(time, steps.end, np.cumsum(each)), prepend=np.nan)
+        if len(steps.end)
+        else np.full(len(time), np.nan)
+        for each in (steps.energy, steps.seconds)
+    )
+    power = np.divide(spent / KILO, measured, out=np.full(len(time), np.nan), where=measured > 0)
+    return {
+        "kind": "route",
+        "axes": [f"east, {units.distance}", f"north, {units.distance}"],
+        "full": _full(power, 0.95),
+        "time": packed(time),
+        "east": packed(east),
+        "north": packed(north),
+        "power": packed(power),
+    }
+
+
 def coverage_map(found: Moments, units: Units) -> Chart:
     """Seconds in each cell of speed and acceleration."""
     cells, shape = _cells(found, units)
@@ -139,14 +172,19 @@ def _map_chart(
     of: str, values: np.ndarray, shape: tuple[int, int], share: float, units: Units
 ) -> Chart:
     """Full colour begins at the quantile `share` of the values."""
-    known = np.abs(values[np.isfinite(values)])
     return {
         "kind": "cells",
         "of": of,
-        "full": max(float(np.quantile(known, share)), 1e-9) if len(known) else 1.0,
+        "full": _full(values, share),
         "axes": [f"speed, {units.speed}", ACCELERATION_AXIS],
         "cell": [units.speed_step / 2, ACCELERATION_CELL],
         "first": [0.0, -LARGEST_ACCELERATION - ACCELERATION_CELL / 2],
         "shape": list(shape),
         "values": packed(values),
     }
+
+
+def _full(values: np.ndarray, share: float) -> float:
+    """The quantile `share` of the sizes of what is known, from which on colour is full."""
+    known = np.abs(values[np.isfinite(values)])
+    return max(float(np.quantile(known, share)), 1e-9) if len(known) else 1.0

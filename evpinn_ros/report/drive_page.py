@@ -99,6 +99,8 @@ def _drive(
     steps = travelled(drive), measured_steps(drive)
     charts = dict(_charts(reported, steps[1], points, units))
     charts["by_speed"] = speed_energy_chart(drive, reported.vehicle, steps[1], units)
+    if len(drive.position) > 1:
+        charts["map"] = drive_maps.route_map(drive, steps[1], units)
     parts = forecast_outcomes(drive, reported.vehicle.air_density)
     if parts:
         charts["outcome"] = drive_charts.outcome_chart(parts)

@@ -15,12 +15,14 @@ class Steps(NamedTuple):
 
     Attributes:
         end: time at their end, s.
+        seconds: that they took.
         speed: in the middle, m/s.
         distance: m.
         energy: measured, J; of steps of speed alone 0.
     """
 
     end: np.ndarray
+    seconds: np.ndarray
     speed: np.ndarray
     distance: np.ndarray
     energy: np.ndarray
@@ -48,7 +50,8 @@ def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> Steps:
     steps = np.diff(time)
     middle = (speed[1:] + speed[:-1]) / 2
     with np.errstate(over="ignore"):  # a bag may hold powers that no battery has
-        found = Steps(time[1:], middle, middle * steps, (power[1:] / 2 + power[:-1] / 2) * steps)
+        energy = (power[1:] / 2 + power[:-1] / 2) * steps
+    found = Steps(time[1:], steps, middle, middle * steps, energy)
     whole = known[1:] & known[:-1] & (steps <= longest_step(time))
     return found.those(whole & np.isfinite(found.energy))
 

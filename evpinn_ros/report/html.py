@@ -6,12 +6,10 @@ import base64
 from collections.abc import Iterable
 from functools import cache
 import hashlib
-import io
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from evpinn_ros.common.fsync import replaced
 
@@ -57,13 +55,6 @@ def write_page(
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as draft:
         draft.write_bytes(page.encode("utf-8", "replace"))  # a path may hold what is no text
-
-
-def data_uri(figure: Figure) -> str:
-    """A picture as an address that a page holds in itself."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
 @cache

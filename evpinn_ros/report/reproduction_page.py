@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from evpinn_ros.report.html import data_uri, write_page
-from evpinn_ros.report.reproduction_figures import reproduction_figures
+from evpinn_ros.report.html import write_page
+from evpinn_ros.report.reproduction_figures import data_uri, reproduction_figures
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.tables import all_tables
 

@@ -57,10 +57,18 @@ class GradeReading:
 
 @dataclass(frozen=True, slots=True)
 class AltitudeReading:
-    """Altitude, m."""
+    """Altitude, m, and of the same fix latitude and longitude, degrees, NaN where unknown."""
 
     stamp_ns: int
     altitude: float
+    latitude: float = math.nan
+    longitude: float = math.nan
+
+    @property
+    def has_position(self) -> bool:
+        """True for a place on Earth; a receiver without a fix tells 0, 0."""
+        possible = abs(self.latitude) <= 90.0 and abs(self.longitude) <= 180.0
+        return possible and (self.latitude, self.longitude) != (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,10 @@
 """The report of a drive in a real Chromium."""
 
 import base64
+from dataclasses import replace
 import io
 from pathlib import Path
+import re
 
 from matplotlib.image import imread
 import numpy as np
@@ -151,6 +153,31 @@ def test_values_show_under_the_cursor(browser, page):
     browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
     browser.run(SETTLED)
     assert "0 to 5 km/h" in browser.run("document.querySelector('.readout').innerText")
+    assert browser.troubles == []
+
+
+def test_a_map_shows_power_where_it_is_pointed_at(browser, reported, tmp_path):
+    """A road straight to the north stands upright in the middle; the stretch shown is strong."""
+    time = np.linspace(0.0, reported.drive.duration, 300)
+    place = np.column_stack((time, 48.0 + time / 1e4, np.full(300, 11.0)))
+    path = tmp_path / "map.html"
+    drive = replace(reported.drive, position=place)
+    write_drives(path, [replace(reported, drive=drive)], "evpinn replay x")
+    browser.open(path, width=1100)
+    left, top, width, height = box(browser, "map")
+    where = {"x": left + 0.5 * width, "y": top + 0.5 * height}
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
+    readout = "document.querySelector(\"[data-plot='map'] + .readout\").innerText"
+    assert re.fullmatch(r"1:1\d: \S+ kW|1:1\d: not measured", browser.run(readout))
+    where["x"] = left + 0.1 * width
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
+    assert "Point at the road" in browser.run(readout)
+    before = pictures(browser)[1]
+    left, top, width, height = box(browser, "speed")
+    y = top + height / 2
+    browser.drag((left + 0.4 * width, y), (left + 0.5 * width, y))
+    browser.run(SETTLED)
+    assert differ([before], [pictures(browser)[1]]) == [True]
     assert browser.troubles == []
 
 

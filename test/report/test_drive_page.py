@@ -138,6 +138,33 @@ def test_bars_by_speed_are_what_was_measured(reported, tmp_path):
     assert per_km @ km == pytest.approx(steps.energy[inside].sum() / 3600)
 
 
+def on_a_square(reported: ReportedDrive) -> ReportedDrive:
+    """Twice around a square of 1 km, first to the north, at 50 degrees north."""
+    time = np.linspace(0.0, reported.drive.duration, 801)
+    way = np.linspace(0.0, 8.0, 801) % 4.0
+    north = np.interp(way, [0, 1, 2, 3, 4], [0, 1, 1, 0, 0])
+    east = np.interp(way, [0, 1, 2, 3, 4], [0, 0, 1, 1, 0])
+    degrees = 1 / 111.195
+    latitude = 50.0 + north * degrees
+    longitude = 10.0 + east * degrees / np.cos(np.radians(50.0))
+    position = np.column_stack((time, latitude, longitude))
+    return replace(reported, drive=replace(reported.drive, position=position))
+
+
+def test_a_drive_with_a_position_has_a_map(reported, tmp_path):
+    assert "map" not in page(tmp_path, reported).plots
+    found = page(tmp_path, on_a_square(reported))
+    assert "Where it was driven" in found.headings and "map" in found.plots
+    chart = found.data[0]["charts"]["map"]
+    east, north, time, power = (unpacked(chart[n]) for n in ("east", "north", "time", "power"))
+    for side in (east, north):
+        assert (side.min(), side.max()) == pytest.approx((0.0, 1.0), abs=0.01)
+    assert north[np.searchsorted(time, time[-1] / 8)] == pytest.approx(1.0, abs=0.02)
+    spent = np.nansum(power[1:] * np.diff(time))
+    measured = measured_steps(reported.drive).energy.sum() / 1000
+    assert spent == pytest.approx(measured, rel=0.1)  # but for the gaps
+
+
 def test_units_of_the_united_states_stand_alone(reported, tmp_path):
     metric, us = (page(tmp_path / u.speed[:2], reported, units=u) for u in (METRIC, US))
     assert re.search(r"\d mph", us.words) and "mi/kWh" in us.words and "Wh/mi" in us.words

@@ -53,7 +53,11 @@
   const follow = (group) => (u, key) => {
     if (key !== "x") return;
     const { min, max } = u.scales.x;
-    group.tell(min, max);
+    if (group.shown[0] !== min || group.shown[1] !== max) {
+      group.shown = [min, max];
+      group.tell(min, max);
+      for (const other of group.routes) other.redraw(false);
+    }
     for (const other of group.members) {
       const x = other.scales.x;
       if (other !== u && (x.min !== min || x.max !== max)) other.setScale("x", { min, max });
@@ -305,6 +309,53 @@
     over.addEventListener("touchend", (e) => send("mouseup", e), { passive: true });
   };
 
+  // The road, coloured by power: of the whole drive, and strongly of the stretch that is shown.
+  const route = (spec, group) => {
+    const [time, east, north, power] = ["time", "east", "north", "power"].map((k) => unpack(spec[k]));
+    const side = (values) => {
+      const low = Math.min(...values), high = Math.max(...values);
+      return { middle: (low + high) / 2, span: Math.max(high - low, 0.05) };
+    };
+    const x = side(east), y = side(north);
+    // As many pixels to the east as to the north; what axes and padding take is left out.
+    const inside = (u) => [Math.max(u.width - 76, 100), Math.max(u.height - 60, 100)];
+    const range = (of, index) => (u) => {
+      const sizes = inside(u), scale = 1.06 * Math.max(x.span / sizes[0], y.span / sizes[1]);
+      return [of.middle - scale * sizes[index] / 2, of.middle + scale * sizes[index] / 2];
+    };
+    const place = (u, i) => [u.valToPos(east[i], "x", true), u.valToPos(north[i], "y", true)];
+    const draw = (u) => tidy(u.ctx, () => {
+      const { ctx } = u, [begin, end] = group.shown, ratio = devicePixelRatio;
+      for (let i = 1; i < time.length; i++) {
+        const v = power[i], chosen = time[i] > begin && time[i - 1] < end;
+        for (const [color, alpha, wide] of [["share", 0.35, 2], v == null ? [] :
+          [v < 0 ? "cold" : "hot", 0.12 + 0.88 * Math.min(Math.abs(v) / spec.full, 1), 5]]) {
+          if (!color) continue;
+          ctx.globalAlpha = chosen ? alpha : alpha / 5;
+          ctx.strokeStyle = palette[color]; ctx.lineWidth = wide * ratio;
+          ctx.beginPath(); ctx.moveTo(...place(u, i - 1)); ctx.lineTo(...place(u, i)); ctx.stroke();
+        }
+      }
+      ctx.globalAlpha = 1; ctx.fillStyle = palette.text;
+      ctx.beginPath(); ctx.arc(...place(u, 0), 4 * ratio, 0, 7); ctx.fill();
+    });
+    const tell = (u) => {
+      const { left, top } = u.cursor, readout = u.root.parentNode.nextElementSibling;
+      const far = (i) => Math.hypot(u.valToPos(east[i], "x") - left, u.valToPos(north[i], "y") - top);
+      const near = left == null || left < 0 ? null : time.reduce((best, _, i) => (far(i) < far(best) ? i : best), 0);
+      readout.textContent = near == null || far(near) > 30 ? readout.dataset.rest
+        : `${clock(time[near])}: ` + (power[near] == null ? "not measured" : number(power[near], 1) + " kW");
+    };
+    const drag = { x: false, y: false };
+    return [{
+      height: 380, legend: { show: false }, cursor: { drag, points: { show: false } },
+      scales: { x: { time: false, range: range(x, 0) }, y: { range: range(y, 1) } },
+      axes: [axis(spec.axes[0], { size: 28, space: 60 }), axis(spec.axes[1], { size: 46 })],
+      series: [{}, { paths: () => null, points: { show: false } }],
+      hooks: { drawAxes: [draw], setCursor: [tell] },
+    }, [[x.middle - x.span, x.middle + x.span], [y.middle, y.middle]]];
+  };
+
   // What is shown of a drive in figures: of the whole, or of the stretch that was zoomed to.
   const teller = (section, drive) => {
     const { step, ...totals } = drive.totals, { units } = drive;
@@ -351,7 +402,7 @@
   };
 
   const OVER_TIME = ["time", "strips", "outcome"];
-  const KINDS = { time: curves, strips, outcome, spread, cells, bySpeed };
+  const KINDS = { time: curves, strips, outcome, spread, cells, bySpeed, route };
   const draw = (node, spec, group) => {
     const [options, data] = KINDS[spec.kind](spec, group);
     const overall = { width: Math.max(node.clientWidth - 12, 200), padding: [10, 14, 0, 0] };
@@ -367,11 +418,13 @@
     const drive = plots[Number(section.dataset.drive)];
     const group = { key: "drive" + section.dataset.drive, members: [],
       duration: Math.max(drive.duration, 1), events: drive.events, shaded: drive.shaded,
-      tell: teller(section, drive) };
+      tell: teller(section, drive), routes: [] };
+    group.shown = [0, group.duration];
     group.tell(0, group.duration);
     for (const node of section.querySelectorAll("[data-plot]")) {
       const spec = drive.charts[node.dataset.plot];
       const u = draw(node, spec, group);
+      if (spec.kind === "route") group.routes.push(u);
       if (OVER_TIME.includes(spec.kind)) group.members.push(u);
     }
     for (const button of section.querySelectorAll("button")) {
