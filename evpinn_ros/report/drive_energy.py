@@ -18,7 +18,8 @@ from evpinn_ros.report.driven import Steps
 from evpinn_ros.report.thinning import packed
 from evpinn_ros.vehicle.files import Vehicle
 
-LEAST_DISTANCE = 100.0  # m in a bin of speed before its energy is shown
+LEAST_DISTANCE = 100.0  # m in a bin of speed before its energy is shown,
+LEAST_SHARE = 0.02  # and so much of the drive: to pass through a speed is not to drive at it
 SHOWN_SPEED = 36.0  # m/s: a steady speed is shown up to here however slow the drive was
 
 
@@ -34,7 +35,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: Steps, units: Unit
     bins = np.minimum(speeds / width, 300.0 / width).astype(np.int64)
     energy = np.bincount(bins, steps.energy / JOULES_PER_WH)
     distance = np.bincount(bins, steps.distance / units.metres)
-    enough = distance >= LEAST_DISTANCE / units.metres
+    enough = distance >= max(LEAST_DISTANCE / units.metres, LEAST_SHARE * distance.sum())
     shown = [i for i in np.flatnonzero(enough).tolist() if i > 0]
     last = max([*((i + 1) * width for i in shown), SHOWN_SPEED * units.speeds])
     grid = np.arange(width, last + 1.0)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.replay.events import drive_events
@@ -41,6 +41,9 @@ EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 FIRST_STAMP = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its own zero
 DAY = 86_400 * NANOSECONDS
 LAST_STAMP = 253_402_300_799 * NANOSECONDS  # the end of the year 9999: a calendar has no more
+
+
+Charts: TypeAlias = Iterator[tuple[str, drive_charts.Chart]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +86,6 @@ def write_drives(
         command=command,
         plots=[plots for _, plots in found],
         drives=[values for values, _ in found],
-        units=units,
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,
         most_events=MOST_EVENTS,
@@ -97,18 +99,13 @@ def _drive(
     drive, found = reported.drive, reported.found
     events = drive_events(drive, reported.withheld_from)
     steps = travelled(drive), measured_steps(drive)
-    charts = dict(_charts(reported, steps[1], points, units))
-    charts["by_speed"] = speed_energy_chart(drive, reported.vehicle, steps[1], units)
-    if len(drive.position) > 1:
-        charts["map"] = drive_maps.route_map(drive, steps[1], units)
     parts = forecast_outcomes(drive, reported.vehicle.air_density)
+    moments = drive_maps.moments(drive)
+    charts = dict(_energy_charts(reported, steps[1], units))
+    charts |= dict(_curves(reported, steps[1], points, units))
+    charts |= dict(_maps(reported, moments, units))
     if parts:
         charts["outcome"] = drive_charts.outcome_chart(parts)
-    moments = drive_maps.moments(drive)
-    charts |= dict(_maps(reported, moments, units))
-    shaded = [[0.0, min(reported.warm_up, drive.duration)]]
-    if reported.withheld_from is not None:
-        shaded.append([reported.withheld_from, drive.duration])
     minutes = drive_maps.driven_minutes(moments)
     values = {
         "name": reported.name,
@@ -130,29 +127,39 @@ def _drive(
     return values, {
         "duration": drive.duration,
         "events": [event.time for event in events[:MOST_EVENTS]],
-        "shaded": shaded,
+        "shaded": list(_shaded(reported)),
         "charts": charts,
         "totals": running_totals(*steps, drive.duration, points // SMALL),
         "units": units._asdict(),
     }
 
 
-def _charts(
-    reported: ReportedDrive, measured: Steps, points: int, units: Units
-) -> Iterator[tuple[str, drive_charts.Chart]]:
-    """The curves over time."""
+def _shaded(reported: ReportedDrive) -> Iterator[tuple[float, float]]:
+    """Begin and end, s, of what was not scored, or not given."""
+    yield 0.0, min(reported.warm_up, reported.drive.duration)
+    if reported.withheld_from is not None:
+        yield reported.withheld_from, reported.drive.duration
+
+
+def _energy_charts(reported: ReportedDrive, measured: Steps, units: Units) -> Charts:
+    drive = reported.drive
+    yield "by_speed", speed_energy_chart(drive, reported.vehicle, measured, units)
+    if len(drive.position) > 1:
+        yield "map", drive_maps.route_map(drive, measured, units)
+
+
+def _curves(reported: ReportedDrive, measured: Steps, points: int, units: Units) -> Charts:
+    """All over time."""
     drive, few = reported.drive, points // SMALL
     speed = drive.speed * (1.0, units.speeds)
     yield "speed", drive_charts.line_chart(drive, "speed", f"speed, {units.speed}", speed, points)
     yield "power", drive_charts.power_chart(drive, points)
+    height = drive.altitude * (1.0, 1.0 / units.height_metres)
+    temperature = drive.temperature * (1.0, units.degrees) + (0.0, units.zero)
     for name, axis, rows in (
-        ("height", f"height, {units.height}", drive.altitude * (1.0, 1.0 / units.height_metres)),
+        ("height", f"height, {units.height}", height),
         ("charge", "charge, %", drive.charge * (1.0, 100.0)),
-        (
-            "temperature",
-            f"outside, {units.temperature}",
-            drive.temperature * (1.0, units.degrees) + (0.0, units.zero),
-        ),
+        ("temperature", f"outside, {units.temperature}", temperature),
     ):
         if len(rows):
             yield name, drive_charts.line_chart(drive, name, axis, rows, few) | {"height": 130}
@@ -166,9 +173,7 @@ def _charts(
     yield "shares", drive_charts.share_chart(drive, few)
 
 
-def _maps(
-    reported: ReportedDrive, moments: drive_maps.Moments, units: Units
-) -> Iterator[tuple[str, drive_maps.Chart]]:
+def _maps(reported: ReportedDrive, moments: drive_maps.Moments, units: Units) -> Charts:
     if not len(moments.time):
         return
     yield "coverage", drive_maps.coverage_map(moments, units)
