@@ -86,7 +86,7 @@ def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str
 
 
 def breakdown_notes(found: Mapping[str, Any], units: Units) -> list[str]:
-    """What the figures of a known breakdown are of."""
+    """Sentences on the figures of a known breakdown: what is given together, and what they are of."""
     lines = [
         f"{_together(group['parts'])} cannot be separated on this drive: given together."
         for group in found["together"]
@@ -97,7 +97,7 @@ def breakdown_notes(found: Mapping[str, Any], units: Units) -> list[str]:
 
 
 def breakdown_sentence(found: Mapping[str, Any]) -> str:
-    """What is worth saying, in words: of the rows known to two sigmas the largest.
+    """Sentence on what is worth saying: of the rows known to two sigmas the largest.
 
     Heating comes first where it took `WORTH_SAYING`. Empty where nothing is known so well.
     """

@@ -185,7 +185,7 @@ def _maps(reported: ReportedDrive, moments: drive_maps.Moments, units: Units) ->
 
 
 def _record(found: Mapping[str, Any]) -> str:
-    """What was recorded, and by which mode it was learned from."""
+    """The recording, and the mode that learned from it."""
     dropped = ", ".join(f"{n} {why}" for why, n in found["input"]["dropped"].items())
     return (
         f"{found['input']['path']}, mode {found['mode']}; {found['input']['samples']} samples; "

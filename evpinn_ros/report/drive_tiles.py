@@ -16,7 +16,7 @@ NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured al
 def drive_tiles(
     drive: Drive, travelled: Steps, measured: Steps, units: Units
 ) -> Iterator[tuple[str, str]]:
-    """What the drive took over distance, then the rest that is known of it."""
+    """Energy over distance, then the rest that is known of the drive."""
     far, energy = float(travelled.distance.sum()), float(measured.energy.sum())
     known = float(measured.distance.sum())
     if known >= LEAST_DISTANCE:
