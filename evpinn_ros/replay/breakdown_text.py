@@ -86,7 +86,7 @@ def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str
 
 
 def breakdown_notes(found: Mapping[str, Any], units: Units) -> list[str]:
-    """Sentences on the figures of a known breakdown: what is given together, and what they are of."""
+    """Sentences on a known breakdown: what is given together, and of how much driving."""
     lines = [
         f"{_together(group['parts'])} cannot be separated on this drive: given together."
         for group in found["together"]
