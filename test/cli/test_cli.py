@@ -75,7 +75,7 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
     assert all(set(each) == keys for each in found["parameters"].values())
     assert found["withheld"]["power"]["rmse_w"] > 0
     report = (folder / "report.html").read_text()
-    assert 'data-plot="power"' in report and "mi/kWh" in report
+    assert 'data-plot="power"' in report and "speed, mph" in report
     assert (folder / "learned" / "metadata.yaml").is_file()
     assert json.loads((folder / "state.json").read_text())["vehicle"] == "tesla_model_3_lr"
 
