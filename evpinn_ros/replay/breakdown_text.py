@@ -25,6 +25,7 @@ MEANINGS: Mapping[str, str] = {
     "measured": "measured",
     REGAINED: "brought back by braking",
 }
+UNTOLD = (MEANINGS["speed"], UNEXPLAINED)
 COLUMNS = ("where it went", "kWh", "1-sigma", METRIC.rate, "share")
 WORTH_SAYING = 0.1  # of a drive: from here on heating is told first, for it can be turned down
 PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
@@ -99,12 +100,13 @@ def breakdown_notes(found: Mapping[str, Any], units: Units) -> list[str]:
 def breakdown_sentence(found: Mapping[str, Any]) -> str:
     """Sentence on what is worth saying: of the rows known to two sigmas the largest.
 
-    Heating comes first where it took `WORTH_SAYING`. Empty where nothing is known so well.
+    Heating comes first where it took `WORTH_SAYING`; speed, which stops to be, and what is
+    unexplained are not told. Empty where nothing is known so well.
     """
     known = [
         (name, part)
         for name, part in shown(found)
-        if name != UNEXPLAINED and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
+        if name not in UNTOLD and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
     ]
     if not known:
         return ""

@@ -51,6 +51,7 @@ def test_a_sentence_tells_of_heating_where_it_took_much_else_of_the_largest_part
     found = breakdown_metrics(breakdown(), "hybrid")
     told = "Heating and cooling took 2.00 +- 0.02 kWh, a fifth of this drive."
     assert breakdown_lines(found)[0] == told
+    found["speed"] = found["speed"] | {"kwh": 4.0, "sigma_kwh": 0.1, "share": 0.4}
     for less in ({"share": 0.05}, {"sigma_kwh": 1.5}):
         found["climate"] = found["climate"] | less
         told = "Air and wind took 3.0 +- 0.5 kWh, 30 % of this drive."

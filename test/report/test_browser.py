@@ -68,6 +68,17 @@ def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
     assert browser.requests == [page.as_uri()]
 
 
+def test_long_names_of_parts_fit_a_narrow_page(browser, reported, tmp_path):
+    breakdown = dict(reported.found["breakdown"])
+    group = {"parts": ["brakes", "drivetrain", "standing"], **breakdown["drivetrain"]}
+    found = dict(reported.found) | {"breakdown": breakdown | {"together": [group]}}
+    path = tmp_path / "long.html"
+    write_drives(path, [replace(reported, found=found)], "evpinn replay x")
+    browser.open(path, width=390)
+    whole, seen = browser.run(WIDTHS)
+    assert whole <= seen == 390
+
+
 def test_dark_is_dark(browser, page):
     shades = []
     for dark in (False, True):

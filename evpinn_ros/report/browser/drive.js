@@ -324,20 +324,22 @@
       return [of.middle - scale * sizes[index] / 2, of.middle + scale * sizes[index] / 2];
     };
     const place = (u, i) => [u.valToPos(east[i], "x", true), u.valToPos(north[i], "y", true)];
+    const stroke = (u, i, color, alpha, wide) => {
+      u.ctx.globalAlpha = alpha; u.ctx.strokeStyle = palette[color];
+      u.ctx.lineWidth = wide * devicePixelRatio; u.ctx.beginPath();
+      u.ctx.moveTo(...place(u, i - 1)); u.ctx.lineTo(...place(u, i)); u.ctx.stroke();
+    };
     const draw = (u) => tidy(u.ctx, () => {
-      const { ctx } = u, [begin, end] = group.shown, ratio = devicePixelRatio;
-      for (let i = 1; i < time.length; i++) {
-        const v = power[i], chosen = time[i] > begin && time[i - 1] < end;
-        for (const [color, alpha, wide] of [["share", 0.35, 2], v == null ? [] :
-          [v < 0 ? "cold" : "hot", 0.12 + 0.88 * Math.min(Math.abs(v) / spec.full, 1), 5]]) {
-          if (!color) continue;
-          ctx.globalAlpha = chosen ? alpha : alpha / 5;
-          ctx.strokeStyle = palette[color]; ctx.lineWidth = wide * ratio;
-          ctx.beginPath(); ctx.moveTo(...place(u, i - 1)); ctx.lineTo(...place(u, i)); ctx.stroke();
-        }
-      }
-      ctx.globalAlpha = 1; ctx.fillStyle = palette.text;
-      ctx.beginPath(); ctx.arc(...place(u, 0), 4 * ratio, 0, 7); ctx.fill();
+      const [begin, end] = group.shown;
+      power.forEach((v, i) => {
+        if (i === 0) return;
+        const strength = time[i] > begin && time[i - 1] < end ? 1 : 0.2;
+        stroke(u, i, "share", 0.35 * strength, 2);
+        const full = v == null ? 0 : Math.min(Math.abs(v) / spec.full, 1);
+        if (v != null) stroke(u, i, v < 0 ? "cold" : "hot", strength * (0.12 + 0.88 * full), 5);
+      });
+      u.ctx.globalAlpha = 1; u.ctx.fillStyle = palette.text;
+      u.ctx.beginPath(); u.ctx.arc(...place(u, 0), 4 * devicePixelRatio, 0, 7); u.ctx.fill();
     });
     const tell = (u) => {
       const { left, top } = u.cursor, readout = u.root.parentNode.nextElementSibling;
