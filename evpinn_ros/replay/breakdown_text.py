@@ -110,11 +110,9 @@ def breakdown_sentence(found: Mapping[str, Any]) -> str:
     ]
     if not known:
         return ""
-    heating = MEANINGS["climate"]
-    name, most = max(
-        known,
-        key=lambda row: (row[0] == heating and row[1]["share"] > WORTH_SAYING, row[1]["kwh"]),
-    )
+    heating = [row for row in known if row[0] == MEANINGS["climate"]]
+    first = [row for row in heating if row[1]["share"] > WORTH_SAYING]
+    name, most = max(first or known, key=lambda row: row[1]["kwh"])
     digits = 1 if most["sigma_kwh"] >= 0.095 else 2 if most["sigma_kwh"] >= 0.0095 else 3
     amount = f"{most['kwh']:.{digits}f} +- {most['sigma_kwh']:.{digits}f} kWh"
     return f"{name.capitalize()} took {amount}, {_share(most['share'])} of this drive."

@@ -160,9 +160,8 @@ def spread_chart(found: Moments, against: str, units: Units) -> Chart:
 def _cells(found: Moments, units: Units) -> tuple[np.ndarray, tuple[int, int]]:
     """The cell of each moment, and how many cells there are over speed and acceleration."""
     half = round(LARGEST_ACCELERATION / ACCELERATION_CELL)
-    i = np.maximum(np.floor(found.speed * units.speeds / (units.speed_step / 2)), 0).astype(
-        np.int64
-    )
+    speed = found.speed * units.speeds / (units.speed_step / 2)
+    i = np.maximum(np.floor(speed), 0).astype(np.int64)
     j = np.floor(found.acceleration / ACCELERATION_CELL + 0.5).astype(np.int64) + half
     shape = (int(i.max(initial=0)) + 1, 2 * half + 1)
     return i * shape[1] + j, shape
