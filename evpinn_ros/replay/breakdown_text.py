@@ -25,9 +25,9 @@ MEANINGS: Mapping[str, str] = {
     "measured": "measured",
     REGAINED: "brought back by braking",
 }
-UNTOLD = (MEANINGS["speed"], UNEXPLAINED)
+LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
 COLUMNS = ("where it went", "kWh", "1-sigma", METRIC.rate, "share")
-WORTH_SAYING = 0.1  # of a drive: from here on heating is told first, for it can be turned down
+WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can be turned down
 PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
 NOTHING = "the battery was measured over no interval that could be learned from"
 
@@ -101,12 +101,12 @@ def breakdown_sentence(found: Mapping[str, Any]) -> str:
     """Sentence on what is worth saying: of the rows known to two sigmas the largest.
 
     Heating comes first where it took `WORTH_SAYING`; speed, which stops to be, and what is
-    unexplained are not told. Empty where nothing is known so well.
+    unexplained are left out. Empty where nothing is known so well.
     """
     known = [
         (name, part)
         for name, part in shown(found)
-        if name not in UNTOLD and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
+        if name not in LEFT_OUT and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
     ]
     if not known:
         return ""
