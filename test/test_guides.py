@@ -25,7 +25,7 @@ from evpinn_ros.cli.main import app
 ROOT = Path(__file__).parents[1]
 GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-NOTHING_RUNS = {"planning", "ros", "viewing"}  # their blocks need ROS, nodes or a window
+NOTHING_RUNS = {"planning", "ros"}  # their blocks need ROS, nodes or a window
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 REASON = re.compile(r"<!-- not run: (\S.*) -->\n\Z")
 COMMAND = typer.main.get_command(app)

@@ -62,20 +62,9 @@ NAMES = {
 # (numpy and msgpack: ros/rosdistro at 000730dc).
 ROSDEP_KEYS = {
     *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-jinja2"),
-    *(
-        "python3-matplotlib",
-        "python3-msgpack",
-        "python3-numpy",
-        "python3-pandas",
-        "python3-pytest",
-    ),
-    *(
-        "python3-pytest",
-        "python3-pytest-timeout",
-        "python3-rich",
-        "python3-rosbags-pip",
-        "python3-scipy",
-    ),
+    *("python3-matplotlib", "python3-msgpack", "python3-numpy", "python3-pandas"),
+    *("python3-pytest", "python3-pytest-timeout", "python3-rich", "python3-rosbags-pip"),
+    "python3-scipy",
     *("python3-serial", "python3-torch", "python3-typer", "python3-yaml"),
 }
 

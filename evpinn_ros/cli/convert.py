@@ -57,8 +57,8 @@ def convert(
 
     Columns of a table are found by their names and values; what was taken for what is shown.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
-    optionally elevation_m, ambient_c, heating_w, aircon_w, soc_pct, motor_torque_nm and
-    motor_speed_rad_s are taken as they are.
+    optionally elevation_m, latitude, longitude, ambient_c, heating_w, aircon_w, soc_pct,
+    motor_torque_nm and motor_speed_rad_s are taken as they are.
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
 

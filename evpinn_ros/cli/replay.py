@@ -21,6 +21,7 @@ from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOptio
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
@@ -59,6 +60,7 @@ def replay(
         Path | None, typer.Option(help="Write a report: one HTML file, for a browser.")
     ] = None,
     metrics: MetricsOption = None,
+    units: Annotated[UnitSystem, typer.Option(help="Of the report.")] = UnitSystem.METRIC,
     withhold_battery_after: Annotated[
         float | None,
         typer.Option(min=0.0, help="Hide the battery from here on, s: what is speed worth alone?"),
@@ -119,7 +121,7 @@ def replay(
                 _show(found, source, warm_up, len(folders) > 1)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
-            written = _write(car, (metrics, report, state))
+            written = _write(car, (metrics, report, state), units.units)
     if len(car.done) > 1:
         show(drives_table([(each.drive, each.metrics) for each in car.done]))
         show(parameter_table(car.done[-1].metrics))
@@ -170,14 +172,16 @@ def _show(result: Replayed, source: Source, warm_up: float, briefly: bool) -> No
     show(parameter_table(found, read_truth(source.path)))
 
 
-def _write(car: CarReplay, files: tuple[Path | None, Path | None, Path | None]) -> bool:
+def _write(
+    car: CarReplay, files: tuple[Path | None, Path | None, Path | None], units: Units
+) -> bool:
     """Write all that was asked for; one file that cannot be written does not cost the others."""
     if not car.done:
         return True
     metrics, report, state = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
         (metrics, lambda path: _write_metrics(path, car.done)),
-        (report, lambda path: _write_report(path, car)),
+        (report, lambda path: _write_report(path, car, units)),
         (state, car.write_state),
     ]
     problems = 0
@@ -199,9 +203,9 @@ def _write_metrics(path: Path, done: list[Replayed]) -> None:
     write_json(path, found if len(found) > 1 else found[0])
 
 
-def _write_report(path: Path, car: CarReplay) -> None:
+def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     # Here, for pictures take longer to import than all else together.
     from evpinn_ros.report.replayed import write_replayed
 
     command = shlex.join(["evpinn", *sys.argv[1:]])
-    write_replayed(path, car.done, car.vehicle, car.options, command)
+    write_replayed(path, car.done, car.vehicle, car.options, command, units)

@@ -66,6 +66,7 @@ _TEMPERATURE |= dict.fromkeys(("f", "°f", "℉", "degf", "deg f", "fahrenheit")
 _TEMPERATURE |= {"k": Unit(1.0, -273.15)}
 _LENGTH = _units(m=1.0, meters=1.0, ft=0.3048, feet=0.3048)
 _DISTANCE = _units(km=1e3, kilometers=1e3, mi=1609.344, miles=1609.344, m=1.0)
+_DEGREES = {"deg": Unit(1.0), "°": Unit(1.0), "degrees": Unit(1.0)}
 _PERCENT = {"%": Unit(1.0), "pct": Unit(1.0), "percent": Unit(1.0), "fraction": Unit(100.0)}
 
 _BATTERY = "battery,batt,bat,pack,hv,ht,traction,dc,total,v b,batterie,batería,batteria,bateria"
@@ -74,6 +75,7 @@ _OTHERS = (
     "htr,aircon,ac,a c,regen,available,fan,accuracy,acc,wind,rear,gps2,temp,temperature,module,"
     "adapter,avg,average,mean,moyenne,media,durchschnittlich,zelle,cella,celda,cellule,obc,dcdc,evse,steering,sensor,throttle"
 )
+_NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,speed,time"
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
 QUANTITIES: Mapping[str, Quantity] = {
@@ -135,6 +137,12 @@ QUANTITIES: Mapping[str, Quantity] = {
         (),
         _phrases("accuracy,error"),
         _LENGTH,
+    ),
+    "latitude": Quantity(
+        "latitude", _phrases("latitude,lat"), (), (), (), _phrases(_NO_PLACE), _DEGREES
+    ),
+    "longitude": Quantity(
+        "longitude", _phrases("longitude,long,lon,lng"), (), (), (), _phrases(_NO_PLACE), _DEGREES
     ),
     "ambient": Quantity(
         "ambient_c",
@@ -209,6 +217,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         _DISTANCE,
     ),
 }
+PLACES = ("latitude", "longitude")  # only shown: one in another unit ends no file, it is left out
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 # In brackets behind a name, but no unit: where the number comes from.
 QUALIFIERS = frozenset(_phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real"))
@@ -251,6 +260,8 @@ def score(quantity: str, name: str) -> float:
     spelled = words if not brackets else f"{words}{re.sub(r'[^a-z]', '', brackets[-1])} "
     needed = not known.needs or any(f" {phrase} " in spelled for phrase in known.needs)
     if not has(known.words) or has(known.never) or not needed:
+        return 0.0
+    if quantity in PLACES and unit_of(quantity, name)[0] not in ("", *known.units):
         return 0.0
     return 1.0 + has(known.better) - 0.5 * min(1, has(known.worse))
 

@@ -79,6 +79,8 @@ class RowReadings:
                     "power",
                     "charge",
                     "elevation",
+                    "latitude",
+                    "longitude",
                     "ambient",
                     "heating",
                     "aircon",
@@ -89,20 +91,21 @@ class RowReadings:
             ),
             strict=True,
         )
-        for stamp, speed, volt, amp, power, charge, height, warm, heat, cool, aux, *motor in table:
+        for row in table:
+            stamp, speed, volt, amp, power, charge, *place = row[:9]
+            warm, heat, cool, aux, torque, turning = row[9:]
             found: list[Reading] = []
             if speed == speed and self._is_new("speed", stamp):
                 found.append(SpeedReading(stamp, speed))
             if self._battery and (battery := self._of_battery(stamp, volt, amp, power, charge)):
                 found.append(battery)
-            if height == height and self._is_new("elevation", stamp):
-                found.append(AltitudeReading(stamp, height))
+            if place[0] == place[0] and self._is_new("elevation", stamp):
+                found.append(AltitudeReading(stamp, *place))
             if warm == warm and self._is_new("ambient", stamp):
                 found.append(TemperatureReading(stamp, warm))
             if (heat == heat or cool == cool or aux == aux) and self._is_new("loads", stamp):
                 others = (cool if cool == cool else 0.0) + (aux if aux == aux else 0.0)
                 found.append(AuxiliaryReading(stamp, heat if heat == heat else 0.0, others))
-            torque, turning = motor
             if torque == torque and self._is_new("motor", stamp):
                 found.append(MotorReading(stamp, torque, turning))
             self.used += bool(found)

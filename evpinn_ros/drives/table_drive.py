@@ -23,7 +23,6 @@ from evpinn_ros.drives.quantities import QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, RowReadings
 from evpinn_ros.drives.survey import Survey, Table, data_rows, find_head, long_form, look_through
 from evpinn_ros.drives.times import (
-    DRIVE_START_NS,
     LAST_TIME_NS,
     NONE,
     RELATIVE_BELOW_S,
@@ -32,7 +31,7 @@ from evpinn_ros.drives.times import (
     is_newest_first,
     start_of_comments,
 )
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS, Reading
 
 BATCH = 16_384  # rows converted at once
 FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed

@@ -24,9 +24,6 @@ from evpinn_ros.signals.readings import NANOSECONDS
 NONE = np.iinfo(np.int64).min  # where there is no time
 DAY_NS = 86_400 * NANOSECONDS
 HALF_DAY_NS = DAY_NS // 2
-# Where a drive without a date is placed, 2020-01-01T00:00:00Z: header stamps must not be zero,
-# and the same file must give the same bag. `dated` says that it is no date.
-DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
 SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller

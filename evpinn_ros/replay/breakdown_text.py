@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
 from evpinn_ros.estimation.energy_parts import WHOLE, Part
 from evpinn_ros.estimation.estimator import Mode
@@ -24,7 +25,9 @@ MEANINGS: Mapping[str, str] = {
     "measured": "measured",
     REGAINED: "brought back by braking",
 }
-COLUMNS = ("where it went", "kWh", "1-sigma", "kWh/100 km", "share")
+LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
+COLUMNS = ("where it went", "kWh", "1-sigma", METRIC.rate, "share")
+WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can be turned down
 PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
 NOTHING = "the battery was measured over no interval that could be learned from"
 
@@ -68,38 +71,48 @@ def shown(found: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     return rows
 
 
-def breakdown_rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def breakdown_rows(found: Mapping[str, Any], units: Units = METRIC) -> list[tuple[str, ...]]:
     """Rows of text under `COLUMNS`: what is `shown`, what was measured, what was brought back."""
     if found["unknown"] is not None:
         return []
     beside = [(MEANINGS[name], found[name]) for name in ("measured", REGAINED)]
-    return [_row(name, amount) for name, amount in (*shown(found), *beside)]
+    return [_row(name, amount, units) for name, amount in (*shown(found), *beside)]
 
 
-def breakdown_lines(found: Mapping[str, Any]) -> list[str]:
-    """Sentences for people: what took most beside driving, and what the figures are of."""
+def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
+    """Sentences for people: what is worth saying, if anything is, and what the figures are of."""
     if found["unknown"] is not None:
         return [f"Where the energy went: {found['unknown']}."]
-    lines = [sentence] if (sentence := _sentence(found)) else []
-    lines += [
+    return [line for line in (breakdown_sentence(found), *breakdown_notes(found, units)) if line]
+
+
+def breakdown_notes(found: Mapping[str, Any], units: Units) -> list[str]:
+    """Sentences on a known breakdown: what is given together, and of how much driving."""
+    lines = [
         f"{_together(group['parts'])} cannot be separated on this drive: given together."
         for group in found["together"]
     ]
-    minutes, km = found["duration_s"] / 60, found["distance_m"] / 1000
-    lines.append(f"Of the {km:.1f} km and {minutes:.0f} min whose battery was measured.")
-    return lines
+    minutes, far = found["duration_s"] / 60, found["distance_m"] / units.metres
+    driven = f"{far:.1f} {units.distance} and {minutes:.0f} min"
+    return [*lines, f"Of the {driven} whose battery was measured."]
 
 
-def _sentence(found: Mapping[str, Any]) -> str:
-    """The largest row that is known to two sigmas, in words."""
+def breakdown_sentence(found: Mapping[str, Any]) -> str:
+    """Sentence on what is worth saying: of the rows known to two sigmas the largest.
+
+    Heating comes first where it took `WORTH_SAYING`; speed, which stops to be, and what is
+    unexplained are left out. Empty where nothing is known so well.
+    """
     known = [
         (name, part)
         for name, part in shown(found)
-        if name != UNEXPLAINED and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
+        if name not in LEFT_OUT and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
     ]
     if not known:
         return ""
-    name, most = max(known, key=lambda row: row[1]["kwh"])
+    heating = [row for row in known if row[0] == MEANINGS["climate"]]
+    first = [row for row in heating if row[1]["share"] > WORTH_SAYING]
+    name, most = max(first or known, key=lambda row: row[1]["kwh"])
     digits = 1 if most["sigma_kwh"] >= 0.095 else 2 if most["sigma_kwh"] >= 0.0095 else 3
     amount = f"{most['kwh']:.{digits}f} +- {most['sigma_kwh']:.{digits}f} kWh"
     return f"{name.capitalize()} took {amount}, {_share(most['share'])} of this drive."
@@ -123,15 +136,16 @@ def name_of(parts: Iterable[Part]) -> str:
     return f"{', '.join(first)} and {last}, together" if first else last
 
 
-def _row(name: str, amount: Mapping[str, float | None]) -> tuple[str, ...]:
+def _row(name: str, amount: Mapping[str, float | None], units: Units) -> tuple[str, ...]:
     def text(value: float | None, form: str) -> str:
         return "-" if value is None else format(round(value, 6) + 0.0, form)
 
-    share = amount["share"]
+    share, rate = amount["share"], amount["kwh_per_100km"]
+    rate = None if rate is None else rate * METRIC.rate_joules / units.rate_joules
     return (
         name,
         text(amount["kwh"], ".3f"),
         text(amount["sigma_kwh"], ".3f"),
-        text(amount["kwh_per_100km"], ".2f"),
+        text(rate, ".2f" if units is METRIC else ".1f"),
         text(None if share is None else 100 * share, ".1f") + (" %" if share is not None else ""),
     )

@@ -21,6 +21,7 @@ from evpinn_ros.signals.readings import (
     BatteryReading,
     Reading,
     SpeedReading,
+    TemperatureReading,
 )
 from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
@@ -88,9 +89,13 @@ class Drive:
         final: the last parameters, None if there never were any.
         start_ns: stamp of the first reading.
         altitude: time and m, shape (n, 2).
+        position: time, latitude and longitude, degrees, shape (n, 3).
+        charge: time and state of charge, 0..1, shape (n, 2).
+        temperature: time and degrees Celsius of the air outside, shape (n, 2).
         combinations: for each identifiable combination time, value, 1-sigma, shape (n, 3).
         detections: those of the learner, whenever they changed.
         models: the car as known at the start and about every `MODEL_STEP`; empty without replay.
+        model: the car as known at the end, None where nothing gives one.
         jumps: time, and s by which it went back there, shape (n, 2).
     """
 
@@ -104,9 +109,13 @@ class Drive:
     final: ParameterSet | None
     start_ns: int = 0
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    temperature: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
     detections: tuple[Detection, ...] = ()
     models: tuple[KnownModel, ...] = ()
+    model: LinearPower | None = None
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
 
@@ -120,7 +129,8 @@ class History:
         self._jumps = Columns(2)
         self._speed, self._energy = Columns(2), Columns(4)
         self._voltage, self._current = Columns(2), Columns(2)
-        self._altitude = Columns(2)
+        self._altitude, self._charge, self._temperature = Columns(2), Columns(2), Columns(2)
+        self._position = Columns(3)
         self._combinations = {name: Columns(3) for name in IDENTIFIABLE_NAMES}
         self._detections: list[Detection] = []
         self._models: list[KnownModel] = []
@@ -158,8 +168,14 @@ class History:
                 self._voltage.add(time, reading.voltage)
             if math.isfinite(reading.current):
                 self._current.add(time, reading.current)
+            if math.isfinite(reading.state_of_charge):
+                self._charge.add(time, reading.state_of_charge)
         elif isinstance(reading, AltitudeReading) and math.isfinite(reading.altitude):
             self._altitude.add(time, reading.altitude)
+            if reading.has_position:
+                self._position.add(time, reading.latitude, reading.longitude)
+        elif isinstance(reading, TemperatureReading) and math.isfinite(reading.celsius):
+            self._temperature.add(time, reading.celsius)
 
     def add_output(self, output: ChainOutput) -> None:
         """Take the outputs of the chain for the last reading."""
@@ -212,8 +228,8 @@ class History:
         time = current[:, 0]
         return np.column_stack((time, -np.interp(time, *voltage.T) * current[:, 1]))
 
-    def drive(self) -> Drive:
-        """The series so far."""
+    def drive(self, model: LinearPower | None = None) -> Drive:
+        """The series so far, with the car as it is known now."""
         return Drive(
             duration=self._now,
             speed=self._speed.values(),
@@ -225,9 +241,13 @@ class History:
             final=self._final,
             start_ns=self._start_ns or 0,
             altitude=self._altitude.values(),
+            position=self._position.values(),
+            charge=self._charge.values(),
+            temperature=self._temperature.values(),
             combinations={name: rows.values() for name, rows in self._combinations.items()},
             detections=tuple(self._detections),
             models=tuple(self._models),
+            model=model,
             jumps=self._jumps.values(),
         )
 

@@ -102,7 +102,7 @@ def replay(
                 _record(writer, item, outputs, history.moment(item.stamp_ns), chain)
             )
     wall = time.perf_counter() - started
-    drive = history.drive()
+    drive = history.drive(chain.estimator.linear_power())
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:
         why = next((text for text in getattr(source, "notes", ()) if "speed" in text), "")

@@ -213,7 +213,11 @@ def _part(drive: Drive, power: Span, energy: Span) -> dict[str, Any]:
 
 def measured_at(drive: Drive, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Measured power at times, W, and where it is known; shape (n,) each."""
-    rows = drive.measured
+    return known_at(drive.measured, time)
+
+
+def known_at(rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A series, time and value, rising, at times, and where it has no gap; shape (n,) each."""
     if len(rows) < 2:
         return np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     after = np.clip(np.searchsorted(rows[:, 0], time), 1, len(rows) - 1)

@@ -1,80 +1,59 @@
-"""Breakdown of the energy of a drive on the page: a stacked bar with sigmas, words, a table."""
+"""Breakdown of the energy of a drive for the page: words, a stacked bar with sigmas, a table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
-from evpinn_ros.replay.breakdown_text import COLUMNS, breakdown_lines, breakdown_rows, shown
-from evpinn_ros.report.html import table
+from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.replay.breakdown_text import (
+    COLUMNS,
+    breakdown_lines,
+    breakdown_notes,
+    breakdown_rows,
+    breakdown_sentence,
+    shown,
+)
 
-WIDTH, HEIGHT, BAR = 1000.0, 56.0, 34.0  # of the picture, and of the bar in it
+WIDTH = 1000.0  # of the picture
+TINY = 1e-9  # kWh
 
 
-def breakdown_section(found: Mapping[str, Any]) -> str:
-    """The breakdown of a drive as HTML.
+class Box(NamedTuple):
+    """A part that took energy, in units of the picture: the box, and its whisker at the end."""
 
-    Args:
-        found: the metrics under `breakdown`.
-    """
-    title = "<h3>Where the energy went</h3>"
-    first, *rest = breakdown_lines(found)
+    words: str
+    begin: float
+    width: float
+    end: float
+    low: float
+    high: float
+
+
+def breakdown_values(found: Mapping[str, Any], units: Units) -> dict[str, Any]:
+    """Values for `breakdown.html.j2`, from the metrics under `breakdown`."""
     if found["unknown"] is not None:
-        return f"{title}<p>{escape(first)}</p>"
-    more = "".join(f"<p class='muted'>{escape(line)}</p>" for line in rest)
-    text = (
-        "Whiskers are the 1-sigma of each part; the dashed line is what was measured: beyond it "
-        "is what slopes or speed gave back. Brought back by braking is beside the sum."
-    )
-    return (
-        f"{title}<p><b>{escape(first)}</b></p>{_bar(found)}<p class='muted'>{text}</p>"
-        f"{table(COLUMNS, breakdown_rows(found))}{more}"
-    )
-
-
-def _bar(found: Mapping[str, Any]) -> str:
-    """The picture: what took energy side by side; nothing where nothing did."""
+        return {"sentence": "", "notes": breakdown_lines(found), "rows": [], "boxes": []}
     parts = [(name, part) for name, part in shown(found) if part["kwh"] > 0.0]
-    whole = sum(part["kwh"] for _, part in parts)
-    if not whole > 0.0:
-        return ""
-    scale = WIDTH / max(whole, found["measured"]["kwh"])
-    pieces = "".join(_pieces(parts, scale))
-    at = max(found["measured"]["kwh"], 0.0) * scale
-    words = ", ".join(_words(name, part) for name, part in parts)
-    return (
-        f"<svg class='parts' viewBox='0 0 {WIDTH:.0f} {HEIGHT:.0f}' role='img' "
-        f"aria-label='{escape(words)}'>{pieces}"
-        f"<path class='measured' d='M{at:.1f} 0V{HEIGHT:.0f}'/></svg>{_key(parts)}"
-    )
+    measured = found["measured"]["kwh"]
+    scale = WIDTH / max(sum(part["kwh"] for _, part in parts), measured, TINY)
+    return {
+        "sentence": breakdown_sentence(found),
+        "notes": breakdown_notes(found, units),
+        "columns": [units.rate if name == METRIC.rate else name for name in COLUMNS],
+        "rows": breakdown_rows(found, units),
+        "boxes": list(_boxes(parts, scale, 2 if measured >= 1.0 else 3)),
+        "measured": round(max(measured, 0.0) * scale, 1),
+    }
 
 
-def _pieces(parts: list[tuple[str, Any]], scale: float) -> Iterator[str]:
-    """Boxes side by side, then the whiskers of all, in three rows so that none hides another."""
-    begin, whiskers = 0.0, []
-    for index, (name, part) in enumerate(parts):
-        width, sigma = part["kwh"] * scale, part["sigma_kwh"] * scale
-        yield (
-            f"<rect class='part{index}' x='{begin:.1f}' y='4' width='{width:.1f}' "
-            f"height='{BAR:.0f}'><title>{escape(_words(name, part))}</title></rect>"
-        )
-        begin += width
-        left, right = max(begin - sigma, 0.0), min(begin + sigma, WIDTH)
-        row = BAR + 8.0 + 3.0 * (index % 3)
-        whiskers.append(f"M{left:.1f} {row:.0f}H{right:.1f}M{begin:.1f} {row - 3:.0f}v6")
-    yield f"<path class='sigma' d='{''.join(whiskers)}'/>"
-
-
-def _key(parts: list[tuple[str, Any]]) -> str:
-    """The colours by name."""
-    return "<p class='keys'>{}</p>".format(
-        " ".join(
-            f"<span><i class='part{index}'></i>{escape(_words(name, part))}</span>"
-            for index, (name, part) in enumerate(parts)
-        )
-    )
-
-
-def _words(name: str, part: Mapping[str, Any]) -> str:
-    return f"{name} {part['kwh']:.2f} \u00b1 {part['sigma_kwh']:.2f} kWh"
+def _boxes(parts: list[tuple[str, Any]], scale: float, digits: int) -> Iterator[Box]:
+    """Boxes side by side, their kWh with so many digits."""
+    begin = 0.0
+    for name, part in parts:
+        kwh, sigma_kwh = part["kwh"], part["sigma_kwh"]
+        end, sigma = begin + kwh * scale, sigma_kwh * scale
+        ends = (begin, end - begin, end, max(end - sigma, 0.0), min(end + sigma, WIDTH))
+        words = f"{name} {kwh:.{digits}f} ± {sigma_kwh:.{digits}f} kWh"
+        yield Box(words, *(round(each, 1) for each in ends))
+        begin = end

@@ -11,11 +11,11 @@ from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replay.forecasts import ForecastOutcome
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.parameter_text import DECIMALS
-from evpinn_ros.replay.scoring import longest_step, measured_at
+from evpinn_ros.replay.scoring import measured_at
+from evpinn_ros.report.driven import Steps
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 from evpinn_ros.vehicle.parameters import Parameters
 
-KMH = 3.6
 KILO = 1000.0
 JOULES_PER_WH = 3600.0
 TITLES = {
@@ -38,11 +38,11 @@ AXES = {
 Chart = dict[str, Any]
 
 
-def speed_chart(drive: Drive, points: int) -> Chart:
-    """Speed."""
-    time, speed = drive.speed.T
+def line_chart(drive: Drive, name: str, axis: str, rows: np.ndarray, points: int) -> Chart:
+    """One series, time and value in the unit of the axis; coloured by its name."""
+    time, values = rows.T
     grid = grid_for(time, drive.duration, points)
-    return _time_chart(grid, "speed, km/h", 1, [_line("speed", "speed", time, speed * KMH, grid)])
+    return _time_chart(grid, axis, 1, [_line(name, name, time, values, grid)])
 
 
 def power_chart(drive: Drive, points: int) -> Chart:
@@ -72,14 +72,14 @@ def error_chart(drive: Drive, points: int) -> Chart:
     return _time_chart(grid, "error, kW", 2, lines)
 
 
-def energy_chart(drive: Drive, points: int) -> Chart:
+def energy_chart(drive: Drive, steps: Steps, points: int) -> Chart:
     """Energy since the start: measured, predicted with its 90 % band, by the RK network."""
     time, predicted, rknn, sigma = drive.energy.T
     grid = grid_for(time if len(time) else drive.speed[:, 0], drive.duration, points)
     half = GAUSSIAN_QUANTILE * sigma
-    measured_time, measured = _running_energy(drive, float(time[0]) if len(time) else 0.0)
+    steps = steps.those(steps.end > (time[0] if len(time) else 0.0))
     lines = [
-        _line("measured", "measured", measured_time, measured / JOULES_PER_WH, grid),
+        _line("measured", "measured", steps.end, np.cumsum(steps.energy) / JOULES_PER_WH, grid),
         *_with_band("predicted", time, predicted, half, JOULES_PER_WH, grid),
         _line("Runge-Kutta network", "other", time, rknn / JOULES_PER_WH, grid),
     ]
@@ -145,11 +145,3 @@ def _with_band(
         _line("", "high", time, (middle + half) / unit, grid),
         _line(label, "predicted", time, middle / unit, grid),
     ]
-
-
-def _running_energy(drive: Drive, begin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Time and energy, J, of measured power from a time on, none across gaps; shape (n,) each."""
-    time, power = drive.measured[drive.measured[:, 0] >= begin].T
-    steps = np.diff(time)
-    used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
-    return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))

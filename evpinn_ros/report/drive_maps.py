@@ -6,19 +6,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.units import Units
 from evpinn_ros.replay.history import Drive
 from evpinn_ros.replay.scoring import Span, longest_step, measured_at, scored
+from evpinn_ros.report.driven import Steps
 from evpinn_ros.report.thinning import packed
 
-KMH = 3.6
 KILO = 1000.0
 HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
-SPEED_CELL, ACCELERATION_CELL = 5.0, 0.25  # km/h, m/s^2
-LARGEST_SPEED, LARGEST_ACCELERATION = 300.0, 5.0  # km/h, m/s^2: what is beyond counts as this
+ACCELERATION_CELL, ACCELERATION_AXIS = 0.25, "acceleration, m/s²"
+LARGEST_SPEED, LARGEST_ACCELERATION = 300.0 / 3.6, 5.0  # m/s, m/s^2: what is beyond counts as this
 LEAST = 1.0  # s in a cell or bin before an error is shown of it
+DEGREE = 111_195.0  # m of latitude, of the mean radius of the Earth
+ROUTE_POINTS = 500  # evenly along the road
 POINTS = 2500  # of single moments beside their spread
 HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
-FAST, SLOW = 80.0, 5.0  # km/h: drag tells above, auxiliary power below
+FAST, SLOW = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag tells above, auxiliary power below
 
 Chart = dict[str, Any]
 
@@ -28,7 +31,7 @@ class Moments(NamedTuple):
 
     Attributes:
         time: s.
-        speed: km/h.
+        speed: m/s.
         acceleration: m/s^2.
         seconds: that each stands for.
         error: predicted less measured power, kW.
@@ -57,7 +60,7 @@ def moments(drive: Drive) -> Moments:
     steps = np.clip(np.diff(series.time, append=np.nan), 0.0, longest_step(series.time))
     every = Moments(
         series.time,
-        np.clip(KMH * np.interp(series.time, time, speed), -LARGEST_SPEED, LARGEST_SPEED),
+        np.clip(np.interp(series.time, time, speed), -LARGEST_SPEED, LARGEST_SPEED),
         np.clip((after - before) / (2 * HALF_SPAN), -LARGEST_ACCELERATION, LARGEST_ACCELERATION),
         np.nan_to_num(steps),
         (series.power - measured) / KILO,
@@ -84,28 +87,60 @@ def driven_minutes(found: Moments) -> dict[str, float]:
     return {name: float(found.seconds[kind].sum()) / 60 for name, kind in kinds.items()}
 
 
-def coverage_map(found: Moments) -> Chart:
+def route_map(drive: Drive, steps: Steps, units: Units) -> Chart:
+    """Map of the road, east and north of where the drive began, with mean measured power.
+
+    A degree is as long as at the mean latitude, which is right to a pixel for what one drives in
+    a day. Power is of the time up to each point, kW, unknown where the battery was not measured.
+    """
+    rows = drive.position[np.argsort(drive.position[:, 0], kind="stable")]
+    lengths = np.array([np.cos(np.radians(rows[:, 1].mean())), 1.0]) * DEGREE / units.metres
+    road = (rows[:, [2, 1]] - rows[0, [2, 1]]) * lengths
+    along = np.cumsum(np.hypot(*np.diff(road, axis=0, prepend=road[:1]).T))
+    chosen = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], ROUTE_POINTS)))
+    time, (east, north) = rows[chosen, 0], road[chosen].T
+    spent, measured = (
+        np.diff(np.interp(time, steps.end, np.cumsum(each)), prepend=np.nan)
+        if len(steps.end)
+        else np.full(len(time), np.nan)
+        for each in (steps.energy, steps.seconds)
+    )
+    power = np.divide(spent / KILO, measured, out=np.full(len(time), np.nan), where=measured > 0)
+    return {
+        "kind": "route",
+        "axes": [f"east, {units.distance}", f"north, {units.distance}"],
+        "full": _full(power, 0.95),
+        "time": packed(time),
+        "east": packed(east),
+        "north": packed(north),
+        "power": packed(power),
+    }
+
+
+def coverage_map(found: Moments, units: Units) -> Chart:
     """Seconds in each cell of speed and acceleration."""
-    cells, shape = _cells(found)
+    cells, shape = _cells(found, units)
     seconds = np.bincount(cells, found.seconds, minlength=shape[0] * shape[1])
-    return _map_chart("seconds", np.where(seconds > 0, seconds, np.nan), shape, 1.0)
+    return _map_chart("seconds", np.where(seconds > 0, seconds, np.nan), shape, 1.0, units)
 
 
-def error_map(found: Moments) -> Chart:
+def error_map(found: Moments, units: Units) -> Chart:
     """Mean error of predicted power in each cell, kW."""
-    cells, shape = _cells(found)
+    cells, shape = _cells(found, units)
     count = shape[0] * shape[1]
     seconds = np.bincount(cells, found.seconds, minlength=count)
     error = np.bincount(cells, found.seconds * found.error, minlength=count)
     enough = seconds >= LEAST
     mean = np.divide(error, seconds, out=np.full(count, np.nan), where=enough)
-    return _map_chart("error", mean, shape, 0.95)
+    return _map_chart("error", mean, shape, 0.95, units)
 
 
-def spread_chart(found: Moments, against: str) -> Chart:
+def spread_chart(found: Moments, against: str, units: Units) -> Chart:
     """Errors over `speed` or `acceleration`: median and 90 % of each bin, and single moments."""
-    at = getattr(found, against)
-    cell = SPEED_CELL if against == "speed" else ACCELERATION_CELL
+    if against == "speed":
+        at, cell, axis = found.speed * units.speeds, units.speed_step / 2, f"speed, {units.speed}"
+    else:
+        at, cell, axis = found.acceleration, ACCELERATION_CELL, ACCELERATION_AXIS
     bins = np.round(at / cell).astype(np.int64)
     rows = []
     for index in np.unique(bins):
@@ -115,32 +150,40 @@ def spread_chart(found: Moments, against: str) -> Chart:
     chosen = np.unique(np.linspace(0, len(at) - 1, min(POINTS, len(at))).astype(int))
     return {
         "kind": "spread",
-        "axes": ["speed, km/h" if against == "speed" else "acceleration, m/s²", "error, kW"],
+        "axes": [axis, "error, kW"],
         "bins": np.array(rows).reshape(-1, 4).round(4).tolist(),
         "x": packed(at[chosen]),
         "y": packed(found.error[chosen]),
     }
 
 
-def _cells(found: Moments) -> tuple[np.ndarray, tuple[int, int]]:
+def _cells(found: Moments, units: Units) -> tuple[np.ndarray, tuple[int, int]]:
     """The cell of each moment, and how many cells there are over speed and acceleration."""
     half = round(LARGEST_ACCELERATION / ACCELERATION_CELL)
-    i = np.maximum(np.floor(found.speed / SPEED_CELL), 0).astype(np.int64)
+    speed = found.speed * units.speeds / (units.speed_step / 2)
+    i = np.maximum(np.floor(speed), 0).astype(np.int64)
     j = np.floor(found.acceleration / ACCELERATION_CELL + 0.5).astype(np.int64) + half
     shape = (int(i.max(initial=0)) + 1, 2 * half + 1)
     return i * shape[1] + j, shape
 
 
-def _map_chart(of: str, values: np.ndarray, shape: tuple[int, int], share: float) -> Chart:
+def _map_chart(
+    of: str, values: np.ndarray, shape: tuple[int, int], share: float, units: Units
+) -> Chart:
     """Full colour begins at the quantile `share` of the values."""
-    known = np.abs(values[np.isfinite(values)])
     return {
         "kind": "cells",
         "of": of,
-        "full": max(float(np.quantile(known, share)), 1e-9) if len(known) else 1.0,
-        "axes": ["speed, km/h", "acceleration, m/s²"],
-        "cell": [SPEED_CELL, ACCELERATION_CELL],
+        "full": _full(values, share),
+        "axes": [f"speed, {units.speed}", ACCELERATION_AXIS],
+        "cell": [units.speed_step / 2, ACCELERATION_CELL],
         "first": [0.0, -LARGEST_ACCELERATION - ACCELERATION_CELL / 2],
         "shape": list(shape),
         "values": packed(values),
     }
+
+
+def _full(values: np.ndarray, share: float) -> float:
+    """The quantile `share` of the sizes of what is known, from which on colour is full."""
+    known = np.abs(values[np.isfinite(values)])
+    return max(float(np.quantile(known, share)), 1e-9) if len(known) else 1.0

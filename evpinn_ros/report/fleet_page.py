@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Sequence
 import math
 from pathlib import Path
 from typing import Any
 
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
 from evpinn_ros.fleet.tables import SHOWN, FleetSummary
-from evpinn_ros.report.html import table, write_page
+from evpinn_ros.report.html import write_page
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 POPULATION_HEAD = ("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth")
@@ -23,15 +22,19 @@ def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    counts = summary.counts
-    sections = [
-        f"<p>{counts['cars']} cars, {counts['drives']} drives, {counts['learned']} learned, "
-        f"{counts['problems']} problems.</p>",
-        *(_population(key, one) for key, one in summary.populations.items()),
-        _section("Cars", CAR_HEAD, map(_car_cells, summary.cars), counts["cars"]),
-        _section("Problems", ("what", "why"), summary.problems, counts["problems"]),
-    ]
-    write_page(path, "evpinn fleet", command, sections)
+    write_page(
+        path,
+        "fleet.html.j2",
+        title="evpinn fleet",
+        command=command,
+        counts=summary.counts,
+        shown=SHOWN,
+        population_head=POPULATION_HEAD,
+        populations={key: population_cells(one) for key, one in summary.populations.items()},
+        car_head=CAR_HEAD,
+        cars=[_car_cells(row) for row in summary.cars],
+        problems=summary.problems,
+    )
 
 
 def population_cells(population: Population) -> list[tuple[str, ...]]:
@@ -61,10 +64,6 @@ def _value_cells(name: str, found: PopulationValue) -> tuple[str, ...]:
     )
 
 
-def _population(key: str, population: Population) -> str:
-    return _section(f"Vehicle model {key}", POPULATION_HEAD, population_cells(population))
-
-
 def _car_cells(row: dict[str, Any]) -> Sequence[str]:
     parameters = (
         "-" if row[name] is None else f"{row[name]:.4g} +- {row[f'{name}_std']:.2g}"
@@ -72,14 +71,3 @@ def _car_cells(row: dict[str, Any]) -> Sequence[str]:
     )
     drives = f"{row['learned']} of {row['drives']}"
     return (row["car"], row["vehicle"], drives, f"{row['duration_s'] / 3600:.2f}", *parameters)
-
-
-def _section(
-    title: str, head: Sequence[str], rows: Iterable[Sequence[str]], count: int | None = None
-) -> str:
-    """A table with its title; `count` are all rows there are."""
-    lines = list(rows)
-    if not lines:
-        return ""
-    more = "" if count is None or count <= SHOWN else f" (the first {SHOWN} of {count})"
-    return f"<h2>{escape(title)}{more}</h2>\n{table(head, lines)}"

@@ -1,82 +1,73 @@
-"""One self-contained HTML file: sections, tables, pictures, and the command that made them."""
+"""One self-contained HTML file from a template: what it holds, and what its browser may do."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from functools import cache
 import hashlib
-from html import escape
-import io
-import json
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from evpinn_ros.common.fsync import replaced
 
 BROWSER = Path(__file__).with_name("browser")  # what runs in the reader's browser
 UPLOT = BROWSER / "uplot"  # version 1.6.32 from npm, with its licence
+TEMPLATES = Path(__file__).with_name("templates")
 
 
 def write_page(
-    path: Path, title: str, command: str, sections: Sequence[str], plots: Any = None
+    path: Path, template: str, *, title: str, command: str, plots: Any = None, **values: Any
 ) -> None:
-    """Write a page of sections that are HTML already.
+    """Write a page.
 
     The page loads nothing and runs nothing but the scripts it was made with: its policy names
     their hashes, so text that came with a drive could not run even if it were not escaped.
 
     Args:
         path: of the new file.
+        template: its file in `TEMPLATES`, which extends `page.html.j2`.
         title: text.
         command: that made it, text.
-        sections: HTML.
-        plots: what `browser/drive.js` draws into the sections, for JSON; None without plots.
+        plots: what `browser/drive.js` draws, for JSON; None without plots.
+        values: for the template.
     """
-    styles = [_text(BROWSER / "page.css")]
-    scripts: list[str] = []
+    styles, scripts = [_text(BROWSER / "page.css")], []
     if plots is not None:
         styles.insert(0, _text(UPLOT / "uPlot.min.css"))
-        licence = _text(UPLOT / "LICENSE")
-        scripts = [f"/*\n{licence}*/\n{_text(UPLOT / 'uPlot.iife.min.js')}"]
-        scripts.append(_text(BROWSER / "drive.js"))
-    body = "\n".join(sections)
-    data = "" if plots is None else _data(plots)
+        uplot = f"/*\n{_text(UPLOT / 'LICENSE')}*/\n{_text(UPLOT / 'uPlot.iife.min.js')}"
+        scripts = [uplot, _text(BROWSER / "drive.js")]
     page = (
-        "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>\n"
-        f'<meta http-equiv="Content-Security-Policy" content="{_policy(scripts)}">\n'
-        "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
-        "<meta name='color-scheme' content='light dark'>\n"
-        f"<title>{escape(title)}</title>\n<style>{''.join(styles)}</style></head>\n<body>\n"
-        f"<h1>{escape(title)}</h1>\n"
-        f"<p class='command'>Made by <code>{escape(command)}</code></p>\n{body}\n{data}"
-        + "".join(f"<script>{script}</script>\n" for script in scripts)
-        + "</body></html>\n"
+        _templates()
+        .get_template(template)
+        .render(
+            values,
+            title=title,
+            command=command,
+            plots=plots,
+            styles=styles,
+            scripts=scripts,
+            policy=_policy(scripts),
+        )
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as draft:
         draft.write_bytes(page.encode("utf-8", "replace"))  # a path may hold what is no text
 
 
-def embedded(figure: Figure, description: str) -> str:
-    """A picture inside the page."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    image = base64.b64encode(buffer.getvalue()).decode()
-    return f"<img alt='{escape(description)}' src='data:image/png;base64,{image}'>"
-
-
-def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A table of text, which scrolls by itself where the page is narrow."""
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+@cache
+def _templates() -> Environment:
+    found = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    return (
-        f"<div class='wide'><table><thead><tr>{head}</tr></thead>"
-        f"<tbody>{body}</tbody></table></div>"
-    )
+    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    return found
 
 
 def _policy(scripts: Iterable[str]) -> str:
@@ -87,12 +78,6 @@ def _policy(scripts: Iterable[str]) -> str:
         f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
-
-
-def _data(plots: Any) -> str:
-    """JSON in an element that nothing within it can end."""
-    text = json.dumps(plots, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return f"<script type='application/json' id='plots'>{text}</script>\n"
 
 
 def _text(path: Path) -> str:

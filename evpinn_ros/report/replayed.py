@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.replay.run import Replayed, ReplayOptions
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.simulation.truth_file import read_truth
@@ -12,7 +13,12 @@ from evpinn_ros.vehicle.files import Vehicle
 
 
 def write_replayed(
-    path: Path, done: Sequence[Replayed], vehicle: Vehicle, options: ReplayOptions, command: str
+    path: Path,
+    done: Sequence[Replayed],
+    vehicle: Vehicle,
+    options: ReplayOptions,
+    command: str,
+    units: Units = METRIC,
 ) -> None:
     """Write the report of replayed drives, with the truth that lies beside simulated ones."""
     drives = [
@@ -26,4 +32,4 @@ def write_replayed(
         )
         for each in done
     ]
-    write_drives(path, drives, command)
+    write_drives(path, drives, command, units)

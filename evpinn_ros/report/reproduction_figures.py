@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import io
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
@@ -24,6 +27,13 @@ def reproduction_figures(outcome: Outcome) -> dict[str, Figure]:
         f"Fig. {drive}: battery power and energy": _drive(outcome),
         "The same network on road not yet driven": _unseen(outcome),
     }
+
+
+def data_uri(figure: Figure) -> str:
+    """A picture as an address that a page holds in itself."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
 def _power_losses(outcome: Outcome) -> Figure:

@@ -12,6 +12,9 @@ import math
 from typing import TypeAlias
 
 NANOSECONDS = 1_000_000_000
+# A drive without a date is placed on this day, 2020-01-01: header stamps must not be zero, and the
+# same file must give the same bag.
+DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
 MAX_TORQUE = 20_000.0  # N m, more than the axle of any production car
 MAX_MOTOR_SPEED = 4_000.0  # rad/s, 38,000 rpm, faster than any traction motor turns
 
@@ -54,10 +57,18 @@ class GradeReading:
 
 @dataclass(frozen=True, slots=True)
 class AltitudeReading:
-    """Altitude, m."""
+    """Altitude, m, and of the same fix latitude and longitude, degrees, NaN where unknown."""
 
     stamp_ns: int
     altitude: float
+    latitude: float = math.nan
+    longitude: float = math.nan
+
+    @property
+    def has_position(self) -> bool:
+        """True for a place on Earth; a receiver without a fix tells 0, 0."""
+        possible = abs(self.latitude) <= 90.0 and abs(self.longitude) <= 180.0
+        return possible and (self.latitude, self.longitude) != (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ def imu_message(new: NewMessage, reading: GradeReading) -> Any:
 
 
 def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
-    """Altitude alone: latitude and longitude are NaN.
+    """Altitude, with latitude and longitude or NaN for both.
 
     The status is FIX because by its definition a value is valid from there on; NO_FIX would void
     the altitude. The altitude is that of the source, not surely above the WGS 84 ellipsoid.
@@ -69,8 +69,8 @@ def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
         topics.FIX_TYPE,
         header=header(new, reading.stamp_ns, VEHICLE_FRAME),
         status=new("sensor_msgs/msg/NavSatStatus", status=STATUS_FIX, service=0),
-        latitude=math.nan,
-        longitude=math.nan,
+        latitude=reading.latitude,
+        longitude=reading.longitude,
         altitude=finite(reading.altitude),
         position_covariance_type=COVARIANCE_UNKNOWN,
     )
@@ -214,10 +214,12 @@ def _undo(q: Any, mounting: Rotation) -> Rotation:
 
 
 def altitude_reading(message: Any) -> AltitudeReading:
-    """Altitude of a NavSatFix, which is valid from STATUS_FIX on."""
+    """Altitude of a NavSatFix, which is valid from STATUS_FIX on; its position if it is one."""
     if message.status.status < STATUS_FIX:
         raise BadMessage("no_fix", usual=True)
-    return AltitudeReading(stamp_ns(message), usable(message.altitude))
+    stamp, altitude = stamp_ns(message), usable(message.altitude)
+    found = AltitudeReading(stamp, altitude, message.latitude, message.longitude)
+    return found if found.has_position else AltitudeReading(stamp, altitude)
 
 
 def temperature_reading(message: Any) -> TemperatureReading:

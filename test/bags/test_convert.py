@@ -35,6 +35,7 @@ READINGS = st.one_of(
     st.builds(BatteryReading, STAMPS, NUMBERS, NUMBERS | st.just(math.nan)),
     st.builds(GradeReading, STAMPS, st.floats(-0.5, 0.5)),
     st.builds(AltitudeReading, STAMPS, NUMBERS),
+    st.builds(AltitudeReading, STAMPS, NUMBERS, st.floats(1, 90), st.floats(-180, 180)),
     st.builds(TemperatureReading, STAMPS, NUMBERS),
     st.builds(PressureReading, STAMPS, NUMBERS),
     st.builds(WindReading, STAMPS, NUMBERS),

@@ -60,7 +60,7 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
     done = evpinn(
         *("replay", "drive", "--vehicle", "tesla_model_3_lr", "--metrics", "found.json"),
         *("--warm-up", 10, "--withhold-battery-after", 30, "--out", "learned"),
-        *("--report", "report.html", "--state", "state.json"),
+        *("--report", "report.html", "--units", "us", "--state", "state.json"),
         cwd=folder,
     )
     assert done.returncode == 0, done.stderr
@@ -74,7 +74,8 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
     keys = {"value", "std", "prior_share", "lower", "upper", "state"}
     assert all(set(each) == keys for each in found["parameters"].values())
     assert found["withheld"]["power"]["rmse_w"] > 0
-    assert "data-plot='power'" in (folder / "report.html").read_text()
+    report = (folder / "report.html").read_text()
+    assert 'data-plot="power"' in report and "speed, mph" in report
     assert (folder / "learned" / "metadata.yaml").is_file()
     assert json.loads((folder / "state.json").read_text())["vehicle"] == "tesla_model_3_lr"
 

@@ -17,7 +17,12 @@ from evpinn_ros.common.text_lines import LONGEST_LINE
 from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.contents import contents
 from evpinn_ros.drives.sources import is_drive_table
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading, TemperatureReading
+from evpinn_ros.signals.readings import (
+    AltitudeReading,
+    BatteryReading,
+    SpeedReading,
+    TemperatureReading,
+)
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 START = datetime(2024, 3, 5, 7, 8, 9, tzinfo=timezone.utc)
@@ -109,6 +114,8 @@ def test_an_app_is_read_without_a_flag(tmp_path, name):
     readings = list(drive.readings())
     assert drive.dated == dated and not drive.dropped and not drive.first_bad
     speeds = [r for r in readings if isinstance(r, SpeedReading)]
+    places = {(r.latitude, r.longitude) for r in readings if isinstance(r, AltitudeReading)}
+    assert ((1.0, 2.0) in places) == (name == "abrp.csv")
     currents = [r for r in readings if isinstance(r, BatteryReading) and not math.isnan(r.current)]
     voltages = [r.voltage for r in readings if isinstance(r, BatteryReading)]
     assert len(speeds) == len(currents) == SECONDS

@@ -16,8 +16,7 @@ from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.column import columns_by_name
 from evpinn_ros.drives.evidence import Signal, at_times
 from evpinn_ros.drives.table_drive import TableDrive
-from evpinn_ros.drives.times import DRIVE_START_NS
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 NOMINAL = 350.0
@@ -209,3 +208,21 @@ def test_a_real_drive_under_other_names(tmp_path, name):
             assert one.speed == pytest.approx(other.speed)
         else:
             assert one.power == pytest.approx(other.power)
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("GPS Latitude", True),
+        ("Latitude (°)", True),
+        ("Lat offset (m)", False),
+        ("Lat acceleration (g)", False),
+        ("Lat Term Fuel Trim", False),
+    ],
+)
+def test_what_is_no_place_ends_no_file(tmp_path, name, place):
+    header = f"time (s),Vehicle speed (km/h),Battery voltage (V),Battery current (A),{name}"
+    lines = (f"{t:.1f},{3.6 * v:.4f},{u:.1f},{i:.4f},48.1" for t, v, u, i in rows())
+    drive = drive_of(tmp_path, header, lines)
+    assert ("latitude" in {rule.quantity for rule in drive.rules}) == place
+    check(drive)

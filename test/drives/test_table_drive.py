@@ -9,8 +9,8 @@ import pytest
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
-from evpinn_ros.drives.times import DRIVE_START_NS
 from evpinn_ros.signals.readings import (
+    DRIVE_START_NS,
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
@@ -33,14 +33,14 @@ def test_all_columns(tmp_path):
     drive = drive_of(
         tmp_path,
         "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w,soc_pct,"
-        "motor_torque_nm,motor_speed_rad_s,x\n"
-        "0.5,10,400,50,1,570,-3,1500,250,80,-20,270,7\n",
+        "motor_torque_nm,motor_speed_rad_s,latitude,longitude,x\n"
+        "0.5,10,400,50,1,570,-3,1500,250,80,-20,270,48.1,11.5,7\n",
     )
     stamp = START + 500_000_000
     expected = [
         SpeedReading(stamp, 10.0),
         BatteryReading(stamp, 400.0, -50.0, 0.8),
-        AltitudeReading(stamp, 570.0),
+        AltitudeReading(stamp, 570.0, 48.1, 11.5),
         TemperatureReading(stamp, -3.0),
         AuxiliaryReading(stamp, 1500.0, 250.0),
         MotorReading(stamp, -20.0, 270.0),

@@ -42,6 +42,9 @@ READINGS = st.one_of(
     st.builds(BatteryReading, STAMPS, NUMBERS, NUMBERS, st.floats(0, 1, width=32)),
     st.builds(BatteryReading, STAMPS, NUMBERS, st.just(math.nan)),
     st.builds(AltitudeReading, STAMPS, NUMBERS),
+    st.builds(AltitudeReading, STAMPS, NUMBERS, st.floats(-90, 90), st.floats(-180, 180)).filter(
+        lambda reading: reading.has_position
+    ),
     st.builds(TemperatureReading, STAMPS, NUMBERS),
     st.builds(PressureReading, STAMPS, NUMBERS),
     st.builds(WindReading, STAMPS, NUMBERS),
@@ -259,6 +262,13 @@ def test_altitude_is_a_valid_fix_without_a_place():
     message = reading_messages.altitude_message(new_message, AltitudeReading(NOW, 570.0))
     assert message.status.status >= message.status.STATUS_FIX
     assert math.isnan(message.latitude) and math.isnan(message.longitude)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (91.0, 11.0), (48.0, 181.0), (math.nan, 11.0)])
+def test_what_is_no_place_leaves_its_altitude(place):
+    message = reading_messages.altitude_message(new_message, AltitudeReading(NOW, 570.0, *place))
+    found = reading_messages.altitude_reading(message)
+    assert found.altitude == 570.0 and math.isnan(found.latitude) and math.isnan(found.longitude)
 
 
 def test_a_named_vector_reads_back_by_name():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
 from evpinn_ros.estimation.energy_parts import COUNT, Part
 from evpinn_ros.replay.breakdown_text import (
@@ -46,9 +47,22 @@ def test_what_cannot_be_told_apart_is_one_row_and_says_so():
     assert not any("cannot be separated" in line for line in breakdown_lines(apart))
 
 
-def test_a_sentence_tells_the_largest_part_that_is_known():
-    first = breakdown_lines(breakdown_metrics(breakdown(), "hybrid"))[0]
-    assert first == "Air and wind took 3.0 +- 0.5 kWh, 30 % of this drive."
+def test_a_sentence_tells_of_heating_where_it_took_much_else_of_the_largest_part():
+    found = breakdown_metrics(breakdown(), "hybrid")
+    told = "Heating and cooling took 2.00 +- 0.02 kWh, a fifth of this drive."
+    assert breakdown_lines(found)[0] == told
+    found["speed"] = found["speed"] | {"kwh": 4.0, "sigma_kwh": 0.1, "share": 0.4}
+    for less in ({"share": 0.05}, {"sigma_kwh": 1.5}):
+        found["climate"] = found["climate"] | less
+        told = "Air and wind took 3.0 +- 0.5 kWh, 30 % of this drive."
+        assert breakdown_lines(found)[0] == told
+
+
+def test_rows_in_other_units_are_the_same_energy():
+    found = breakdown_metrics(breakdown(), "hybrid")
+    metric, us = (float(breakdown_rows(found, units)[0][3]) for units in (METRIC, US))
+    assert us == pytest.approx(metric * 1000 / 100 * 1.609344, rel=1e-3)
+    assert "31.1 mi" in breakdown_lines(found, US)[-1]
 
 
 @pytest.mark.parametrize(("mode", "why"), [("paper", PAPER), ("hybrid", NOTHING)])

@@ -1,14 +1,17 @@
 """The report of a drive in a real Chromium."""
 
 import base64
+from dataclasses import replace
 import io
 from pathlib import Path
+import re
 
 from matplotlib.image import imread
 import numpy as np
 import pytest
 
 from evpinn_ros.report.drive_page import write_drives
+from evpinn_ros.report.driven import Steps, measured_steps, travelled
 
 INKED = """Array.from(document.querySelectorAll('canvas'), canvas => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height)
@@ -54,15 +57,26 @@ def box(browser, plot: str) -> tuple[float, float, float, float]:
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [1100, 390])
+@pytest.mark.parametrize("width", [1100, 500, 390])
 def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
     browser.open(page, width=width, dark=dark)
     inked = browser.run(INKED)
-    assert len(inked) == 16 and min(inked) > 5  # colours: axes, grid and what is drawn
+    assert len(inked) == 18 and min(inked) > 5  # colours: axes, grid and what is drawn
     whole, seen = browser.run(WIDTHS)
     assert whole <= seen == width or (width > 600 and whole <= seen)
     assert browser.troubles == []
     assert browser.requests == [page.as_uri()]
+
+
+def test_long_names_of_parts_fit_a_narrow_page(browser, reported, tmp_path):
+    breakdown = dict(reported.found["breakdown"])
+    group = {"parts": ["brakes", "drivetrain", "standing"], **breakdown["drivetrain"]}
+    found = dict(reported.found) | {"breakdown": breakdown | {"together": [group]}}
+    path = tmp_path / "long.html"
+    write_drives(path, [replace(reported, found=found)], "evpinn replay x")
+    browser.open(path, width=390)
+    whole, seen = browser.run(WIDTHS)
+    assert whole <= seen == 390
 
 
 def test_dark_is_dark(browser, page):
@@ -81,12 +95,53 @@ def test_to_zoom_one_curve_zooms_all_over_time_and_back(browser, page):
     browser.drag((left + 0.3 * width, y), (left + 0.5 * width, y))
     browser.run(SETTLED)
     changed = differ(before, pictures(browser))
-    # Four maps and plots of errors stay, the rest follows.
-    assert changed.count(False) == 4 and len(changed) == 16
+    # Four maps and plots of errors, and energy by speed, stay; the rest follows.
+    assert changed.count(False) == 5 and len(changed) == 18
     browser.run("document.querySelector('button').click()")
     browser.run(SETTLED)
     assert not any(differ(before, pictures(browser)))
     assert browser.troubles == []
+
+
+def test_a_stretch_has_its_own_figures(browser, reported, page):
+    browser.open(page, width=1100)
+    whole = stretch(browser)
+    left, top, width, height = box(browser, "speed")
+    y = top + height / 2
+    browser.drag((left + 0.4 * width, y), (left + 0.7 * width, y))
+    browser.run(SETTLED)
+    part = stretch(browser)
+    driven, measured = travelled(reported.drive), measured_steps(reported.drive)
+    for begin, end, km, kmh, kwh, consumption, *_ in (whole, part):
+        # The stretch is known to the pixel, its times are shown to the second.
+        far, known = (between(steps, begin, end) for steps in (driven, measured))
+        assert km == pytest.approx(far.distance.sum() / 1000, abs=0.03)
+        assert kmh == pytest.approx(3600 * km / (end - begin), rel=0.05)
+        assert kwh == pytest.approx(known.energy.sum() / 3.6e6, abs=0.02)
+        over = known.distance.sum() / 1e5
+        assert consumption * over == pytest.approx(kwh, rel=0.03, abs=0.001)
+    browser.run("document.querySelector('button').click()")
+    browser.run(SETTLED)
+    assert stretch(browser) == whole and browser.troubles == []
+
+
+def between(steps: Steps, begin: float, end: float) -> Steps:
+    return steps.those((steps.end > begin) & (steps.end <= end))
+
+
+def stretch(browser) -> list[float]:
+    """Begin and end, s, and the numbers that follow in the line of figures."""
+    first, *rest = browser.run(
+        "Array.from(document.querySelectorAll('.stretch span'), s => s.innerText)"
+    )
+    times = [
+        60.0 * int(minutes) + int(seconds)
+        for minutes, seconds in (text.split(":") for text in first.split(" to "))
+    ]
+    return [
+        *times,
+        *(float(text.split()[0].replace("\u2212", "-").replace("charge", "0")) for text in rest),
+    ]
 
 
 def test_values_show_under_the_cursor(browser, page):
@@ -95,6 +150,7 @@ def test_values_show_under_the_cursor(browser, page):
         ("power", ("measured", "predicted", "to")),
         ("mass", ("truth", "prior", "%")),
         ("outcome", ("forecast", "±")),
+        ("by_speed", ("steady, flat", "to")),
     ):
         left, top, width, height = box(browser, plot)
         where = {"x": left + 0.6 * width, "y": top + 0.5 * height}
@@ -111,6 +167,31 @@ def test_values_show_under_the_cursor(browser, page):
     assert browser.troubles == []
 
 
+def test_a_map_shows_power_where_it_is_pointed_at(browser, reported, tmp_path):
+    """A road straight to the north stands upright in the middle; the stretch shown is strong."""
+    time = np.linspace(0.0, reported.drive.duration, 300)
+    place = np.column_stack((time, 48.0 + time / 1e4, np.full(300, 11.0)))
+    path = tmp_path / "map.html"
+    drive = replace(reported.drive, position=place)
+    write_drives(path, [replace(reported, drive=drive)], "evpinn replay x")
+    browser.open(path, width=1100)
+    left, top, width, height = box(browser, "map")
+    where = {"x": left + 0.5 * width, "y": top + 0.5 * height}
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
+    readout = "document.querySelector(\"[data-plot='map'] + .readout\").innerText"
+    assert re.fullmatch(r"1:1\d: \S+ kW|1:1\d: not measured", browser.run(readout))
+    where["x"] = left + 0.1 * width
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
+    assert "Point at the road" in browser.run(readout)
+    before = pictures(browser)[1]
+    left, top, width, height = box(browser, "speed")
+    y = top + height / 2
+    browser.drag((left + 0.4 * width, y), (left + 0.5 * width, y))
+    browser.run(SETTLED)
+    assert differ([before], [pictures(browser)[1]]) == [True]
+    assert browser.troubles == []
+
+
 def test_a_finger_zooms_sideways(browser, page):
     browser.open(page, width=390)
     before = pictures(browser)
@@ -119,7 +200,7 @@ def test_a_finger_zooms_sideways(browser, page):
         at = [] if share is None else [{"x": left + share * width, "y": top + height / 2}]
         browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=at)
     browser.run(SETTLED)
-    assert differ(before, pictures(browser)).count(True) == 12
+    assert differ(before, pictures(browser)).count(True) == 13
     assert browser.troubles == []
 
 
@@ -127,9 +208,9 @@ def test_a_drive_that_is_opened_later_is_drawn(browser, reported, tmp_path):
     path = tmp_path / "two.html"
     write_drives(path, [reported, reported], "evpinn replay a b")
     browser.open(path, width=390)
-    assert len(browser.run(INKED)) == 16
-    browser.run("document.querySelectorAll('summary')[1].click()")
-    browser.wait_for("document.querySelectorAll('canvas').length === 32")
+    assert len(browser.run(INKED)) == 18
+    browser.run("document.querySelectorAll('[data-drive] > summary')[1].click()")
+    browser.wait_for("document.querySelectorAll('canvas').length === 36")
     browser.run(SETTLED)
     assert min(browser.run(INKED)) > 5
     whole, seen = browser.run(WIDTHS)
@@ -160,6 +241,7 @@ def test_dark_pages_print_as_light_ones(browser, page):
     browser.run("dispatchEvent(new Event('beforeprint'))")
     browser.run(SETTLED)
     assert not any(differ(light, pictures(browser)))
+    assert browser.run("document.querySelector('details').open")  # paper unfolds nothing
     browser.run("dispatchEvent(new Event('afterprint'))")
     browser.run(SETTLED)
     assert not any(differ(dark, pictures(browser)))

@@ -1,5 +1,6 @@
 """The report of a drive as text: whole, self-contained, and safe whatever a bag holds."""
 
+import base64
 from dataclasses import replace
 from html.parser import HTMLParser
 import json
@@ -9,13 +10,21 @@ import re
 import numpy as np
 import pytest
 
+from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.replay.breakdown_text import PAPER, breakdown_metrics, shown
 from evpinn_ros.replay.history import PowerSeries
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
+from evpinn_ros.report.driven import measured_steps
 from evpinn_ros.report.html import BROWSER, UPLOT
+from evpinn_ros.report.thinning import LEVELS, NO_VALUE
+from evpinn_ros.signals.readings import DRIVE_START_NS
 
 HEADINGS = [
+    "Where the energy went",
     "The drive",
+    "How sure is this",
+    "Predict, then update; after 30 s",
+    "Parameters at the end",
     "What was learned",
     "What could be known",
     "Where the data lay, and where predictions were off",
@@ -30,7 +39,8 @@ class Page(HTMLParser):
 
     Attributes:
         tags: every element with its attributes.
-        headings: text of those of the second level.
+        headings: text of those of the second and third level.
+        words: text that a person reads, in order.
         data: that the plots are drawn from.
     """
 
@@ -38,6 +48,7 @@ class Page(HTMLParser):
         super().__init__()
         self.tags: list[tuple[str, dict]] = []
         self.headings: list[str] = []
+        self.words = ""
         self.text = path.read_text("utf-8")
         self._now = ""
         self.feed(self.text)
@@ -50,7 +61,9 @@ class Page(HTMLParser):
         self._now = ""
 
     def handle_data(self, data):
-        if self._now == "h2":
+        if self._now not in ("plots", "script", "style"):
+            self.words += data
+        if self._now in ("h2", "h3"):
             self.headings.append(data)
         elif self._now == "plots":
             self.data = json.loads(data)
@@ -60,9 +73,9 @@ class Page(HTMLParser):
         return [found["data-plot"] for _, found in self.tags if "data-plot" in found]
 
 
-def page(tmp_path, *drives: ReportedDrive, command="evpinn replay x") -> Page:
+def page(tmp_path, *drives: ReportedDrive, command="evpinn replay x", units=METRIC) -> Page:
     path = tmp_path / "deep" / "report.html"
-    write_drives(path, drives, command)
+    write_drives(path, drives, command, units)
     return Page(path)
 
 
@@ -75,7 +88,7 @@ def test_the_whole_story_is_told(reported, tmp_path):
     found = page(tmp_path, reported, command="evpinn replay out/town")
     assert found.headings == HEADINGS
     assert "<code>evpinn replay out/town</code>" in found.text
-    assert set(found.plots) == set(found.data[0]["charts"]) and len(found.plots) == 16
+    assert set(found.plots) == set(found.data[0]["charts"]) and len(found.plots) == 18
     for text in (
         "baseline: last value held",
         "baseline: random split",
@@ -87,6 +100,89 @@ def test_the_whole_story_is_told(reported, tmp_path):
         assert text in found.text
     assert "svg" in [tag for tag, _ in found.tags]
     assert len(found.data[0]["events"]) == 2
+
+
+def test_what_the_drive_took_comes_before_how_sure_that_is(reported, tmp_path):
+    words = page(tmp_path, reported).words
+    order = ["kWh/100 km", "Where the energy went", "Energy by speed", "How sure is this", "RMSE"]
+    assert sorted(order, key=words.index) == order
+    sentence = re.search(r"[A-Z][a-z ]+ took (\S+) ± (\S+) kWh, .+ of this drive\.", words)
+    assert float(sentence[1]) > 2 * float(sentence[2])
+    consumption = float(re.search(r"(\S+)kWh/100 km", words)[1])
+    expected = reported.found["breakdown"]["measured"]["kwh_per_100km"]
+    assert consumption == pytest.approx(expected, rel=0.1)  # of the intervals learned from
+
+
+def test_a_steady_speed_takes_what_the_true_car_would(reported, tmp_path):
+    """The band of the learned car holds the truth of the simulation, in the units of the page."""
+    truth, car = reported.truth, reported.vehicle
+    for units in (METRIC, US):
+        chart = page(tmp_path, reported, units=units).data[0]["charts"]["by_speed"]
+        low, middle, high = (unpacked(chart[name]) for name in ("low", "middle", "high"))
+        speed = (chart["start"] + np.arange(len(middle))) * units.metres / 3600
+        drag = 0.5 * car.air_density * car.frontal_area * truth.c_d * speed**2
+        force = (drag + truth.mass * truth.c_rr * 9.81) / truth.eta
+        true = (force + truth.p_aux / speed) * units.metres / 3600
+        driven = speed * 3.6 < 60
+        assert ((low < true) & (true < high))[driven].all()
+        assert (high - low)[driven].max() < middle[driven].max()
+
+
+def test_bars_by_speed_are_what_was_measured(reported, tmp_path):
+    chart = page(tmp_path, reported).data[0]["charts"]["by_speed"]
+    begin, per_km, km = np.array(chart["bars"]).T
+    steps = measured_steps(reported.drive)
+    inside = np.isin(np.floor(steps.speed * 3.6 / chart["width"]) * chart["width"], begin)
+    assert len(begin) >= 2 and begin.min() >= chart["width"]
+    assert km.sum() == pytest.approx(steps.distance[inside].sum() / 1000)
+    assert per_km @ km == pytest.approx(steps.energy[inside].sum() / 3600)
+
+
+def on_a_square(reported: ReportedDrive) -> ReportedDrive:
+    """Twice around a square of 1 km, first to the north, at 50 degrees north."""
+    time = np.linspace(0.0, reported.drive.duration, 801)
+    way = np.linspace(0.0, 8.0, 801) % 4.0
+    north = np.interp(way, [0, 1, 2, 3, 4], [0, 1, 1, 0, 0])
+    east = np.interp(way, [0, 1, 2, 3, 4], [0, 0, 1, 1, 0])
+    degrees = 1 / 111.195
+    latitude = 50.0 + north * degrees
+    longitude = 10.0 + east * degrees / np.cos(np.radians(50.0))
+    position = np.column_stack((time, latitude, longitude))
+    return replace(reported, drive=replace(reported.drive, position=position))
+
+
+def test_a_drive_with_a_position_has_a_map(reported, tmp_path):
+    assert "map" not in page(tmp_path, reported).plots
+    found = page(tmp_path, on_a_square(reported))
+    assert "Where it was driven" in found.headings and "map" in found.plots
+    chart = found.data[0]["charts"]["map"]
+    east, north, time, power = (unpacked(chart[n]) for n in ("east", "north", "time", "power"))
+    for side in (east, north):
+        assert (side.min(), side.max()) == pytest.approx((0.0, 1.0), abs=0.01)
+    assert north[np.searchsorted(time, time[-1] / 8)] == pytest.approx(1.0, abs=0.02)
+    spent = np.nansum(power[1:] * np.diff(time))
+    measured = measured_steps(reported.drive).energy.sum() / 1000
+    assert spent == pytest.approx(measured, rel=0.1)  # but for the gaps
+
+
+def test_units_of_the_united_states_stand_alone(reported, tmp_path):
+    metric, us = (page(tmp_path / u.speed[:2], reported, units=u) for u in (METRIC, US))
+    assert re.search(r"\d mph", us.words) and "mi/kWh" in us.words and "Wh/mi" in us.words
+    assert not re.search(r"\bkm\b|km/h|°C", us.words)
+    axes = [chart.get("axis", chart.get("axes")) for chart in us.data[0]["charts"].values()]
+    assert "km" not in str(axes)
+    speeds = [
+        unpacked(found.data[0]["charts"]["speed"]["series"][0]["values"]) for found in (metric, us)
+    ]
+    assert np.nanmax(speeds[0]) / np.nanmax(speeds[1]) == pytest.approx(1.609344, rel=1e-3)
+
+
+@pytest.mark.parametrize("start_ns", [0, 5 * 10**9, DRIVE_START_NS])
+def test_a_log_without_a_date_is_undated(reported, tmp_path, start_ns):
+    words = page(
+        tmp_path, replace(reported, drive=replace(reported.drive, start_ns=start_ns))
+    ).words
+    assert "undated" in words and "1970" not in words and "2020-01" not in words
 
 
 def test_nothing_is_fetched_and_nothing_else_runs(reported, tmp_path):
@@ -111,7 +207,7 @@ def test_what_a_bag_holds_is_text(reported, tmp_path):
 
 def test_several_drives_open_one_by_one(reported, tmp_path):
     found = page(tmp_path, reported, reported)
-    assert ["open" in a for tag, a in found.tags if tag == "details"] == [True, False]
+    assert ["open" in a for _, a in found.tags if "data-drive" in a] == [True, False]
     assert len(found.data) == 2 and "<title>2 drives</title>" in found.text
 
 
@@ -163,6 +259,13 @@ def test_wild_numbers_of_a_bag_make_a_page(reported, tmp_path):
     with np.errstate(over="ignore"):
         found = page(tmp_path, replace(reported, drive=drive))
     assert found.headings == HEADINGS and len(found.text) < 3e6
+
+
+def unpacked(found: dict) -> np.ndarray:
+    levels = np.frombuffer(base64.b64decode(found["levels"]), dtype="<i2").astype(float)
+    return np.where(
+        levels == NO_VALUE, np.nan, found["low"] + (levels + LEVELS // 2) * found["step"]
+    )
 
 
 def test_uplot_is_the_release_that_it_says():

@@ -1,5 +1,5 @@
-// Draws the plots of a drive's report with uPlot. What they hold is made by drive_charts.py and
-// drive_maps.py; each is drawn into the element that names it by data-plot.
+// Draws the plots of a drive's report with uPlot. What they hold is made by drive_charts.py,
+// drive_energy.py and drive_maps.py; each is drawn into the element that names it by data-plot.
 "use strict";
 (() => {
   const plots = JSON.parse(document.getElementById("plots").textContent);
@@ -53,6 +53,11 @@
   const follow = (group) => (u, key) => {
     if (key !== "x") return;
     const { min, max } = u.scales.x;
+    if (group.shown[0] !== min || group.shown[1] !== max) {
+      group.shown = [min, max];
+      group.tell(min, max);
+      for (const other of group.routes) other.redraw(false);
+    }
     for (const other of group.members) {
       const x = other.scales.x;
       if (other !== u && (x.min !== min || x.max !== max)) other.setScale("x", { min, max });
@@ -215,6 +220,40 @@
     }, data];
   };
 
+  // Energy over distance: bars as measured, and the line of a steady speed in its band.
+  const bySpeed = (spec) => {
+    const middle = unpack(spec.middle), x = middle.map((_, i) => spec.start + i);
+    const measured = new Map(spec.bars.map((bar) => [bar[0], bar]));
+    const barAt = (v) => measured.get(Math.floor(v / spec.width) * spec.width);
+    const bars = x.map((v) => (barAt(v) || [])[1]);
+    const data = [x, unpack(spec.low), middle, unpack(spec.high), bars];
+    const [distance] = spec.axes[1].split("/").slice(1), digits = (v) => number(v, 0);
+    const hidden = { class: "unlisted", width: 0, points: { show: false } };
+    const draw = (u) => tidy(u.ctx, () => {
+      u.ctx.fillStyle = palette.bar;
+      for (const [begin, energy] of spec.bars) {
+        const from = u.valToPos(begin, "x", true), to = u.valToPos(begin + spec.width, "x", true);
+        const top = u.valToPos(energy, "y", true), foot = u.valToPos(0, "y", true);
+        u.ctx.fillRect(from + 1, Math.min(top, foot), to - from - 2, Math.abs(foot - top));
+      }
+    });
+    return [{
+      height: 270, cursor: { drag: { x: true, y: false }, points: { size: 5 } },
+      scales: { x: { time: false, range: (_, low, high) => [low === x[0] ? 0 : low, high] },
+        y: { range: (_, low, high) => [Math.min(0, low * 1.05), high * 1.05] } },
+      axes: [axis(spec.axes[0], { size: 28, space: 50 }), sideAxis(spec.axes[1])],
+      series: [{ label: "speed", value: (_, v) => (v == null ? "" : digits(v)) }, hidden,
+        { label: "steady, flat", stroke: () => palette.predicted, width: 2, points: { show: false },
+          value: (u, v, _, i) => (v == null ? ""
+            : `${digits(v)} (${digits(u.data[1][i])} to ${digits(u.data[3][i])})`) },
+        hidden, { label: "measured", paths: () => null, points: { show: false },
+          stroke: () => palette.bar, value: (u, v, _, i) => (v == null ? ""
+            : `${digits(v)}, over ${number(barAt(x[i])[2], 1)} ${distance}`) }],
+      bands: [{ series: [3, 1], fill: () => palette.band }],
+      hooks: { drawAxes: [draw] },
+    }, data];
+  };
+
   // Cells of speed and acceleration, coloured by what they hold.
   const cells = (spec) => {
     const values = unpack(spec.values), [columns, rows] = spec.shape;
@@ -243,7 +282,7 @@
       const i = Math.floor((u.posToVal(left, "x") - x0) / width);
       const j = Math.floor((u.posToVal(top, "y") - y0) / height);
       const v = i < 0 || i >= columns || j < 0 || j >= rows ? null : values[i * rows + j];
-      const here = `${i * width} to ${(i + 1) * width} km/h, ` +
+      const here = `${i * width} to ${(i + 1) * width} ${spec.axes[0].split(", ")[1]}, ` +
         `${number(y0 + j * height, 2)} to ${number(y0 + (j + 1) * height, 2)} m/s²: `;
       readout.textContent = here + (v == null ? "no data"
         : spec.of === "seconds" ? v.toFixed(1) + " s" : signed(v, 2) + " kW");
@@ -270,8 +309,102 @@
     over.addEventListener("touchend", (e) => send("mouseup", e), { passive: true });
   };
 
+  // The road, coloured by power: of the whole drive, and strongly of the stretch that is shown.
+  const route = (spec, group) => {
+    const [time, east, north, power] = ["time", "east", "north", "power"].map((k) => unpack(spec[k]));
+    const side = (values) => {
+      const low = Math.min(...values), high = Math.max(...values);
+      return { middle: (low + high) / 2, span: Math.max(high - low, 0.05) };
+    };
+    const x = side(east), y = side(north);
+    // As many pixels to the east as to the north; what axes and padding take is left out.
+    const inside = (u) => [Math.max(u.width - 76, 100), Math.max(u.height - 60, 100)];
+    const range = (of, index) => (u) => {
+      const sizes = inside(u), scale = 1.06 * Math.max(x.span / sizes[0], y.span / sizes[1]);
+      return [of.middle - scale * sizes[index] / 2, of.middle + scale * sizes[index] / 2];
+    };
+    const place = (u, i) => [u.valToPos(east[i], "x", true), u.valToPos(north[i], "y", true)];
+    const stroke = (u, i, color, alpha, wide) => {
+      u.ctx.globalAlpha = alpha; u.ctx.strokeStyle = palette[color];
+      u.ctx.lineWidth = wide * devicePixelRatio; u.ctx.beginPath();
+      u.ctx.moveTo(...place(u, i - 1)); u.ctx.lineTo(...place(u, i)); u.ctx.stroke();
+    };
+    const draw = (u) => tidy(u.ctx, () => {
+      const [begin, end] = group.shown;
+      power.forEach((v, i) => {
+        if (i === 0) return;
+        const strength = time[i] > begin && time[i - 1] < end ? 1 : 0.2;
+        stroke(u, i, "share", 0.35 * strength, 2);
+        const full = v == null ? 0 : Math.min(Math.abs(v) / spec.full, 1);
+        if (v != null) stroke(u, i, v < 0 ? "cold" : "hot", strength * (0.12 + 0.88 * full), 5);
+      });
+      u.ctx.globalAlpha = 1; u.ctx.fillStyle = palette.text;
+      u.ctx.beginPath(); u.ctx.arc(...place(u, 0), 4 * devicePixelRatio, 0, 7); u.ctx.fill();
+    });
+    const tell = (u) => {
+      const { left, top } = u.cursor, readout = u.root.parentNode.nextElementSibling;
+      const far = (i) => Math.hypot(u.valToPos(east[i], "x") - left, u.valToPos(north[i], "y") - top);
+      const near = left == null || left < 0 ? null : time.reduce((best, _, i) => (far(i) < far(best) ? i : best), 0);
+      readout.textContent = near == null || far(near) > 30 ? readout.dataset.rest
+        : `${clock(time[near])}: ` + (power[near] == null ? "not measured" : number(power[near], 1) + " kW");
+    };
+    const drag = { x: false, y: false };
+    return [{
+      height: 380, legend: { show: false }, cursor: { drag, points: { show: false } },
+      scales: { x: { time: false, range: range(x, 0) }, y: { range: range(y, 1) } },
+      axes: [axis(spec.axes[0], { size: 28, space: 60 }), axis(spec.axes[1], { size: 46 })],
+      series: [{}, { paths: () => null, points: { show: false } }],
+      hooks: { drawAxes: [draw], setCursor: [tell] },
+    }, [[x.middle - x.span, x.middle + x.span], [y.middle, y.middle]]];
+  };
+
+  // What is shown of a drive in figures: of the whole, or of the stretch that was zoomed to.
+  const teller = (section, drive) => {
+    const { step, ...totals } = drive.totals, { units } = drive;
+    const [distance, known, energy] = ["distance", "known", "energy"].map((k) => unpack(totals[k]));
+    const part = (values, begin, end) => {
+      const at = (s) => {
+        const place = Math.min(Math.max(s / step, 0), values.length - 1), i = Math.floor(place);
+        return values[i] + (place - i) * ((values[i + 1] ?? values[i]) - values[i]);
+      };
+      return at(end) - at(begin);
+    };
+    const ends = (name, begin, end) => {
+      const chart = drive.charts[name];
+      if (!chart) return [];
+      const values = unpack(chart.series[0].values).filter((v, i) => {
+        const s = chart.start + i * chart.step;
+        return v != null && s >= begin && s <= end;
+      });
+      return values.length ? [values[0], values[values.length - 1]] : [];
+    };
+    const consumption = (joules, metres) => (units.rate.startsWith("kWh")
+      ? `${number(joules / metres / units.rate_joules, 1)} ${units.rate}`
+      : joules > 0 ? `${number(metres / units.metres / (joules / 3.6e6), 1)} ${units.distance}/kWh` : "-");
+    const place = section.querySelector(".stretch");
+    return (begin, end) => {
+      const far = part(distance, begin, end), measured = part(known, begin, end);
+      const joules = part(energy, begin, end), seconds = Math.max(end - begin, 1e-9);
+      const [low, high] = ends("height", begin, end), [from, to] = ends("charge", begin, end);
+      const texts = [
+        `${clock(begin)} to ${clock(end)}`, `${number(far / units.metres, 2)} ${units.distance}`,
+        `${number(far / seconds * 3600 / units.metres, 0)} ${units.speed}`,
+        measured > 0 && `${number(joules / 3.6e6, 3)} kWh`,
+        measured >= 50 && consumption(joules, measured),
+        measured > 0 && `${number(joules / seconds / 1e3, 1)} kW on average`,
+        low != null && `${signed(high - low, 0)} ${units.height}`,
+        from != null && `charge ${number(from, 1)} to ${number(to, 1)} %`,
+      ];
+      place.replaceChildren(...texts.filter(Boolean).map((text) => {
+        const span = document.createElement("span");
+        span.textContent = text;
+        return span;
+      }));
+    };
+  };
+
   const OVER_TIME = ["time", "strips", "outcome"];
-  const KINDS = { time: curves, strips, outcome, spread, cells };
+  const KINDS = { time: curves, strips, outcome, spread, cells, bySpeed, route };
   const draw = (node, spec, group) => {
     const [options, data] = KINDS[spec.kind](spec, group);
     const overall = { width: Math.max(node.clientWidth - 12, 200), padding: [10, 14, 0, 0] };
@@ -286,10 +419,14 @@
     section.dataset.drawn = "yes";
     const drive = plots[Number(section.dataset.drive)];
     const group = { key: "drive" + section.dataset.drive, members: [],
-      duration: Math.max(drive.duration, 1), events: drive.events, shaded: drive.shaded };
+      duration: Math.max(drive.duration, 1), events: drive.events, shaded: drive.shaded,
+      tell: teller(section, drive), routes: [] };
+    group.shown = [0, group.duration];
+    group.tell(0, group.duration);
     for (const node of section.querySelectorAll("[data-plot]")) {
       const spec = drive.charts[node.dataset.plot];
       const u = draw(node, spec, group);
+      if (spec.kind === "route") group.routes.push(u);
       if (OVER_TIME.includes(spec.kind)) group.members.push(u);
     }
     for (const button of section.querySelectorAll("button")) {
@@ -316,6 +453,7 @@
   for (const [moment, printing] of [["beforeprint", true], ["afterprint", false]]) {
     addEventListener(moment, () => {
       document.documentElement.classList.toggle("printing", printing);
+      for (const closed of document.querySelectorAll("details:not([data-drive])")) closed.open = printing;
       repaint();
     });
   }

@@ -1,0 +1,66 @@
+"""Units that people read; the code and the topics are SI."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+JOULES_PER_KWH = 3.6e6
+
+
+class Units(NamedTuple):
+    """Names of units, and what one of each is in SI.
+
+    Attributes:
+        distance: name.
+        metres: of one distance.
+        speed: name of one distance an hour.
+        speed_step: speeds that stand apart on a chart.
+        height: name.
+        height_metres: of one height.
+        temperature: name.
+        degrees: of the temperature in one kelvin.
+        zero: temperature at 0 degrees Celsius.
+        rate: name of energy over distance, which adds up.
+        rate_joules: a metre of one rate.
+    """
+
+    distance: str
+    metres: float
+    speed: str
+    speed_step: float
+    height: str
+    height_metres: float
+    temperature: str
+    degrees: float
+    zero: float
+    rate: str
+    rate_joules: float
+
+    @property
+    def speeds(self) -> float:
+        """Speeds in one m/s."""
+        return 3600.0 / self.metres
+
+    def consumption(self, joules: float, metres: float) -> tuple[str, str]:
+        """Energy over distance as people state it: number and unit."""
+        if self is METRIC:
+            return f"{joules / metres / self.rate_joules:.1f}", self.rate
+        far = metres / self.metres * JOULES_PER_KWH
+        return (f"{far / joules:.1f}" if joules > 0 else "-"), f"{self.distance}/kWh"
+
+
+METRIC = Units("km", 1000.0, "km/h", 10.0, "m", 1.0, "°C", 1.0, 0.0, "kWh/100 km", 36.0)
+US = Units("mi", 1609.344, "mph", 5.0, "ft", 0.3048, "°F", 1.8, 32.0, "Wh/mi", 3600.0 / 1609.344)
+
+
+class UnitSystem(str, Enum):
+    """Units by the name that `--units` takes."""
+
+    METRIC = "metric"
+    US = "us"
+
+    @property
+    def units(self) -> Units:
+        """The units of it."""
+        return US if self is UnitSystem.US else METRIC

@@ -1,0 +1,50 @@
+"""The figures of a drive that stand first: a value and what it is, each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import timedelta
+
+from evpinn_ros.common.units import JOULES_PER_KWH, Units
+from evpinn_ros.replay.history import Drive
+from evpinn_ros.report.driven import Steps
+
+LEAST_DISTANCE = 500.0  # m before energy over distance says something
+NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along
+
+
+def drive_tiles(
+    drive: Drive, travelled: Steps, measured: Steps, units: Units
+) -> Iterator[tuple[str, str]]:
+    """Energy over distance, then the rest that is known of the drive."""
+    far, energy = float(travelled.distance.sum()), float(measured.energy.sum())
+    known = float(measured.distance.sum())
+    if known >= LEAST_DISTANCE:
+        part = "" if known > NEARLY_WHOLE * far else f", over {_distance(known, units)} measured"
+        value, unit = units.consumption(energy, known)
+        yield value, f"{unit}{part}"
+    if len(measured.energy):
+        yield f"{energy / JOULES_PER_KWH:.3g} kWh", "from the battery"
+    mean = far / drive.duration * units.speeds if drive.duration else 0.0
+    yield _distance(far, units), f"in {clock(drive.duration)}, {mean:.0f} {units.speed} on average"
+    if len(drive.charge):
+        begin, end = 100 * drive.charge[0, 1], 100 * drive.charge[-1, 1]
+        yield f"{begin:.0f} to {end:.0f} %", "state of charge"
+    if len(drive.altitude):
+        heights = drive.altitude[:, 1] / units.height_metres
+        rise = f"{heights[-1] - heights[0]:+.0f} {units.height}"
+        yield rise, f"end over begin; {heights.min():.0f} to {heights.max():.0f} {units.height}"
+    if len(drive.temperature):
+        celsius = drive.temperature[:, 1]
+        low, high = (each * units.degrees + units.zero for each in (celsius.min(), celsius.max()))
+        degrees = f"{low:.0f}" if round(low) == round(high) else f"{low:.0f} to {high:.0f}"
+        yield f"{degrees} {units.temperature}", "outside"
+
+
+def clock(seconds: float) -> str:
+    """A duration as h:mm:ss."""
+    return str(timedelta(seconds=round(seconds)))
+
+
+def _distance(metres: float, units: Units) -> str:
+    return f"{metres / units.metres:.1f} {units.distance}"

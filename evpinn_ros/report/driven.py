@@ -1,0 +1,61 @@
+"""Energy and distance of a drive, where both are known."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.replay.history import Drive
+from evpinn_ros.replay.scoring import known_at, longest_step
+
+
+class Steps(NamedTuple):
+    """Steps of a drive between readings, none across a gap; shape (n,) each.
+
+    Attributes:
+        end: time at their end, s.
+        seconds: that they took.
+        speed: in the middle, m/s.
+        distance: m.
+        energy: measured, J; of steps of speed alone 0.
+    """
+
+    end: np.ndarray
+    seconds: np.ndarray
+    speed: np.ndarray
+    distance: np.ndarray
+    energy: np.ndarray
+
+    def those(self, chosen: np.ndarray) -> Steps:
+        """Some of them."""
+        return Steps(*(column[chosen] for column in self))
+
+
+def travelled(drive: Drive) -> Steps:
+    """Steps between readings of the speed."""
+    rows = _rising(drive.speed)
+    return _steps(rows, np.zeros(len(rows)), np.ones(len(rows), dtype=bool))
+
+
+def measured_steps(drive: Drive) -> Steps:
+    """Steps between readings of the battery over which speed is known too."""
+    time, power = drive.measured.T
+    speed, known = known_at(_rising(drive.speed), time)
+    return _steps(np.column_stack((time, speed)), power, known)
+
+
+def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> Steps:
+    time, speed = rows[:, 0], np.abs(rows[:, 1])
+    steps = np.diff(time)
+    middle = (speed[1:] + speed[:-1]) / 2
+    with np.errstate(over="ignore"):  # a bag may hold powers that no battery has
+        energy = (power[1:] / 2 + power[:-1] / 2) * steps
+    found = Steps(time[1:], steps, middle, middle * steps, energy)
+    whole = known[1:] & known[:-1] & (steps <= longest_step(time))
+    return found.those(whole & np.isfinite(found.energy))
+
+
+def _rising(rows: np.ndarray) -> np.ndarray:
+    found: np.ndarray = rows[np.argsort(rows[:, 0], kind="stable")]
+    return found
