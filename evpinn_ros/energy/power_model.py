@@ -18,13 +18,7 @@ import numpy as np
 from evpinn_ros.energy.uncertainty import CORRELATION_TIME
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable, identifiable
-from evpinn_ros.vehicle.linear_power import (
-    CREEPING,
-    FADE_END,
-    FADE_SPEED,
-    MOST_FORCE,
-    LinearPower,
-)
+from evpinn_ros.vehicle.linear_power import CREEPING, FADE_END, FADE_SPEED, MOST_FORCE, LinearPower
 from evpinn_ros.vehicle.physics import GRAVITY
 
 TINY = 1e-6  # m/s
