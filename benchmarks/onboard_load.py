@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+import signal
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
@@ -13,7 +14,7 @@ import time
 from benchmarks.soak import SEED, VEHICLE, resident_mb
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.processes import own_network, processor_seconds, stop
+from evpinn_ros.nodes.processes import STOP_TIMEOUT, own_network, processor_seconds
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -62,7 +63,11 @@ def measure_onboard(seconds: float, progress: Callable[[float], None]) -> Onboar
             try:
                 return _watched(process, seconds, progress)
             finally:
-                stop(process)
+                process.send_signal(signal.SIGINT)
+                try:
+                    process.wait(STOP_TIMEOUT)
+                except subprocess.TimeoutExpired:
+                    process.kill()
 
 
 def _watched(

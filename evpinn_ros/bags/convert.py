@@ -11,10 +11,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import (
-    NANOSECONDS,
-    Reading,
-)
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.topics import NAMESPACE, Topic
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_messages, to_reading

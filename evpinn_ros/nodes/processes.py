@@ -30,7 +30,10 @@ FIRST_DOMAIN, DOMAINS = 82, 20  # all below 102, which any platform allows; test
 
 
 def record_through_nodes(
-    parameters: Mapping[str, Value], end_ns: int, folder: Path, progress: Callable[[float], None]
+    parameters: Mapping[str, Value],
+    end_ns: int,
+    folder: Path,
+    progress: Callable[[float], None],
 ) -> None:
     """Play a CAN log through the three executables over DDS and record all their topics.
 
@@ -132,17 +135,12 @@ def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subproc
     try:
         yield process
     finally:
-        stop(process)
-
-
-def stop(process: subprocess.Popen[bytes]) -> None:
-    """Let a process of nodes end, as Ctrl-C would; one that does not is killed."""
-    process.send_signal(signal.SIGINT)
-    try:
-        process.wait(STOP_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def processor_seconds(pid: int) -> float:

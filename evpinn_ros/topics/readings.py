@@ -119,21 +119,7 @@ def motor_message(new: NewMessage, reading: MotorReading) -> Any:
 
 def reading_message(new: NewMessage, reading: Reading) -> Any:
     """The message of any reading, the inverse of `to_reading`."""
-    return _BUILDERS[type(reading)](new, reading)
-
-
-def reading_messages(new: NewMessage, reading: Reading) -> Iterator[tuple[Topic, Any]]:
-    """The messages of a reading: its own, and voltage and current alone, for plots.
-
-    Raises:
-        ValueError: a value that the message can not hold.
-    """
-    yield READING_TOPICS[type(reading)], reading_message(new, reading)
-    if isinstance(reading, BatteryReading):
-        if not math.isnan(reading.voltage):
-            yield topics.BATTERY_VOLTAGE, scalar(new, reading.voltage)
-        if not math.isnan(reading.current):
-            yield topics.BATTERY_CURRENT, scalar(new, reading.current)
+    return _WRITTEN[type(reading)][1](new, reading)
 
 
 def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
@@ -154,6 +140,20 @@ def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -
     except KeyError:
         raise BadMessage("unknown_type") from None
     return reader(message)
+
+
+def reading_messages(new: NewMessage, reading: Reading) -> Iterator[tuple[Topic, Any]]:
+    """The messages of a reading: its own, and voltage and current alone, for plots.
+
+    Raises:
+        ValueError: a value that the message can not hold.
+    """
+    yield READING_TOPICS[type(reading)], reading_message(new, reading)
+    if isinstance(reading, BatteryReading):
+        if not math.isnan(reading.voltage):
+            yield topics.BATTERY_VOLTAGE, scalar(new, reading.voltage)
+        if not math.isnan(reading.current):
+            yield topics.BATTERY_CURRENT, scalar(new, reading.current)
 
 
 class Rotation(NamedTuple):
@@ -265,28 +265,6 @@ def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
     return motor_reading(message) if TORQUE in message.name else auxiliary_reading(message)
 
 
-READING_TOPICS: Mapping[type[Reading], Topic] = {
-    SpeedReading: topics.SPEED,
-    BatteryReading: topics.BATTERY,
-    GradeReading: topics.IMU,
-    AltitudeReading: topics.FIX,
-    TemperatureReading: topics.TEMPERATURE,
-    PressureReading: topics.PRESSURE,
-    WindReading: topics.WIND,
-    AuxiliaryReading: topics.AUXILIARY_POWER,
-    MotorReading: topics.MOTOR_TORQUE,
-}
-_BUILDERS: Mapping[type[Reading], Callable[..., Any]] = {
-    SpeedReading: speed_message,
-    BatteryReading: battery_message,
-    GradeReading: imu_message,
-    AltitudeReading: altitude_message,
-    TemperatureReading: temperature_message,
-    PressureReading: pressure_message,
-    WindReading: wind_message,
-    AuxiliaryReading: auxiliary_message,
-    MotorReading: motor_message,
-}
 _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.SPEED_TYPE: speed_reading,
     topics.ODOMETRY_TYPE: speed_reading,  # its twist is in the frame of the car by definition
@@ -297,3 +275,17 @@ _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.WIND_TYPE: wind_reading,
     topics.NAMED_VECTOR_TYPE: _named_vector_reading,
 }
+
+_WRITTEN: Mapping[type[Reading], tuple[Topic, Callable[[NewMessage, Any], Any]]] = {
+    SpeedReading: (topics.SPEED, speed_message),
+    BatteryReading: (topics.BATTERY, battery_message),
+    GradeReading: (topics.IMU, imu_message),
+    AltitudeReading: (topics.FIX, altitude_message),
+    TemperatureReading: (topics.TEMPERATURE, temperature_message),
+    PressureReading: (topics.PRESSURE, pressure_message),
+    WindReading: (topics.WIND, wind_message),
+    AuxiliaryReading: (topics.AUXILIARY_POWER, auxiliary_message),
+    MotorReading: (topics.MOTOR_TORQUE, motor_message),
+}
+READING_TOPICS = {kind: topic for kind, (topic, _) in _WRITTEN.items()}
+"""Topic on which each kind of reading is written."""
