@@ -27,7 +27,7 @@ from benchmarks.fuzz_structures import (
 )
 from evpinn_ros import topics
 from evpinn_ros.bags.can_frames import open_can_log
-from evpinn_ros.bags.convert import READING_TOPICS, BagReadings
+from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
@@ -52,7 +52,7 @@ from evpinn_ros.simulation.truth_file import TRUTH_FILE, read_truth
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.parameter_file import check_parameter_file
 from evpinn_ros.topics.plans import path_plan, speed_profile_plan
-from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.topics.readings import READING_TOPICS, to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 SLOW = 0.25  # part of the inputs for a parser that takes several times as long as most

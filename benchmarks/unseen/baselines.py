@@ -9,13 +9,13 @@ import math
 import numpy as np
 
 from benchmarks.kalman import FAST, FiveStateFilter
+from benchmarks.methods import PriorOnly
 from benchmarks.unseen.method import Estimate, Factory, Prediction
 from benchmarks.unseen.steps import Step, StepStream
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.physics import GRAVITY
 
 LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
@@ -62,8 +62,7 @@ class PriorAlone(StepMethod):
     def __init__(self, vehicle: Vehicle) -> None:
         """Take the priors' values."""
         super().__init__(vehicle)
-        self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
-        self._rotating_mass_factor = vehicle.rotating_mass_factor
+        self._prior = PriorOnly(vehicle)
 
     def learn(self, step: Step) -> None:
         """Keep the prior."""
@@ -74,16 +73,7 @@ class PriorAlone(StepMethod):
 
     def power(self, step: Step) -> float:
         """Likewise."""
-        sample = _sample(step)
-        power = combined_power(
-            sample.speed,
-            sample.acceleration,
-            self._combined,
-            air_density=sample.air_density,
-            grade=sample.grade,
-            rotating_mass_factor=self._rotating_mass_factor,
-        )
-        return float(power) + sample.known_auxiliary
+        return self._prior.predict(_sample(step)).power
 
 
 class EnergyPerKilometre(PriorAlone):
@@ -136,6 +126,7 @@ class BatchLeastSquares(PriorAlone):
     def __init__(self, vehicle: Vehicle) -> None:
         """No samples."""
         super().__init__(vehicle)
+        self._rotating_mass_factor = vehicle.rotating_mass_factor
         self._normal, self._target, self._count = np.zeros((7, 7)), np.zeros(7), 0
         self._solved: np.ndarray | None = None
 

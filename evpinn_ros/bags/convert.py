@@ -12,34 +12,11 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import (
-    NANOSECONDS,
-    AltitudeReading,
-    AuxiliaryReading,
-    BatteryReading,
-    GradeReading,
-    MotorReading,
-    PressureReading,
-    Reading,
-    SpeedReading,
-    TemperatureReading,
-    WindReading,
-)
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.topics import NAMESPACE, Topic
 from evpinn_ros.topics.messages import BadMessage, scalar
-from evpinn_ros.topics.readings import Rotation, reading_message, to_reading
+from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_message, to_reading
 
-READING_TOPICS: dict[type[Reading], Topic] = {
-    SpeedReading: topics.SPEED,
-    BatteryReading: topics.BATTERY,
-    GradeReading: topics.IMU,
-    AltitudeReading: topics.FIX,
-    TemperatureReading: topics.TEMPERATURE,
-    PressureReading: topics.PRESSURE,
-    WindReading: topics.WIND,
-    AuxiliaryReading: topics.AUXILIARY_POWER,
-    MotorReading: topics.MOTOR_TORQUE,
-}
 NOT_A_MESSAGE = "not_finite_or_out_of_range"
 
 

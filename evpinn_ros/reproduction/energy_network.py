@@ -35,6 +35,7 @@ from torch import Tensor, nn
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.rknn import ARGUMENTS, HIDDEN, energy_step, slopes
+from evpinn_ros.reproduction.checkpoint import adam_state, load_adam_state
 from evpinn_ros.reproduction.published import EnergyRow
 
 # For Fig. 8, 50 per decade as far as whole numbers go; the epochs of the table are among them.
@@ -194,7 +195,7 @@ class EnergyTraining:
     def __init__(self, data: StepData, *, seed: int, device: str = "cpu") -> None:
         """Untrained networks on a device of torch; the seed draws their weights and the split."""
         self.losses: list[EnergyRow] = []
-        self._epoch, self._seed = 0, seed
+        self._epoch = 0
         self._units = _Units(float(data.dt.mean()), float((data.step_energy**2).mean() ** 0.5))
         steps = self._units.scaled(data, torch.float32)
         with torch.random.fork_rng(devices=[]):  # the caller's random numbers stay as they were
@@ -246,10 +247,7 @@ class EnergyTraining:
         state["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 5)
         for name, value in self._networks.state_dict().items():
             state[f"networks_{name}"] = value.clone()
-        for index, moments in self._adam.state_dict()["state"].items():
-            for name, value in moments.items():
-                state[f"adam_{index}_{name}"] = value.clone()
-        return state
+        return state | adam_state(self._adam, self._networks.parameters())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a `state` of the same data and seed."""
@@ -257,13 +255,7 @@ class EnergyTraining:
         self.losses = [EnergyRow(int(row[0]), *row[1:]) for row in state["losses"].tolist()]
         own = self._networks.state_dict()
         self._networks.load_state_dict({name: state[f"networks_{name}"] for name in own})
-        for index, weight in enumerate(self._networks.parameters()):
-            prefix = f"adam_{index}_"
-            self._adam.state[weight] = {
-                name.removeprefix(prefix): value.clone().to(weight.device)
-                for name, value in state.items()
-                if name.startswith(prefix)
-            }
+        load_adam_state(self._adam, self._networks.parameters(), state)
 
     @torch.no_grad()
     def integrate(

@@ -28,6 +28,7 @@ from evpinn_ros.estimation.paper import (
     PARAMETER_RATE,
     PHYSICS_LOSS,
 )
+from evpinn_ros.reproduction.checkpoint import adam_state, load_adam_state
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import InputForm, Problem
 
@@ -134,23 +135,14 @@ class Adam:
     def state(self) -> dict[str, torch.Tensor]:
         """Weights, z and Adam's moments."""
         state = {"weights": self.network.vector(), "log_scale": self.log_scale.detach().clone()}
-        for index, tensor in enumerate(self.trained()):
-            for name, value in self._adam.state[tensor].items():
-                state[f"adam_{index}_{name}"] = value.detach().clone()
-        return state
+        return state | adam_state(self._adam, self.trained())
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
         self.network.load_vector(state["weights"].to(self.problem.device))
         with torch.no_grad():
             self.log_scale.copy_(state["log_scale"])
-        for index, tensor in enumerate(self.trained()):
-            prefix = f"adam_{index}_"
-            self._adam.state[tensor] = {
-                name.removeprefix(prefix): value.clone()
-                for name, value in state.items()
-                if name.startswith(prefix)
-            }
+        load_adam_state(self._adam, self.trained(), state)
 
 
 class AdamThenLbfgs(Adam):

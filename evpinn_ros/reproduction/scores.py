@@ -18,7 +18,7 @@ from evpinn_ros.reproduction.parameter_fit import fit_parameters, prior_std
 from evpinn_ros.reproduction.problem import PowerScale, Problem
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
-from evpinn_ros.vehicle.physics import RegenForm, battery_power
+from evpinn_ros.vehicle.physics import RegenForm
 
 GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
 KNOWN_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
@@ -81,16 +81,7 @@ def physics_power(
     log: DriveLog, vehicle: Vehicle, parameters: Parameters, form: RegenForm
 ) -> np.ndarray:
     """Battery power of eq. 21, W, shape (n,)."""
-    power = battery_power(
-        log.speed,
-        log.acceleration,
-        parameters,
-        area=vehicle.frontal_area,
-        air_density=vehicle.air_density,
-        form=form,
-        beta=vehicle.beta,
-    )
-    return np.asarray(power)
+    return np.asarray(vehicle.power(log.speed, log.acceleration, parameters, form))
 
 
 def least_squares_power(problem: Problem) -> tuple[np.ndarray, Parameters]:

@@ -149,10 +149,7 @@ def drive_car(car: Car, motion: Motion, around: Surroundings) -> Trace:
         load_loss=load_loss,
         auxiliary=auxiliary,
         power=power,
-        voltage=battery.voltage,
-        current=battery.current,
-        open_circuit=battery.open_circuit,
-        state_of_charge=battery.state_of_charge,
+        **battery._asdict(),
     )
 
 

@@ -19,6 +19,7 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
+from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import (
     VEHICLE_FRAME,
     BadMessage,
@@ -117,25 +118,7 @@ def motor_message(new: NewMessage, reading: MotorReading) -> Any:
 
 def reading_message(new: NewMessage, reading: Reading) -> Any:
     """The message of any reading, the inverse of `to_reading`."""
-    match reading:
-        case SpeedReading():
-            return speed_message(new, reading)
-        case BatteryReading():
-            return battery_message(new, reading)
-        case GradeReading():
-            return imu_message(new, reading)
-        case AltitudeReading():
-            return altitude_message(new, reading)
-        case TemperatureReading():
-            return temperature_message(new, reading)
-        case PressureReading():
-            return pressure_message(new, reading)
-        case WindReading():
-            return wind_message(new, reading)
-        case AuxiliaryReading():
-            return auxiliary_message(new, reading)
-        case MotorReading():
-            return motor_message(new, reading)
+    return _WRITTEN[type(reading)][1](new, reading)
 
 
 def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
@@ -275,3 +258,17 @@ _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.WIND_TYPE: wind_reading,
     topics.NAMED_VECTOR_TYPE: _named_vector_reading,
 }
+
+_WRITTEN: Mapping[type[Reading], tuple[Topic, Callable[[NewMessage, Any], Any]]] = {
+    SpeedReading: (topics.SPEED, speed_message),
+    BatteryReading: (topics.BATTERY, battery_message),
+    GradeReading: (topics.IMU, imu_message),
+    AltitudeReading: (topics.FIX, altitude_message),
+    TemperatureReading: (topics.TEMPERATURE, temperature_message),
+    PressureReading: (topics.PRESSURE, pressure_message),
+    WindReading: (topics.WIND, wind_message),
+    AuxiliaryReading: (topics.AUXILIARY_POWER, auxiliary_message),
+    MotorReading: (topics.MOTOR_TORQUE, motor_message),
+}
+READING_TOPICS = {kind: topic for kind, (topic, _) in _WRITTEN.items()}
+"""Topic on which each kind of reading is written."""

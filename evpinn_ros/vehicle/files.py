@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from itertools import combinations
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
+from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 
 class Constant(NamedTuple):
@@ -99,6 +100,28 @@ class Vehicle:
     def correlation(self) -> np.ndarray:
         """Of all parameters, in the order of `PARAMETER_NAMES`, shape (6, 6)."""
         return _matrix(self.correlations)
+
+    def power(
+        self,
+        speed: Any,
+        acceleration: Any,
+        parameters: Parameters,
+        form: RegenForm,
+        *,
+        air_density: Any = None,
+        grade: Any = 0.0,
+    ) -> Any:
+        """Battery power of the car with these parameters, W (see `battery_power`)."""
+        return battery_power(
+            speed,
+            acceleration,
+            parameters,
+            area=self.frontal_area,
+            air_density=self.air_density if air_density is None else air_density,
+            form=form,
+            beta=self.beta,
+            grade=grade,
+        )
 
 
 def vehicle_names() -> list[str]:
