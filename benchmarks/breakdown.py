@@ -47,7 +47,6 @@ class SpanChain(CarChain):
     """A chain that notes the intervals learned from, as s since the start of the simulation."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the priors of a vehicle file."""
         super().__init__(vehicle)
         self.spans: list[tuple[float, float]] = []
 
@@ -85,16 +84,8 @@ def part_checks(
 ) -> Iterator[PartCheck]:
     """Drive one car per seed and hold each part of its breakdown against the truth.
 
-    Args:
-        kinds: where to drive, in turn.
-        vehicles: models, in turn.
-        seeds: of the drives.
-        seconds: length of each.
-        from_priors: whether the car is drawn from the priors instead of from plausible cars.
-        rms_grade: of the road.
-        altitude: whether there is a barometer.
-        temperature: whether there is a thermometer.
-        motor_torque: whether the car tells the torque of its motor.
+    Kinds and vehicles take turns. `from_priors` draws the cars from the priors instead of from
+    plausible cars; `altitude`, `temperature` and `motor_torque` are sensors that they have.
     """
     for number, seed in enumerate(seeds):
         vehicle = load_vehicle(vehicles[number % len(vehicles)])

@@ -65,11 +65,8 @@ def median_floor(
 ) -> Mapping[str, float]:
     """Least median error of the first seconds of a drive, percent, of each of `ASKED`.
 
-    Args:
-        drive: one by `simulate` on a road of `rms_grade`, 0 for slopes that are known exactly.
-        seconds: from its start.
-        rms_grade: of the road, which the oracle knows.
-        altitude: whether the oracle has the barometer.
+    The drive is one by `simulate` on a road of `rms_grade`, which the oracle knows, 0 for slopes
+    that are known exactly; `altitude` gives it the barometer.
     """
     count, every = round(seconds * SAMPLE_RATE), round(SAMPLE_RATE / SAMPLES)
     motion = drive.trace.motion

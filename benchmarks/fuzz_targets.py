@@ -65,24 +65,16 @@ _PACKED_METADATA = """rosbag2_bagfile_information:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One parser.
+    """One parser."""
 
-    Attributes:
-        name: of the target.
-        file_name: under which it gets an input.
-        seeds: makes sound inputs.
-        parse: reads the file; it may raise InputError and nothing else.
-        beside: makes what the parser needs in the folder of the file.
-        weight: its part of all inputs; less where one input takes longer.
-        mutate: damages an input and keeps its structure, where it has one to keep.
-    """
-
-    name: str
-    file_name: str
-    seeds: Callable[[], list[bytes]]
-    parse: Callable[[Path], object]
+    name: str  # of the target
+    file_name: str  # under which it gets an input
+    seeds: Callable[[], list[bytes]]  # makes sound inputs
+    parse: Callable[[Path], object]  # reads the file; it may raise InputError and nothing else
+    # makes what the parser needs in the folder of the file
     beside: Callable[[Path], object] = lambda folder: None
-    weight: float = 1.0
+    weight: float = 1.0  # its part of all inputs; less where one input takes longer
+    # damages an input and keeps its structure, where it has one to keep
     mutate: Mutate | None = None
 
     def run(self, folder: Path, data: bytes) -> None:

@@ -103,10 +103,7 @@ def compare_integrators(
 ) -> Iterator[IntegratorRow]:
     """Each method on each sampling of one car's drives.
 
-    Args:
-        car: its name.
-        drives: all of them; the networks as published are trained on the first.
-        epochs: of that training.
+    The networks as published are trained on the first drive, for so many epochs.
 
     Raises:
         InputError: the training diverges, or the first drive is too short for it.

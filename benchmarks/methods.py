@@ -39,7 +39,6 @@ class PriorOnly:
     """Physics at the priors of the vehicle file, the form and inertia of `mode: hybrid`."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Take the priors' values."""
         self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
         self._rotating_mass_factor = vehicle.rotating_mass_factor
 

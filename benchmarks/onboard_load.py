@@ -25,25 +25,17 @@ LOOK = 1.0  # s between two looks
 
 @dataclass(frozen=True, slots=True)
 class OnboardLoad:
-    """`evpinn run` on a drive with 10 Hz speed and 10 Hz battery, in real time.
+    """`evpinn run` on a drive with 10 Hz speed and 10 Hz battery, in real time."""
 
-    Attributes:
-        seconds: that were watched.
-        resident_mb: largest memory of the process.
-        core_share: of one core, on average.
-    """
-
-    seconds: float
-    resident_mb: float
-    core_share: float
+    seconds: float  # that were watched
+    resident_mb: float  # largest memory of the process
+    core_share: float  # of one core, on average
 
 
 def measure_onboard(seconds: float, progress: Callable[[float], None]) -> OnboardLoad:
     """Run the three nodes on a simulated drive in town.
 
-    Args:
-        seconds: to watch, after `SETTLE`.
-        progress: takes the seconds done.
+    They are watched for so many seconds after `SETTLE`; `progress` takes the seconds done.
 
     Raises:
         InputError: the nodes ended, or no /proc here.

@@ -51,18 +51,14 @@ class RoundLoad(NamedTuple):
 
 
 class PlanLoad(NamedTuple):
-    """Count and size of plans that were answered, and their delays in ms.
-
-    Attributes:
-        node_ms: of the processor that the node took for one, whatever else the machine did.
-    """
+    """Count and size of plans that were answered, and their delays in ms."""
 
     plans: int
     points: int
     p50_ms: float
     p99_ms: float
     largest_ms: float
-    node_ms: float
+    node_ms: float  # of the processor that the node took for one, whatever else the machine did
 
 
 def measure_plans(plans: int, points: int, progress: Callable[[float], None]) -> PlanLoad:

@@ -35,23 +35,15 @@ Identity = tuple[str, int, int, bytes]  # topic, log time, sequence, data
 
 @dataclass(slots=True)
 class Tally:
-    """Results of the cases of one storage and fault.
+    """Results of the cases of one storage and fault."""
 
-    Attributes:
-        cases: that were tried.
-        messages: of undamaged chunks, and of whole records outside of chunks, to be returned.
-        missing: those that were not.
-        altered: messages returned that are not in the original.
-        miscounted: cases whose report differs from what is in the new bag.
-        unread: cases whose new bag rosbags does not read.
-    """
-
-    cases: int = 0
+    cases: int = 0  # that were tried
+    # of undamaged chunks, and of whole records outside of chunks, to be returned
     messages: int = 0
-    missing: int = 0
-    altered: int = 0
-    miscounted: int = 0
-    unread: int = 0
+    missing: int = 0  # those that were not
+    altered: int = 0  # messages returned that are not in the original
+    miscounted: int = 0  # cases whose report differs from what is in the new bag
+    unread: int = 0  # cases whose new bag rosbags does not read
 
 
 @dataclass(slots=True)
@@ -143,11 +135,8 @@ def campaign(
 ) -> Iterator[tuple[str, str, Tally]]:
     """Break bags in every way and save them again; gives storage, fault and what became of it.
 
-    Args:
-        cases: in all, dealt out to storages and faults.
-        size: bytes of each bag.
-        seed: of bags and faults.
-        progress: takes the cases done.
+    The cases are dealt out to storages and faults; each bag has at least `size` bytes; `progress`
+    takes the cases done.
     """
     rng = random.Random(seed)
     kinds = [(storage, fault) for storage in STORAGES for fault in FAULTS]

@@ -46,7 +46,6 @@ class CarChain:
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the priors of a vehicle file."""
         self.car = LearnedCar(vehicle)
         self.motion = 0.0
         self._stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
@@ -129,14 +128,8 @@ def compare(
 ) -> Iterator[Comparison]:
     """Drive one car per seed and hold what is published against the truth so far.
 
-    Args:
-        kind: where to drive.
-        vehicles: models, in turn.
-        seeds: of the drives.
-        marks: s into the drive.
-        from_priors: whether the car is drawn from the priors instead of from plausible cars.
-        rms_grade: of the road.
-        altitude: whether there is a barometer.
+    Vehicles take turns; marks are s into the drive. `from_priors` draws the cars from the priors
+    instead of from plausible cars; `altitude` gives them a barometer.
     """
     for number, seed in enumerate(seeds):
         vehicle = load_vehicle(vehicles[number % len(vehicles)])

@@ -8,19 +8,10 @@ from typing import Annotated
 import typer
 
 from benchmarks.ablation import CARS, VARIANTS, ablate
-from benchmarks.variants import Row, read_car
+from benchmarks.cli.output import table_of
+from benchmarks.variants import SCORE_COLUMNS, Row, read_car
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import titled_table
-
-COLUMNS = (
-    "left out",
-    "carried: net %",
-    "in 90 %",
-    "200 s: gross %",
-    "in 90 %",
-    "likelihood",
-)
 
 
 def ablation(
@@ -40,18 +31,7 @@ def ablation(
                 rows.append(row)
                 progress(len(rows))
     for key in keys:
-        table = titled_table(key)
-        for name in COLUMNS:
-            table.add_column(name, justify="left" if name == COLUMNS[0] else "right")
-        for row in (each for each in rows if each.car == key):
-            table.add_row(
-                row.variant,
-                f"{row.carried_net[0]:.1f}; {row.carried_net[1]:.1f}",
-                f"{row.carried_coverage:.0f}",
-                f"{row.stretch_gross:.1f}",
-                f"{row.stretch_coverage:.0f}",
-                f"{row.likelihood:.2f}",
-            )
-        show(table)
+        own = [row for row in rows if row.car == key]
+        show(table_of(key, own, (("left out", "{0.variant}"), *SCORE_COLUMNS)))
     if json_file is not None:
         write_json(json_file, [asdict(row) for row in rows])

@@ -39,11 +39,7 @@ class Process:
     ) -> None:
         """Start it, after hearing the last words of those before it.
 
-        Args:
-            rig: feeds it.
-            name: of its node.
-            command: that starts it.
-            environment: variables that it has besides ours.
+        `environment` holds variables that it has besides ours.
         """
         self.name, self._rig = name, rig
         rig.rest(LAST_WORDS)

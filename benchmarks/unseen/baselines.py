@@ -28,7 +28,6 @@ class StepMethod(ABC):
     """Predicts each step first and learns from it once its power is known; heirs say how."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start a stream of steps."""
         self._stream = StepStream(vehicle)
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
@@ -60,7 +59,6 @@ class PriorAlone(StepMethod):
     """Physics at the priors of the vehicle file."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Take the priors' values."""
         super().__init__(vehicle)
         self._prior = PriorOnly(vehicle)
 
@@ -85,7 +83,6 @@ class EnergyPerKilometre(PriorAlone):
     START, WEIGHT = 0.25, 2.0  # 1-sigma of one drive's consumption over the mean; in drives
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Nothing driven."""
         super().__init__(vehicle)
         self._drives: list[tuple[float, float]] = []
         self._now, self._unmeasured = np.zeros(2), 0.0
@@ -124,7 +121,6 @@ class BatchLeastSquares(PriorAlone):
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """No samples."""
         super().__init__(vehicle)
         self._rotating_mass_factor = vehicle.rotating_mass_factor
         self._normal, self._target, self._count = np.zeros((7, 7)), np.zeros(7), 0
@@ -169,7 +165,6 @@ class FastKalman(StepMethod):
     """The extended Kalman filter of `benchmarks.kalman`, whose states wander fast."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the vehicle's priors."""
         super().__init__(vehicle)
         self._filter = FiveStateFilter(vehicle, pace=FAST)
         self._unmeasured = np.zeros(2)  # energy's 1-sigma by a lasting error, J, and its variance

@@ -74,18 +74,12 @@ class Drive:
 
 @dataclass(frozen=True)
 class Car:
-    """A car and its drives, in order.
+    """A car and its drives, in order."""
 
-    Attributes:
-        key: what `--cars` calls it.
-        vehicle: all that a method knows of it.
-        drives: in order of time.
-        truth: true combinations by the names of `truth.NAMES`, empty where they are unknown.
-    """
-
-    key: str
-    vehicle: Vehicle
-    drives: tuple[Drive, ...]
+    key: str  # what `--cars` calls it
+    vehicle: Vehicle  # all that a method knows of it
+    drives: tuple[Drive, ...]  # in order of time
+    # true combinations by the names of `truth.NAMES`, empty where they are unknown
     truth: dict[str, float] = field(default_factory=dict)
 
     @property

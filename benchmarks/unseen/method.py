@@ -23,21 +23,15 @@ Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
 
 
 class Prediction(NamedTuple):
-    """Prediction of one moment, from readings before it and at most a little after.
+    """Prediction of one moment, from readings before it and at most a little after."""
 
-    Attributes:
-        stamp_ns: the moment.
-        power: battery power, W, positive when drawn.
-        sigma: its 1-sigma, W, NaN if unknown.
-        energy: integral of the predicted power since the start of the drive, J; NaN: take the
-            trapezoid of `power`.
-        energy_sigma: 1-sigma, J, of the energy predicted since the last battery reading.
-    """
-
-    stamp_ns: int
-    power: float
-    sigma: float = math.nan
+    stamp_ns: int  # the moment
+    power: float  # battery power, W, positive when drawn
+    sigma: float = math.nan  # its 1-sigma, W, NaN if unknown
+    # integral of the predicted power since the start of the drive, J; NaN: take the trapezoid of
+    # `power`
     energy: float = math.nan
+    # 1-sigma, J, of the energy predicted since the last battery reading
     energy_sigma: float = math.nan
 
 
@@ -61,7 +55,6 @@ class OnlineChain:
     """Our estimator and energy account, as `evpinn replay` runs them."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the vehicle's priors."""
         self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(_no_clock))
         self._variance_measured = 0.0  # J^2, of the energy up to the last battery reading
 

@@ -35,17 +35,12 @@ CARRIED_VEHICLE, CARRIED_SEED, CARRIED_DRIVES = "nissan_leaf", 9100, 8
 
 
 class Error(NamedTuple):
-    """An estimate against the truth.
+    """An estimate against the truth."""
 
-    Attributes:
-        percent: of the truth.
-        absolute: in the unit of the quantity.
-        covered: whether the 95 % interval holds the truth; where only positive values are
-            possible it is an interval of the logarithm.
-    """
-
-    percent: float
-    absolute: float
+    percent: float  # of the truth
+    absolute: float  # in the unit of the quantity
+    # whether the 95 % interval holds the truth; where only positive values are possible it is an
+    # interval of the logarithm
     covered: bool
 
 

@@ -47,7 +47,6 @@ class WeakFormLeastSquares:
     """The filter of the module's text."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the vehicle's priors."""
         prior = identifiable(vehicle.initial, vehicle.frontal_area)
         mass, rolling = prior.mass_over_eta, prior.c_rr * prior.mass_over_eta
         back = prior.regeneration

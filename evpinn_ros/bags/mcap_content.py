@@ -107,7 +107,6 @@ class Definitions:
     """Schemas and channels, by id; the first one of an id holds."""
 
     def __init__(self) -> None:
-        """None yet."""
         self.schemas: dict[int, Any] = {}
         self.channels: dict[int, Any] = {}
         self._size = 0
@@ -196,11 +195,8 @@ def records_in(
 ) -> Records:
     """Go from record to record, as far as messages and definitions reach.
 
-    Args:
-        data: whose records begin at `first`.
-        definitions: that are known; those in the data are added.
-        strict: a message of an unknown channel ends it too.
-        first: where to begin.
+    Definitions in the data are added to those that are known. Where it is `strict`, a message of
+    an unknown channel ends it too.
     """
     found = Records(last=first, end=first)
     index: dict[int, list[int]] = {}

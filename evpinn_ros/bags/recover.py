@@ -103,10 +103,8 @@ def recover(source: Path, out: Path, progress: Progress | None = None) -> list[R
     A file that cannot be read stops no other. Interrupted, or where the disk is full, it leaves
     nothing behind.
 
-    Args:
-        source: MCAP file, or rosbag2 folder, with or without metadata.yaml.
-        out: folder of the new bag, not there or empty.
-        progress: takes how many bytes are done, of all files together.
+    `source` is an MCAP file or a rosbag2 folder, with or without metadata.yaml; `out` a folder
+    that is not there, or empty. `progress` takes the bytes done, of all files together.
 
     Raises:
         InputError: no MCAP there, `out` is in use, or no message could be saved.

@@ -99,7 +99,6 @@ class Salvage:
     """
 
     def __init__(self, file: FileBytes) -> None:
-        """Read what the end of the file says, if it is there."""
         self.definitions = Definitions()
         self.ended = False
         self.stated: int | None = None

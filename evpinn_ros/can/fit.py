@@ -157,7 +157,6 @@ class ProfileEvidence:
     """Gathers what the frames say of one profile: the `Witness` of its decoder."""
 
     def __init__(self, profile: CanProfile) -> None:
-        """Begin without any frame."""
         self._profile = profile
         self._tallies = {
             quantity: _Tally(*JUMPS.get(quantity, ()))

@@ -65,10 +65,7 @@ class Poller:
     ) -> None:
         """Prepare to ask, or to listen.
 
-        Args:
-            profile: what to ask.
-            send: puts a frame on the bus; None to listen alone.
-            clock: s, never goes back.
+        `send` puts a frame on the bus, None to listen alone; `clock`, s, never goes back.
         """
         self.contradicted = False
         self._profile, self._clock = profile, clock

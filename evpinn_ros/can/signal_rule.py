@@ -79,12 +79,8 @@ def signal_rule(
 ) -> SignalRule:
     """Read the keys `RULE_KEYS` of a section, and the sign that `POSITIVE_MEANS` asks for.
 
-    Args:
-        section: of the profile.
-        name: see `SignalRule`.
-        quantity: a key of `UNITS`.
-        scale: of the DBC file; the section's own is multiplied with it.
-        offset: of the DBC file, scaled likewise.
+    The quantity is a key of `UNITS`; `scale` and `offset` are those of the DBC file, both of which
+    the section's own scale multiplies.
 
     Raises:
         InputError: a key is missing or wrong; a sign is never guessed.

@@ -51,9 +51,7 @@ class Column:
 def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column]:
     """The columns of a header that are used, those for the time all: their cells decide.
 
-    Args:
-        header: names of the columns.
-        chosen: `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign.
+    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign.
 
     Raises:
         InputError: a choice that names no quantity, no column or no unit, or a bracketed unit

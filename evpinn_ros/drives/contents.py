@@ -87,10 +87,8 @@ def contents(
 ) -> Contents:
     """Look through a bag, a CAN log or a table.
 
-    Args:
-        path: of it.
-        columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
-        progress: takes the seconds of the drive done.
+    `columns` are those given of a table (see `column.columns_by_name`); `progress` takes the
+    seconds of the drive done.
 
     Raises:
         InputError: it is none of these, or nothing can be read.

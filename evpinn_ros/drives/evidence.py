@@ -45,10 +45,7 @@ def with_units(
 ) -> dict[str, Column]:
     """The columns, each with a unit and a sign.
 
-    Args:
-        found: columns by quantity; those without a unit are completed.
-        cells: what is in them.
-        header: names of all columns, which may tell the app.
+    The names of all columns, `header`, may tell the app.
     """
     done = {name: _by_app(column, header) for name, column in found.items()}
     if "odometer" in done and not done["odometer"].unit:

@@ -92,10 +92,8 @@ def open_drive(
 ) -> DriveSource:
     """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
 
-    Args:
-        path: of the file.
-        nominal_voltage: V; power alone becomes current at it.
-        columns: that are given, see `evpinn_ros.drives.column.columns_by_name`.
+    Power alone becomes current at `nominal_voltage`, V; `columns` are those given, see
+    `column.columns_by_name`.
 
     Raises:
         InputError: it cannot be read, or holds no drive.

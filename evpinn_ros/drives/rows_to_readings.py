@@ -55,10 +55,8 @@ class RowReadings:
     ) -> Iterator[Reading]:
         """The readings of some rows.
 
-        Args:
-            stamps: of all rows of the batch, ns; shape (n,).
-            values: SI, NaN where there is none; shape (n,) each.
-            rows: those to take, in order of time.
+        `stamps`, ns, and `values`, SI, NaN where there is none, are those of all rows of the
+        batch, shape (n,); `rows` are those to take, in order of time.
         """
         empty = np.full(rows.size, NAN)
 

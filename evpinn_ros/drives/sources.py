@@ -73,7 +73,6 @@ class CanLogSource:
     """A CAN log, or the raw frames of a bag, decoded by a profile."""
 
     def __init__(self, log: CanLog, bridge: CanBridge) -> None:
-        """Decode an open log by a fresh bridge."""
         self.path = log.path
         self.dropped: Counter[str] = Counter()
         self._log, self._bridge = log, bridge

@@ -142,12 +142,8 @@ def look_through(
 ) -> Survey:
     """Keep the cells of the wanted columns, every k-th row of a long table.
 
-    Args:
-        table: to read.
-        head: of it.
-        wanted: places of columns.
-        early: called after some rows; it may raise, so that a bomb is not read to its end.
-        limit: of rows to look at, `MOST_ROWS` when None.
+    `early` is called after some rows; it may raise, so that a bomb is not read to its end. `limit`
+    is how many rows are looked at, `MOST_ROWS` when None.
     """
     widths: Counter[int] = Counter()
     kept: list[tuple[str, ...]] = []

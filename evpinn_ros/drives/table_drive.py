@@ -68,11 +68,8 @@ class TableDrive:
     ) -> None:
         """Look through the table.
 
-        Args:
-            table: its rows.
-            path: for messages, and a date in its name.
-            nominal_voltage: V, taken where a row has power alone.
-            chosen: columns that are given, see `column.columns_by_name`.
+        The path is for messages, and a date in its name. Power alone becomes current at
+        `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`.
 
         Raises:
             InputError: empty, columns are missing, a choice is wrong or a unit is not known.
@@ -209,8 +206,7 @@ class TableDrive:
     def series(self, names: Sequence[str]) -> dict[str, Signal]:
         """Columns that are no readings of ours, as they are: for benchmarks and a closer look.
 
-        Args:
-            names: of columns, those that are not there are left out.
+        Names that are not there are left out.
 
         Returns:
             times, s since 1970, and numbers by name, NaN where there is none.

@@ -113,8 +113,7 @@ class Clock:
     def stamps(self, cells: Sequence[Sequence[str]]) -> NDArray[np.int64]:
         """Times of the rows, ns since 1970, midnight or the start; `NONE` where there is none.
 
-        Args:
-            cells: of each of `columns`, n each.
+        `cells` are n of each of `columns`.
         """
         if self.kind == "number":
             values = to_floats(cells[0], self.style)
@@ -353,10 +352,8 @@ def start_of_comments(comments: Sequence[str]) -> int | None:
 def date_of_name(stem: str, first_ns: int, *, certain: bool) -> int | None:
     """Midnight of the date in a file's name, ns; None without one, or where its clock differs.
 
-    Args:
-        stem: of the file, as `2023-11-19_12-40-45` of Car Scanner.
-        first_ns: the first time in the file.
-        certain: whether that is a time of day; otherwise the name must have the same one.
+    `first_ns` is the first time in the file, and `certain` says that it is a time of day;
+    otherwise the name must have the same one.
     """
     match = re.search(
         r"(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?:[ T_-]+([0-2]\d)[-_.:]?([0-5]\d))?", stem

@@ -18,10 +18,8 @@ MOST_BYTES = 256 << 20  # 4 x 128 units have 0.4 MB, a hundred steps of an optim
 def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]) -> None:
     """Write a state so that a crash leaves the old file or the new one whole.
 
-    Args:
-        path: of the file, ending in `.npz`.
-        settings: what the state belongs to; `load_checkpoint` asks for it again.
-        state: named tensors.
+    The path ends in `.npz`; `settings` is what the state belongs to, and `load_checkpoint` asks
+    for it again.
 
     Raises:
         InputError: it cannot be written.

@@ -77,10 +77,8 @@ def step_data(
 
     Steps longer than `MAX_GAP`, not forward in time or not finite are left out.
 
-    Args:
-        time: shape (n,), s.
-        power: shape (n,), W.
-        power_mid: shape (n - 1,), W, in the middle of each step; None for linear.
+    Time, s, and power, W, have shape (n,); `power_mid`, W in the middle of each step, shape (n -
+    1,), None for linear.
 
     Raises:
         InputError: fewer than `MIN_STEPS` steps are left, or their energy is zero throughout.
@@ -218,9 +216,7 @@ class EnergyTraining:
     def run_to(self, epoch: int, on_epoch: Callable[[int, float], None] | None = None) -> None:
         """Train on eq. 30 until this many epochs in all are done.
 
-        Args:
-            epoch: the last to do.
-            on_epoch: called with each epoch and the RKNN's training loss, both as in the table.
+        `on_epoch` is called with each epoch and the RKNN's training loss, both as in the table.
 
         Raises:
             InputError: a loss is no longer finite; the epochs before stay counted.

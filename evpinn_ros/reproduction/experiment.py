@@ -139,7 +139,6 @@ class Experiment:
     """Runs the trainings of one drive, keeping each in a folder."""
 
     def __init__(self, log: DriveLog, vehicle: Vehicle, settings: Settings, folder: Path) -> None:
-        """Nothing is run or read yet."""
         self._log, self._vehicle, self._settings = log, vehicle.as_published, settings
         self._folder = folder
 

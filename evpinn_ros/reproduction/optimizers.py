@@ -149,7 +149,6 @@ class AdamThenLbfgs(Adam):
     """`ADAM_EPOCHS_BEFORE_LBFGS` epochs of Adam, then L-BFGS with a line search."""
 
     def __init__(self, problem: Problem, seed: int) -> None:
-        """As `Adam`."""
         super().__init__(problem, seed)
         self._epoch = 0
         self._lbfgs = torch.optim.LBFGS(

@@ -54,11 +54,8 @@ def fit_parameters(
 ) -> ParameterFit:
     """Gauss-Newton on z.
 
-    Args:
-        problem: the drive and the reading of eq. 21.
-        samples: where `power` holds.
-        power: normalised, shape (n,): measured, or what a network says.
-        start: z to begin at, the initial values if None.
+    `power`, normalised, shape (n,), is measured or what a network says at the samples; `start` is
+    the z to begin at, the initial values if None.
     """
     log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
     if start is not None:
