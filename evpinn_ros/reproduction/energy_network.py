@@ -49,25 +49,15 @@ SETTLED = 1e-9  # mean steps: a roll-out that moves by less is done
 
 
 class StepData(NamedTuple):
-    """Steps between neighbouring samples of power, float64, shape (n,) each.
+    """Steps between neighbouring samples of power, float64, shape (n,) each."""
 
-    Attributes:
-        time: t, s.
-        power: P(t), W.
-        power_mid: P(t + dt/2), W.
-        power_next: P(t + dt), W.
-        dt: s.
-        energy: E(t), J, integrated since the first sample.
-        step_energy: E(t + dt) - E(t), J.
-    """
-
-    time: np.ndarray
-    power: np.ndarray
-    power_mid: np.ndarray
-    power_next: np.ndarray
-    dt: np.ndarray
-    energy: np.ndarray
-    step_energy: np.ndarray
+    time: np.ndarray  # t, s
+    power: np.ndarray  # P(t), W
+    power_mid: np.ndarray  # P(t + dt/2), W
+    power_next: np.ndarray  # P(t + dt), W
+    dt: np.ndarray  # s
+    energy: np.ndarray  # E(t), J, integrated since the first sample
+    step_energy: np.ndarray  # E(t + dt) - E(t), J
 
 
 def step_data(

@@ -27,17 +27,11 @@ LONGEST_STEP = 0.5  # of z: a Gauss-Newton step further than this leaves where i
 
 
 class ParameterFit(NamedTuple):
-    """Logarithms z of the parameters over their initial values.
+    """Logarithms z of the parameters over their initial values."""
 
-    Attributes:
-        log_scale: z, shape (5,), in the order of `estimation.paper.LEARNED`.
-        covariance: of z, shape (5, 5).
-        converged: False when the iterations did not settle.
-    """
-
-    log_scale: torch.Tensor
-    covariance: np.ndarray
-    converged: bool
+    log_scale: torch.Tensor  # z, shape (5,), in the order of `estimation.paper.LEARNED`
+    covariance: np.ndarray  # of z, shape (5, 5)
+    converged: bool  # False when the iterations did not settle
 
 
 def prior_std(vehicle: Vehicle) -> np.ndarray:
