@@ -26,12 +26,7 @@ from benchmarks.can_traffic import (
 )
 from evpinn_ros import topics
 from evpinn_ros.nodes import factory
-from evpinn_ros.nodes.processes import (
-    START_TIMEOUT,
-    node_process,
-    own_network,
-    processor_seconds,
-)
+from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network, processor_seconds
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE, Topic
 from evpinn_ros.topics.node_parameters import Value

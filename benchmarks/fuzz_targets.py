@@ -18,13 +18,7 @@ import numpy as np
 
 from benchmarks import fuzz_seeds as seeds
 from benchmarks.fuzz_seeds import READINGS, VEHICLE
-from benchmarks.fuzz_structures import (
-    Mutate,
-    mutate_json,
-    mutate_mcap,
-    mutate_table,
-    mutate_yaml,
-)
+from benchmarks.fuzz_structures import Mutate, mutate_json, mutate_mcap, mutate_table, mutate_yaml
 from evpinn_ros import topics
 from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.bags.convert import BagReadings
@@ -284,11 +278,7 @@ TARGETS = (
         mutate=mutate_yaml,
     ),
     Target(
-        "truth",
-        TRUTH_FILE,
-        seeds.truth,
-        lambda path: read_truth(path.parent),
-        mutate=mutate_yaml,
+        "truth", TRUTH_FILE, seeds.truth, lambda path: read_truth(path.parent), mutate=mutate_yaml
     ),
     Target(
         "state",

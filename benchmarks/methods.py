@@ -11,12 +11,7 @@ import math
 from typing import Protocol
 
 from benchmarks.kalman import FAST, FiveStateFilter
-from benchmarks.regression import (
-    FIVE_TERMS,
-    SEVEN_TERMS,
-    BatchLeastSquares,
-    RecursiveLeastSquares,
-)
+from benchmarks.regression import FIVE_TERMS, SEVEN_TERMS, BatchLeastSquares, RecursiveLeastSquares
 from evpinn_ros.estimation.learner import PowerPrediction
 from evpinn_ros.reproduction.published import PREDICTED
 from evpinn_ros.signals.sample import Sample

@@ -97,12 +97,7 @@ class RecursiveLeastSquares(_Regression):
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        count: int,
-        *,
-        forgetting: float = FORGETTING,
-        huber: float = HUBER,
+        self, vehicle: Vehicle, count: int, *, forgetting: float = FORGETTING, huber: float = HUBER
     ) -> None:
         super().__init__(vehicle, count)
         self._forgetting, self._huber = forgetting, huber

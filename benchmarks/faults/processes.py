@@ -12,14 +12,7 @@ import signal
 import time
 
 from benchmarks.faults.bus import bus_arguments
-from benchmarks.faults.chain import (
-    LEADING,
-    NodeChain,
-    Process,
-    running,
-    start_all,
-    start_node,
-)
+from benchmarks.faults.chain import LEADING, NodeChain, Process, running, start_all, start_node
 from benchmarks.faults.drive import learned_state
 from benchmarks.faults.fault import RECOVERY, Fault, Finding
 from benchmarks.faults.files import file_of

@@ -10,12 +10,7 @@ from pathlib import Path
 from benchmarks.logs import find_logs
 from benchmarks.unseen.lines import Line, Span, battery_power, common, speed_line
 from benchmarks.unseen.splitting import split
-from benchmarks.unseen.sumo_cars import (
-    SUMO_CARS,
-    simulate_sumo,
-    sumo_is_there,
-    sumo_truth,
-)
+from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
 from benchmarks.unseen.truth import CARRIED_VEHICLE, carried_drives
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source

@@ -48,10 +48,7 @@ class RowReadings:
         self._battery = {"voltage", "current", "power", "charge"} & {r.quantity for r in rules}
 
     def readings(
-        self,
-        stamps: NDArray[np.int64],
-        values: Mapping[str, FloatArray],
-        rows: NDArray[np.intp],
+        self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
     ) -> Iterator[Reading]:
         """The readings of some rows.
 

@@ -60,11 +60,7 @@ class TableDrive:
     """
 
     def __init__(
-        self,
-        table: Table,
-        path: Path,
-        nominal_voltage: float,
-        chosen: Sequence[str] = (),
+        self, table: Table, path: Path, nominal_voltage: float, chosen: Sequence[str] = ()
     ) -> None:
         """Look through the table.
 

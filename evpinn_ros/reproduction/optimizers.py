@@ -22,12 +22,7 @@ import torch
 
 from evpinn_ros.estimation.gauss_newton import gauss_newton_step
 from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
-from evpinn_ros.estimation.paper import (
-    LEARNED,
-    NETWORK_RATE,
-    PARAMETER_RATE,
-    PHYSICS_LOSS,
-)
+from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PARAMETER_RATE, PHYSICS_LOSS
 from evpinn_ros.reproduction.checkpoint import adam_state, load_adam_state
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import InputForm, Problem

@@ -41,10 +41,7 @@ def prior_std(vehicle: Vehicle) -> np.ndarray:
 
 
 def fit_parameters(
-    problem: Problem,
-    samples: Samples,
-    power: torch.Tensor,
-    start: torch.Tensor | None = None,
+    problem: Problem, samples: Samples, power: torch.Tensor, start: torch.Tensor | None = None
 ) -> ParameterFit:
     """Gauss-Newton on z.
 
