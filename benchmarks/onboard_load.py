@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-import signal
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
@@ -14,7 +13,7 @@ import time
 from benchmarks.soak import SEED, VEHICLE, resident_mb
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.processes import STOP_TIMEOUT, own_network, processor_seconds
+from evpinn_ros.nodes.processes import interrupt, own_network, processor_seconds
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -55,11 +54,7 @@ def measure_onboard(seconds: float, progress: Callable[[float], None]) -> Onboar
             try:
                 return _watched(process, seconds, progress)
             finally:
-                process.send_signal(signal.SIGINT)
-                try:
-                    process.wait(STOP_TIMEOUT)
-                except subprocess.TimeoutExpired:
-                    process.kill()
+                interrupt(process)
 
 
 def _watched(

@@ -10,6 +10,7 @@ import random
 import shutil
 from tempfile import TemporaryDirectory
 import time
+from typing import Any
 
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -96,14 +97,18 @@ def messages_of(path: Path) -> list[Identity]:
         ]
 
 
+def chunks_of(path: Path) -> list[Any]:
+    """The index of the chunks of a sound file, a `mcap.records.ChunkIndex` each."""
+    with path.open("rb") as file:
+        return list(make_reader(file).get_summary().chunk_indexes)
+
+
 def blocks_of(path: Path, loose: bool) -> list[Block]:
     """The chunks of a sound file, or its messages one by one, with what is in each."""
     messages = iter(messages_of(path))
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
     if not loose:
         blocks = []
-        for chunk in summary.chunk_indexes:
+        for chunk in chunks_of(path):
             begin, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
             indexes = len(chunk.message_index_offsets) * 15
             count = (chunk.message_index_length - indexes) // 16

@@ -53,14 +53,19 @@ class IdStatus:
         return 1.0 / self.period if self.period else math.nan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ValueStatus:
     """The values of one signal: how many, and the newest, smallest and largest of them."""
 
-    count: int
-    newest: float
-    lowest: float
-    highest: float
+    count: int = 0
+    newest: float = math.nan
+    lowest: float = math.inf
+    highest: float = -math.inf
+
+    def record(self, value: float) -> None:
+        """Note one more value."""
+        self.count, self.newest = self.count + 1, value
+        self.lowest, self.highest = min(self.lowest, value), max(self.highest, value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,14 +211,14 @@ class _Candidate:
         self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder = Decoder(profile, self.evidence)
         self._asks, self._asked = bool(profile.asked), _Asked(profile)
-        self._values: dict[str, _Values] = {}
+        self._values: dict[str, ValueStatus] = {}
         self._sign = CurrentSign()
 
     def add_frame(self, frame: CanFrame) -> None:
         for reading in self._readings(frame):
             self._sign.add_reading(reading)
             for name, value in _named_values(reading):
-                self._values.setdefault(name, _Values()).record(value)
+                self._values.setdefault(name, ValueStatus()).record(value)
 
     def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
         if self._asked.is_answer(frame):
@@ -231,7 +236,7 @@ class _Candidate:
         return ProfileReport(
             fit=fit,
             contradicted=found.why if found is not None else None,
-            values={name: values.status() for name, values in self._values.items()},
+            values={name: replace(values) for name, values in self._values.items()},
             dropped=dict(self._decoder.dropped + self._asked.dropped),
             asks=self._asks,
             experimental=self._experimental,
@@ -278,23 +283,6 @@ class _Asked:
             good = self._good["voltage" if quantity == "battery" else quantity]
             bad = dict(self.dropped) if good else {NO_ANSWER: frames} if frames else {}
             yield MessageFit(quantity, unit[0], frames, good, bad, has_checksum=False)
-
-
-class _Values:
-    """Follows the values of one signal."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._newest = math.nan
-        self._lowest, self._highest = math.inf, -math.inf
-
-    def record(self, value: float) -> None:
-        self._count += 1
-        self._newest = value
-        self._lowest, self._highest = min(self._lowest, value), max(self._highest, value)
-
-    def status(self) -> ValueStatus:
-        return ValueStatus(self._count, self._newest, self._lowest, self._highest)
 
 
 def _named_values(reading: Reading) -> Iterable[tuple[str, float]]:

@@ -26,6 +26,10 @@ MOST = 1e12  # of anything in SI; beyond, products would be infinite
 
 FloatArray = NDArray[np.float64]
 NAN = math.nan
+COLUMNS = (
+    *("speed", "voltage", "current", "power", "charge", "elevation", "ambient"),
+    *("heating", "aircon", "auxiliary", "motor_torque", "motor_speed"),
+)
 
 
 class RowReadings:
@@ -63,27 +67,7 @@ class RowReadings:
 
         self._limit(values)
         self._is_sorted = self._sorted(stamps[rows])
-        table = zip(
-            stamps[rows].tolist(),
-            *(
-                column(name)
-                for name in (
-                    "speed",
-                    "voltage",
-                    "current",
-                    "power",
-                    "charge",
-                    "elevation",
-                    "ambient",
-                    "heating",
-                    "aircon",
-                    "auxiliary",
-                    "motor_torque",
-                    "motor_speed",
-                )
-            ),
-            strict=True,
-        )
+        table = zip(stamps[rows].tolist(), *map(column, COLUMNS), strict=True)
         for stamp, speed, volt, amp, power, charge, height, warm, heat, cool, aux, *motor in table:
             found: list[Reading] = []
             if speed == speed and self._is_new("speed", stamp):

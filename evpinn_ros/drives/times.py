@@ -204,30 +204,22 @@ def clock_of_numbers(
         return Clock(
             (column,), "number", "", name, True, "since 1970, by its size", backwards, style=style
         )
-    if unit is not None:
-        return Clock(
-            (column,),
-            "number",
-            unit=unit,
-            why="by its name",
-            backwards=backwards,
-            style=style,
-            daily=_begins_anew(known, DAY_NS / _NS[unit]),
-        )
+    name, why = (
+        unit or _unit_of_steps(steps),
+        "by its name" if unit else "by the step between rows",
+    )
+    daily = _begins_anew(known, DAY_NS / _NS[name])
+    return Clock(
+        (column,), "number", "", name, why=why, backwards=backwards, style=style, daily=daily
+    )
+
+
+def _unit_of_steps(steps: NDArray[np.float64]) -> str:
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
-    name = "s"
-    if step > SLOWEST_STEP:
-        name = "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
-    return Clock(
-        (column,),
-        "number",
-        unit=name,
-        why="by the step between rows",
-        backwards=backwards,
-        style=style,
-        daily=_begins_anew(known, DAY_NS / _NS[name]),
-    )
+    if step <= SLOWEST_STEP:
+        return "s"
+    return "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
 
 
 def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
