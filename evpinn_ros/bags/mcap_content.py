@@ -84,22 +84,14 @@ class FileBytes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A stretch of a file that holds message records: a chunk, or records outside of any.
+    """A stretch of a file that holds message records: a chunk, or records outside of any."""
 
-    Attributes:
-        start_ns: log time of its first message.
-        begin: first byte of its (packed) records.
-        end: behind their last byte; the file may end before it.
-        head: of the chunk, None for records outside of chunks.
-        count: of its messages.
-        channels: ids of the messages to be read; None for all, which is what the chunk says.
-    """
-
-    start_ns: int
-    begin: int
-    end: int
-    head: ChunkHead | None
-    count: int
+    start_ns: int  # log time of its first message
+    begin: int  # first byte of its (packed) records
+    end: int  # behind their last byte; the file may end before it
+    head: ChunkHead | None  # of the chunk, None for records outside of chunks
+    count: int  # of its messages
+    # ids of the messages to be read; None for all, which is what the chunk says
     channels: frozenset[int] | None = None
 
 
@@ -142,19 +134,12 @@ class Definitions:
 
 @dataclass(slots=True)
 class Records:
-    """Messages and definitions that follow each other in some bytes.
+    """Messages and definitions that follow each other in some bytes."""
 
-    Attributes:
-        index: of the messages whose topic is known.
-        unknown: messages whose topic is not.
-        last: where the last record begins.
-        end: behind it.
-    """
-
-    index: MessageIndex = field(default_factory=dict)
-    unknown: int = 0
-    last: int = 0
-    end: int = 0
+    index: MessageIndex = field(default_factory=dict)  # of the messages whose topic is known
+    unknown: int = 0  # messages whose topic is not
+    last: int = 0  # where the last record begins
+    end: int = 0  # behind it
 
     @property
     def count(self) -> int:

@@ -83,18 +83,12 @@ class BusState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BusStatus:
-    """One look at the adapter.
+    """One look at the adapter."""
 
-    Attributes:
-        state: now.
-        problem: the last fault in one line with what to do about it, or None.
-        counters: since the start: `frames`, `opened`, `lost`, `bus_off`, `error_frames`,
-            `remote_frames`, `garbled` (the driver could not read a frame), `callback_errors`,
-            `close_errors`.
-    """
-
-    state: BusState
-    problem: str | None
+    state: BusState  # now
+    problem: str | None  # the last fault in one line with what to do about it, or None
+    # since the start: `frames`, `opened`, `lost`, `bus_off`, `error_frames`, `remote_frames`,
+    # `garbled` (the driver could not read a frame), `callback_errors`, `close_errors`
     counters: Mapping[str, int]
 
 

@@ -34,17 +34,11 @@ LONGEST_SLEEP_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class PollStatus:
-    """One look at the poller, for diagnostics.
+    """One look at the poller, for diagnostics."""
 
-    Attributes:
-        ok: asking, and nothing was refused for good.
-        text: the state in a few words.
-        counters: of every control unit together (see `ControlUnit`).
-    """
-
-    ok: bool
-    text: str
-    counters: Mapping[str, int]
+    ok: bool  # asking, and nothing was refused for good
+    text: str  # the state in a few words
+    counters: Mapping[str, int]  # of every control unit together (see `ControlUnit`)
 
 
 class Poller:

@@ -23,25 +23,15 @@ LONGEST_LIST = 200  # characters of column names in a message
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column that is used.
+    """A column that is used."""
 
-    Attributes:
-        quantity: of `QUANTITIES`.
-        name: in the file.
-        factor: to SI.
-        unit: that of the file, with a minus where the sign is turned.
-        why: the reason for the unit; empty when the name is one of ours.
-        offset: to SI, added after the factor.
-        place: of the column in the file, from 0.
-    """
-
-    quantity: str
-    name: str
-    factor: float = 1.0
-    unit: str = ""
-    why: str = ""
-    offset: float = 0.0
-    place: int = 0
+    quantity: str  # of `QUANTITIES`
+    name: str  # in the file
+    factor: float = 1.0  # to SI
+    unit: str = ""  # that of the file, with a minus where the sign is turned
+    why: str = ""  # the reason for the unit; empty when the name is one of ours
+    offset: float = 0.0  # to SI, added after the factor
+    place: int = 0  # of the column in the file, from 0
 
     def measured_in(self, text: str, unit: Unit, why: str) -> Column:
         """The same column, its unit known."""

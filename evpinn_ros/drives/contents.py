@@ -39,37 +39,23 @@ class TopicContents:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """Contents of a recording.
+    """Contents of a recording."""
 
-    Attributes:
-        path: of it.
-        kind: `bag`, `CAN log` or `table`.
-        topics: of a bag.
-        columns: of a table that are used.
-        unused: names of those that are not.
-        dated: what tells the day of a table, see `TableDrive`; None of what has stamps.
-        zoned: whether its clock is UTC or names its zone.
-        frames: of a CAN log or a bag, that were looked at for the profile; 0 without.
-        profile: that fits the frames, None when none does, or without frames.
-        vehicles: whose profile that is.
-        drive: what the estimator can use, None when there is nothing of ours in it.
-        dropped: what was not used of the drive, by reason.
-        notes: what could not be read or used, and why.
-    """
-
-    path: Path
-    kind: str
-    topics: tuple[TopicContents, ...] = ()
-    columns: tuple[Column, ...] = ()
-    unused: tuple[str, ...] = ()
+    path: Path  # of it
+    kind: str  # `bag`, `CAN log` or `table`
+    topics: tuple[TopicContents, ...] = ()  # of a bag
+    columns: tuple[Column, ...] = ()  # of a table that are used
+    unused: tuple[str, ...] = ()  # names of those that are not
+    # what tells the day of a table, see `TableDrive`; None of what has stamps
     dated: str | None = None
-    zoned: bool = True
-    frames: int = 0
-    profile: str | None = None
-    vehicles: tuple[str, ...] = ()
+    zoned: bool = True  # whether its clock is UTC or names its zone
+    frames: int = 0  # of a CAN log or a bag, that were looked at for the profile; 0 without
+    profile: str | None = None  # that fits the frames, None when none does, or without frames
+    vehicles: tuple[str, ...] = ()  # whose profile that is
+    # what the estimator can use, None when there is nothing of ours in it
     drive: DataCoverage | None = None
-    dropped: Counter[str] | None = None
-    notes: tuple[str, ...] = ()
+    dropped: Counter[str] | None = None  # what was not used of the drive, by reason
+    notes: tuple[str, ...] = ()  # what could not be read or used, and why
 
     @property
     def span_ns(self) -> tuple[int, int] | None:

@@ -24,24 +24,15 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """Quantity that a column may hold.
+    """Quantity that a column may hold."""
 
-    Attributes:
-        column: the name that needs no guessing, with the unit in it.
-        words: phrases of which a name must have one.
-        needs: phrases of which it must have one as well; empty for none.
-        better: that speak for a name.
-        worse: that speak against it, where another one is there.
-        never: that rule a name out.
-        units: by their lower-case spelling; the first is taken when nothing tells.
-    """
-
-    column: str
-    words: tuple[str, ...]
-    needs: tuple[str, ...]
-    better: tuple[str, ...]
-    worse: tuple[str, ...]
-    never: tuple[str, ...]
+    column: str  # the name that needs no guessing, with the unit in it
+    words: tuple[str, ...]  # phrases of which a name must have one
+    needs: tuple[str, ...]  # phrases of which it must have one as well; empty for none
+    better: tuple[str, ...]  # that speak for a name
+    worse: tuple[str, ...]  # that speak against it, where another one is there
+    never: tuple[str, ...]  # that rule a name out
+    # by their lower-case spelling; the first is taken when nothing tells
     units: Mapping[str, Unit]
 
 

@@ -30,15 +30,10 @@ FRAME_COLUMN = "arbitration_id"  # tells a CAN log's CSV from a drive's
 
 
 class Source(Protocol):
-    """A recorded drive.
+    """A recorded drive."""
 
-    Attributes:
-        path: where it lies.
-        dropped: what was not used, by reason; complete once the readings are exhausted.
-    """
-
-    path: Path
-    dropped: Counter[str]
+    path: Path  # where it lies
+    dropped: Counter[str]  # what was not used, by reason; complete once the readings are exhausted
 
     @property
     def problem(self) -> str | None:

@@ -72,31 +72,18 @@ _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s")
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Reader of the cells of the time columns.
+    """Reader of the cells of the time columns."""
 
-    Attributes:
-        columns: of the table, one, or two where date and time are apart.
-        kind: `number`, `date` or `time of day`.
-        formats: of polars, one for a date or a time of day.
-        unit: of numbers.
-        zoned: the cells name a zone or are seconds since 1970, so the stamps are UTC.
-        why: this was chosen, for people.
-        backwards: steps back in what was looked at.
-        twelve: hours are counted to twelve.
-        style: of numbers.
-        daily: numbers begin anew at midnight.
-    """
-
-    columns: tuple[int, ...]
-    kind: str
-    formats: str = ""
-    unit: str = "s"
-    zoned: bool = False
-    why: str = ""
-    backwards: int = 0
-    twelve: bool = False
-    style: Style = POINT
-    daily: bool = False
+    columns: tuple[int, ...]  # of the table, one, or two where date and time are apart
+    kind: str  # `number`, `date` or `time of day`
+    formats: str = ""  # of polars, one for a date or a time of day
+    unit: str = "s"  # of numbers
+    zoned: bool = False  # the cells name a zone or are seconds since 1970, so the stamps are UTC
+    why: str = ""  # this was chosen, for people
+    backwards: int = 0  # steps back in what was looked at
+    twelve: bool = False  # hours are counted to twelve
+    style: Style = POINT  # of numbers
+    daily: bool = False  # numbers begin anew at midnight
 
     @property
     def unwrapped(self) -> Unwrapped | None:

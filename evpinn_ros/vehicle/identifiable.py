@@ -14,21 +14,13 @@ from evpinn_ros.vehicle.physics import drag_force, grade_force, inertia_force, r
 
 
 class Identifiable(NamedTuple):
-    """The combinations that data determine; floats, arrays or tensors alike.
+    """The combinations that data determine; floats, arrays or tensors alike."""
 
-    Attributes:
-        mass_over_eta: m / eta, kg.
-        drag_area_over_eta: A C_d / eta, m^2.
-        c_rr: coefficient of rolling resistance.
-        regeneration: eta mu, share of the braking energy counted at the battery, 0..1.
-        p_aux: auxiliary power, W.
-    """
-
-    mass_over_eta: Any
-    drag_area_over_eta: Any
-    c_rr: Any
-    regeneration: Any
-    p_aux: Any
+    mass_over_eta: Any  # m / eta, kg
+    drag_area_over_eta: Any  # A C_d / eta, m^2
+    c_rr: Any  # coefficient of rolling resistance
+    regeneration: Any  # eta mu, share of the braking energy counted at the battery, 0..1
+    p_aux: Any  # auxiliary power, W
 
 
 IDENTIFIABLE_NAMES = Identifiable._fields
