@@ -49,11 +49,15 @@ def logs(
 
 
 def _show(found: list[LogRead], refused: int) -> None:
-    names = ("name", "rows", "used", "empty", "readings")
-    columns = [("log" if name == "name" else name, "{0." + name + "}") for name in names] + [
+    columns = (
+        ("log", "{0.name}"),
+        ("rows", "{0.rows}"),
+        ("used", "{0.used}"),
+        ("empty", "{0.empty}"),
+        ("readings", "{0.readings}"),
         ("distance", "{1}"),
         ("energy", "{2}"),
-    ]
+    )
     rows = [(log, _off(log.way, log.odometer), _off(log.energy, log.charge)) for log in found]
     show(table_of("Logs of apps", rows, columns))
     lost = sum(log.rows - log.used - log.empty for log in found)

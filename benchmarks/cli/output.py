@@ -46,8 +46,8 @@ def table_of(
         left: how many of the columns are texts, aligned left.
     """
     table = PlainTable(title=title)
-    for number, (header, _) in enumerate(columns):
-        table.add_column(header, justify="left" if number < left else "right")
+    for place, (header, _) in enumerate(columns):
+        table.add_column(header, justify="left" if place < left else "right")
     for row in rows:
         objects = row if type(row) is tuple else (row,)
         table.add_row(*(cell.format(*objects) for _, cell in columns))
