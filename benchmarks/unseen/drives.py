@@ -74,7 +74,7 @@ class Car:
     key: str  # what `--cars` calls it
     vehicle: Vehicle  # all that a method knows of it
     drives: tuple[Drive, ...]  # in order of time
-    # true combinations by the names of `truth.NAMES`, empty where they are unknown
+    # true combinations by `method.NAMES`, empty where they are unknown
     truth: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -20,6 +20,7 @@ from evpinn_ros.signals.readings import BatteryReading, Reading
 from evpinn_ros.vehicle.files import Vehicle
 
 Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
+NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")
 
 
 class Prediction(NamedTuple):
@@ -45,7 +46,7 @@ class Method(Protocol):
         """Begin another drive of the same car."""
 
     def combinations(self) -> Mapping[str, Estimate]:
-        """Estimates of the car, by the names of `truth.NAMES`; empty if there are none."""
+        """Estimates of the car, by `NAMES`; empty if there are none."""
 
 
 Factory: TypeAlias = Callable[[Vehicle], Method]

@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.truth import PROFILE, VEHICLES
-from benchmarks.unseen.method import Estimate, Factory
+from benchmarks.unseen.method import NAMES, Estimate, Factory
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, SimulatedDrive, simulate
 from evpinn_ros.vehicle.files import load_vehicle
 
-NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")
 KINDS = {
     "truth_town": DriveKind.URBAN,
     "truth_mixed": DriveKind.MIXED,
