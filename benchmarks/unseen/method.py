@@ -56,7 +56,7 @@ class OnlineChain:
     """Our estimator and energy account, as `evpinn replay` runs them."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(_no_clock))
+        self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
         self._variance_measured = 0.0  # J^2, of the energy up to the last battery reading
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
@@ -99,8 +99,3 @@ class OnlineChain:
             "drag_area_over_eta": (value.drag_area_over_eta, std.drag_area_over_eta),
             "p_aux": (p_aux.value, p_aux.std),
         }
-
-
-def _no_clock() -> float:
-    """Updates are not timed here."""
-    return 0.0

@@ -47,15 +47,8 @@ _PARSED = {
     Opcode.METADATA: mcap_records.Metadata,
     Opcode.METADATA_INDEX: mcap_records.MetadataIndex,
 }
-_HEADS = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-    ]
-)  # MESSAGE_HEAD
+_HEADS = np.dtype("u1, <u8, <u2, <u4, <u8")  # as MESSAGE_HEAD
+_HEADS.names = ("opcode", "length", "channel", "sequence", "log_time")
 OPCODES = frozenset(Opcode)
 MessageIndex: TypeAlias = dict[int, np.ndarray]
 """By channel id: log time, ns, and offset of each message, unsigned, shape (n, 2)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -19,7 +19,7 @@ from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.drives.sources import Source, is_drive_table, open_source
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
+from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here
 INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
@@ -110,7 +110,11 @@ def _with_frames(found: Contents, log: CanLog, progress: Progress | None) -> Con
         inspection.add_frame(frame)
     report = inspection.report()
     profile = report.best.fit.profile if report.best is not None else None
-    names = tuple(car.key for car in _vehicles() if profile and car.can_profile == profile)
+    names = tuple(
+        car.key
+        for car in map(load_vehicle, vehicle_names())
+        if profile and car.can_profile == profile
+    )
     found = replace(found, frames=report.frames, profile=profile, vehicles=names)
     if profile is None and found.kind != "bag":
         return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
@@ -158,7 +162,3 @@ def _has_readings(path: Path) -> bool:
     except InputError:
         return False
     return True
-
-
-def _vehicles() -> Iterator[Vehicle]:
-    yield from map(load_vehicle, vehicle_names())

@@ -80,11 +80,9 @@ class DriveSource:
                 raise
             self._problem = str(error)
         if not begun:
-            raise InputError(self.drive.first_bad or f"{self.path}: {self._nothing()}")
-
-    def _nothing(self) -> str:
-        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.dropped.items()))
-        return f"no reading in it; dropped: {reasons or 'nothing'}"
+            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.dropped.items()))
+            nothing = f"{self.path}: no reading in it; dropped: {reasons or 'nothing'}"
+            raise InputError(self.drive.first_bad or nothing)
 
 
 def open_drive(

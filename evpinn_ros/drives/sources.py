@@ -128,30 +128,24 @@ def open_source(
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
+    log: CanLog
     if is_bag(path):
-        return _open_bag(path, vehicle, can_profile, trust_profile, mounting)
-    if is_drive_table(path):
+        # Recorded topics of ours; raw frames when asked by a profile, or if they are all there is.
+        if can_profile is None or not holds_frames(path):
+            try:
+                return BagSource(path, mounting)
+            except InputError:
+                if not holds_frames(path):
+                    raise
+        log = BagFrames(path)
+    elif is_drive_table(path):
         return open_drive(path, vehicle.nominal_voltage, columns)
-    if suffix_of(path) in LOG_SUFFIXES:
-        return CanLogSource(LogFile(path), _bridge(path, vehicle, can_profile, trust_profile))
-    raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a table")
-
-
-def _open_bag(
-    path: Path,
-    vehicle: Vehicle,
-    can_profile: str | None,
-    trust_profile: bool,
-    mounting: Rotation | None,
-) -> Source:
-    """Recorded topics of ours; raw frames when asked by a profile, or if all there is."""
-    if can_profile is None or not holds_frames(path):
-        try:
-            return BagSource(path, mounting)
-        except InputError:
-            if not holds_frames(path):
-                raise
-    return CanLogSource(BagFrames(path), _bridge(path, vehicle, can_profile, trust_profile))
+    elif suffix_of(path) in LOG_SUFFIXES:
+        log = LogFile(path)
+    else:
+        known = ", ".join(LOG_SUFFIXES)
+        raise InputError(f"{path}: neither a bag, a CAN log ({known}) nor a table")
+    return CanLogSource(log, _bridge(path, vehicle, can_profile, trust_profile))
 
 
 def _bridge(
