@@ -55,8 +55,9 @@ INTERFACES = can.VALID_INTERFACES | {elm327.NAME}
 """Drivers of python-can, and our own."""
 
 OUR_CLOCK = frozenset(
-    (elm327.NAME, "iscan", "neousys", "seeedstudio", "slcan", "socketcan", "udp_multicast")
-) | {"virtual"}
+    {elm327.NAME, "virtual", "udp_multicast"}
+    | {"iscan", "neousys", "seeedstudio", "slcan", "socketcan"}
+)
 """Drivers of python-can 4.6 that stamp each frame by this computer's clock. Others that tell the
 epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counter: they drift."""
 

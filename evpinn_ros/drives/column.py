@@ -37,6 +37,10 @@ class Column:
         """The same column, its unit known."""
         return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
 
+    def in_unit(self, text: str, why: str) -> Column:
+        """The same column in a unit of its quantity, as `QUANTITIES` spells it."""
+        return self.measured_in(text, QUANTITIES[self.quantity].units[text], why)
+
 
 def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column]:
     """The columns of a header that are used, those for the time all: their cells decide.
