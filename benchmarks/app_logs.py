@@ -36,39 +36,22 @@ OWN_POWER = "HV EV Battery Power (kW)"
 
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """Readings found in a log.
+    """Readings found in a log."""
 
-    Attributes:
-        name: of the file.
-        rows: below its header.
-        used: rows that gave a reading.
-        empty: rows without a cell of ours.
-        dropped: what was left out.
-        readings: how many.
-        seconds: that reading took.
-        way: by speed, m, where the odometer tells it too; NaN where it does not.
-        odometer: m over the same time.
-        energy: by voltage times current, J, where the state of charge tells it too.
-        charge: J over the same time.
-        power: by the log's own column of power, J; NaN where it has none.
-        same: by voltage times current over the same time, J.
-        speed_by: the column of speed.
-    """
-
-    name: str
-    rows: int
-    used: int
-    empty: int
-    dropped: dict[str, int]
-    readings: int
-    seconds: float
-    way: float
-    odometer: float
-    energy: float
-    charge: float
-    power: float
-    same: float
-    speed_by: str
+    name: str  # of the file
+    rows: int  # below its header
+    used: int  # rows that gave a reading
+    empty: int  # rows without a cell of ours
+    dropped: dict[str, int]  # what was left out
+    readings: int  # how many
+    seconds: float  # that reading took
+    way: float  # by speed, m, where the odometer tells it too; NaN where it does not
+    odometer: float  # m over the same time
+    energy: float  # by voltage times current, J, where the state of charge tells it too
+    charge: float  # J over the same time
+    power: float  # by the log's own column of power, J; NaN where it has none
+    same: float  # by voltage times current over the same time, J
+    speed_by: str  # the column of speed
 
 
 def read_log(path: Path) -> LogRead:

@@ -29,28 +29,19 @@ LEEWAY = 10.0  # s by which the battery may be known for less than the plan last
 
 
 class BatteryRow(NamedTuple):
-    """One drive; None where nothing could be forecast.
+    """One drive; None where nothing could be forecast."""
 
-    Attributes:
-        used: drop of the state of charge, 0..1.
-        by_capacity: error of the state of charge at the end, by energy over capacity.
-        by_state: the same by the state of the battery.
-        voltage_held: voltage at the start less that at the end, V.
-        voltage_by_state: error of the voltage by the state of the battery, V.
-    """
-
-    used: float
-    by_capacity: float | None
-    by_state: float | None
-    voltage_held: float
-    voltage_by_state: float | None
+    used: float  # drop of the state of charge, 0..1
+    by_capacity: float | None  # error of the state of charge at the end, by energy over capacity
+    by_state: float | None  # the same by the state of the battery
+    voltage_held: float  # voltage at the start less that at the end, V
+    voltage_by_state: float | None  # error of the voltage by the state of the battery, V
 
 
 class BatteryBenchmark:
     """One car's battery, forecast and then learned, drive after drive."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Know what the vehicle file says."""
         meter = EnergyMeter(load_rknn())
         self._account = EnergyAccount(meter, vehicle.key, vehicle.battery_capacity)
 
@@ -59,9 +50,7 @@ class BatteryBenchmark:
     ) -> BatteryRow | None:
         """The battery at the end of a drive, which is then learned from.
 
-        Args:
-            readings: of the drive.
-            forecast: of its energy, None for its measured power.
+        Without a forecast of its energy its measured power is the plan.
 
         Returns:
             None where the drive does not tell its state of charge from its start to its end.

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from benchmarks.truth import INTERVAL, PROFILE, CarChain
+from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.estimation.breakdown import DISTANCE, JOULES_PER_KWH, Breakdown
 from evpinn_ros.estimation.energy_parts import WHOLE, Part
 from evpinn_ros.estimation.pinn import LearnedCar
@@ -20,7 +21,7 @@ from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.ledger import true_parts
-from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, simulate
+from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.simulation.truth import prior_parameters
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
@@ -80,42 +81,14 @@ def part_checks(
     seeds: Iterable[int],
     *,
     seconds: float = 900.0,
-    from_priors: bool = False,
-    rms_grade: float = RMS_GRADE,
-    altitude: bool = False,
-    temperature: bool = False,
-    motor_torque: bool = False,
+    **options: Any,
 ) -> Iterator[PartCheck]:
     """Drive one car per seed and hold each part of its breakdown against the truth.
 
-    Args:
-        kinds: where to drive, in turn.
-        vehicles: models, in turn.
-        seeds: of the drives.
-        seconds: length of each.
-        from_priors: whether the car is drawn from the priors instead of from plausible cars.
-        rms_grade: of the road.
-        altitude: whether there is a barometer.
-        temperature: whether there is a thermometer.
-        motor_torque: whether the car tells the torque of its motor.
+    `options` are those of `simulated_drives`.
     """
-    for number, seed in enumerate(seeds):
-        vehicle = load_vehicle(vehicles[number % len(vehicles)])
-        wish = prior_parameters(vehicle, np.random.default_rng(seed)) if from_priors else None
-        kind = kinds[number // len(vehicles) % len(kinds)]
-        drive = simulate(
-            kind,
-            vehicle,
-            seconds,
-            seed,
-            car=wish._asdict() if wish else None,
-            can_profile=PROFILE,
-            altitude=altitude,
-            temperature=temperature,
-            motor_torque=motor_torque,
-            rms_grade=rms_grade,
-        )
-        chain = SpanChain(vehicle)
+    for drive in simulated_drives(kinds, vehicles, seeds, seconds, **options):
+        chain = SpanChain(drive.vehicle)
         for reading in drive.readings:
             chain.add_reading(reading)
         found = chain.breakdown
@@ -131,9 +104,9 @@ def part_checks(
             amount = found.of(*group)
             true = sum(truth[part.name.lower()] for part in group) / JOULES_PER_KWH
             yield PartCheck(
-                vehicle.key,
-                kind.value,
-                seed,
+                drive.vehicle.key,
+                drive.kind.value,
+                drive.seed,
                 "+".join(part.name.lower() for part in group),
                 amount.kwh,
                 amount.sigma_kwh,

@@ -26,12 +26,7 @@ from benchmarks.can_traffic import (
 )
 from evpinn_ros import topics
 from evpinn_ros.nodes import factory
-from evpinn_ros.nodes.processes import (
-    START_TIMEOUT,
-    node_process,
-    own_network,
-    processor_seconds,
-)
+from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network, processor_seconds
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE, Topic
 from evpinn_ros.topics.node_parameters import Value
@@ -44,33 +39,22 @@ VEHICLE = "tesla_model_3_lr"
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """Results of the bridge on a full bus.
+    """Results of the bridge on a full bus."""
 
-    Attributes:
-        seconds: of traffic.
-        frames_sent: by the sender.
-        frames_received: by the bridge, as it says on /diagnostics.
-        readings_sent: battery frames among them.
-        readings_heard: `battery/state` at the subscriber.
-        core_share: of one core, that the bridge's process took while the traffic ran.
-        latency_ms: from the sender's call to the subscriber's callback: p50, p99 and largest.
-    """
-
-    seconds: float
-    frames_sent: int
-    frames_received: int
-    readings_sent: int
-    readings_heard: int
-    core_share: float
+    seconds: float  # of traffic
+    frames_sent: int  # by the sender
+    frames_received: int  # by the bridge, as it says on /diagnostics
+    readings_sent: int  # battery frames among them
+    readings_heard: int  # `battery/state` at the subscriber
+    core_share: float  # of one core, that the bridge's process took while the traffic ran
+    # from the sender's call to the subscriber's callback: p50, p99 and largest
     latency_ms: tuple[float, float, float]
 
 
 def measure_load(seconds: float, progress: Callable[[float], None]) -> Load:
     """Run the bridge under `FRAMES_PER_TICK` x `TICKS` frames a second.
 
-    Args:
-        seconds: of traffic.
-        progress: takes the seconds done.
+    `progress` takes the seconds done.
 
     Raises:
         InputError: no multicast here, no /proc, or the bridge did not come up.

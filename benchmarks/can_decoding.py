@@ -51,23 +51,14 @@ def _leaf(data: bytes) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A recorded bus, the table of what is in it, and the frame that holds the battery.
+    """A recorded bus, the table of what is in it, and the frame that holds the battery."""
 
-    Attributes:
-        profile: of the car.
-        log: below the folder of the captures.
-        table: likewise; its columns are linear interpolations between the frames.
-        battery_id: of the frame with voltage and current.
-        formula: of that frame.
-        motor_speed: the table's speed is the motor's, so that of the wheels may differ.
-    """
-
-    profile: str
-    log: str
-    table: str
-    battery_id: int
-    formula: Formula
-    motor_speed: bool = False
+    profile: str  # of the car
+    log: str  # below the folder of the captures
+    table: str  # likewise; its columns are linear interpolations between the frames
+    battery_id: int  # of the frame with voltage and current
+    formula: Formula  # of that frame
+    motor_speed: bool = False  # the table's speed is the motor's, so that of the wheels may differ
 
 
 CAPTURES = (
@@ -101,44 +92,27 @@ CAPTURES = (
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Agreement of a decoded capture with its table.
+    """Agreement of a decoded capture with its table."""
 
-    Attributes:
-        log: of the capture.
-        frames: in the log.
-        battery_frames: with voltage and current.
-        battery_equal: of those, the ones that give both exactly, by the formula.
-        rows: of the table that lie between two battery frames.
-        rows_equal: of those, the ones whose voltage and current are ours to the last digit.
-        wheel_speed: median ratio to the motor's speed, None where the table has another.
-        wheel_speed_within_2_percent: share of the moments in motion.
-    """
-
-    log: str
-    frames: int
-    battery_frames: int
-    battery_equal: int
-    rows: int
-    rows_equal: int
+    log: str  # of the capture
+    frames: int  # in the log
+    battery_frames: int  # with voltage and current
+    battery_equal: int  # of those, the ones that give both exactly, by the formula
+    rows: int  # of the table that lie between two battery frames
+    rows_equal: int  # of those, the ones whose voltage and current are ours to the last digit
+    # median ratio to the motor's speed, None where the table has another
     wheel_speed: float | None
-    wheel_speed_within_2_percent: float | None
+    wheel_speed_within_2_percent: float | None  # share of the moments in motion
 
 
 @dataclass(frozen=True, slots=True)
 class Throughput:
-    """Frames a second of the processor's time.
+    """Frames a second of the processor's time."""
 
-    Attributes:
-        frames: decoded, of a full bus.
-        decoding: frames in memory to readings.
-        decoding_known: likewise, of the frames with an id of the profile alone.
-        whole_file: a candump file to readings.
-    """
-
-    frames: int
-    decoding: float
-    decoding_known: float
-    whole_file: float
+    frames: int  # decoded, of a full bus
+    decoding: float  # frames in memory to readings
+    decoding_known: float  # likewise, of the frames with an id of the profile alone
+    whole_file: float  # a candump file to readings
 
 
 def measure_throughput(clock: Callable[[], float] = time.process_time) -> Throughput:

@@ -37,7 +37,6 @@ class DeepXdeTraining:
     """
 
     def __init__(self, problem: Problem, seed: int) -> None:
-        """Build the model; nothing is trained yet."""
         os.environ.setdefault("DDE_BACKEND", "pytorch")
         import deepxde
 

@@ -38,23 +38,14 @@ MIN_DURATION = 10.0  # s
 
 @dataclass(frozen=True, slots=True)
 class PlannedForecast:
-    """One drive.
+    """One drive."""
 
-    Attributes:
-        measured_j: energy of the battery, J.
-        forecast_j: before it was driven.
-        sigma_j: 1-sigma of that.
-        combinations_j: a forecast that knows the five published combinations alone.
-        distance_m: m.
-        battery: at its end, None without a state of charge.
-    """
-
-    measured_j: float
-    forecast_j: float
-    sigma_j: float
-    combinations_j: float
-    distance_m: float
-    battery: BatteryRow | None = None
+    measured_j: float  # energy of the battery, J
+    forecast_j: float  # before it was driven
+    sigma_j: float  # 1-sigma of that
+    combinations_j: float  # a forecast that knows the five published combinations alone
+    distance_m: float  # m
+    battery: BatteryRow | None = None  # at its end, None without a state of charge
 
     @property
     def error_percent(self) -> float:
@@ -71,7 +62,6 @@ class ForecastBenchmark:
     """Forecasts drives and learns them, one after the other."""
 
     def __init__(self, vehicle: Vehicle, clock: Clock) -> None:
-        """Start at the vehicle's priors."""
         self._vehicle = vehicle
         self._battery = BatteryBenchmark(vehicle)
         self._estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(clock))

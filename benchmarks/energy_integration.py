@@ -45,45 +45,28 @@ HORIZONS = (10e3, 20e3, 40e3)  # m
 
 
 class IntegrationRow(NamedTuple):
-    """One figure.
+    """One figure."""
 
-    Attributes:
-        name: of what.
-        figure: its value.
-        unit: of it; `%` is of gross energy where energies are compared.
-        cases: it is made of.
-        goal: in words, empty without one.
-    """
-
-    name: str
-    figure: float
-    unit: str
-    cases: int
-    goal: str = ""
+    name: str  # of what
+    figure: float  # its value
+    unit: str  # of it; `%` is of gross energy where energies are compared
+    cases: int  # it is made of
+    goal: str = ""  # in words, empty without one
 
 
 class Counted(NamedTuple):
-    """Energy of one stretch of a drive without its battery, J.
+    """Energy of one stretch of a drive without its battery, J."""
 
-    Attributes:
-        error: of what was counted.
-        sigma: what the meter says of that.
-        gross: what the battery gave over the stretch, drawn and regenerated together.
-        gross_so_far: the same since the start of the drive.
-    """
-
-    error: float
-    sigma: float
-    gross: float
-    gross_so_far: float
+    error: float  # of what was counted
+    sigma: float  # what the meter says of that
+    gross: float  # what the battery gave over the stretch, drawn and regenerated together
+    gross_so_far: float  # the same since the start of the drive
 
 
 def integration_rows(cars: Iterable[Sequence[Log]], clock: Clock) -> list[IntegrationRow]:
     """All figures.
 
-    Args:
-        cars: for each car its drives in order (`benchmarks.logs.find_logs`).
-        clock: for the durations of updates.
+    Each car has its drives in order (`benchmarks.logs.find_logs`); the clock times updates.
     """
     rows = [day_row(), *simulated_rows()]
     for logs in cars:
@@ -238,10 +221,7 @@ def _without_battery(
 def _with_gaps(chain: Chain, readings: Sequence[Reading], period: int) -> dict[str, float]:
     """Errors, % of gross energy, of a copy of the chain whose battery is slow and has gaps.
 
-    Args:
-        chain: what was learned on the drives before.
-        readings: of a drive.
-        period: of the battery, s.
+    The chain knows what was learned on the drives before; the period of the battery is in s.
 
     Returns:
         By integrator: both count what one estimator says.

@@ -41,25 +41,16 @@ class ForecastThroughput(NamedTuple):
 
 
 class CycleRow(NamedTuple):
-    """One drive cycle, flat: energies in J.
+    """One drive cycle, flat: energies in J."""
 
-    Attributes:
-        cycle: its name.
-        distance_m: its length.
-        fastsim_j: of its Model 3.
-        same_car_j: of ours with the mass, road load, auxiliary power and usual efficiency of its.
-        vehicle_file_j: of our Model 3 as the vehicle file has it.
-        fastsim_us: for one step.
-        ours_us: for one step of a batch, the learned model.
-    """
-
-    cycle: str
-    distance_m: float
-    fastsim_j: float
+    cycle: str  # its name
+    distance_m: float  # its length
+    fastsim_j: float  # of its Model 3
+    # of ours with the mass, road load, auxiliary power and usual efficiency of its
     same_car_j: float
-    vehicle_file_j: float
-    fastsim_us: float
-    ours_us: float
+    vehicle_file_j: float  # of our Model 3 as the vehicle file has it
+    fastsim_us: float  # for one step
+    ours_us: float  # for one step of a batch, the learned model
 
 
 def measure_throughput(vehicle: Vehicle) -> ForecastThroughput:

@@ -38,27 +38,18 @@ COMPARED = ("mass_over_eta", "c_d_over_eta", "c_rr", "p_aux")
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """One run over a fleet on so many workers.
+    """One run over a fleet on so many workers."""
 
-    Attributes:
-        workers: processes.
-        drives: learned, fewer than there are if it was stopped.
-        start_s: until each worker had done a car.
-        drives_per_s: after that.
-        cpu_s: of the processor a drive, start of the workers included.
-        quarters_s: wall time per drive, in the first quarter after the start and in the last.
-        rss_mb: of all processes, when a quarter of the cars was done and at the end.
-        tables_s: to write the tables.
-    """
-
-    workers: int
-    drives: int
-    start_s: float
-    drives_per_s: float
-    cpu_s: float
+    workers: int  # processes
+    drives: int  # learned, fewer than there are if it was stopped
+    start_s: float  # until each worker had done a car
+    drives_per_s: float  # after that
+    cpu_s: float  # of the processor a drive, start of the workers included
+    # wall time per drive, in the first quarter after the start and in the last
     quarters_s: tuple[float, float]
+    # of all processes, when a quarter of the cars was done and at the end
     rss_mb: tuple[float, float]
-    tables_s: float
+    tables_s: float  # to write the tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +60,16 @@ class Recovered:
     mean: float
     spread: float
     told: PopulationValue
+
+    @property
+    def mean_off(self) -> float:
+        """Error of the mean, in its sigmas."""
+        return (self.told.mean - self.mean) / self.told.mean_std
+
+    @property
+    def spread_off(self) -> float:
+        """Error of the spread, in its sigmas."""
+        return (self.told.spread - self.spread) / self.told.spread_std
 
 
 def many_drives(folder: Path, vehicle: Vehicle, drives: int, seconds: float) -> list[CarDrives]:

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from benchmarks.truth import PROFILE
+from benchmarks.truth import simulated_drives
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind
 from evpinn_ros.simulation.road import LONGEST_HILL, SHORTEST_HILL
 from evpinn_ros.simulation.sensors import (
@@ -23,9 +23,9 @@ from evpinn_ros.simulation.sensors import (
     ALTITUDE_NOISE,
     ALTITUDE_RATE,
 )
-from evpinn_ros.simulation.simulate import RMS_GRADE, SimulatedDrive, simulate
+from evpinn_ros.simulation.simulate import RMS_GRADE, SimulatedDrive
 from evpinn_ros.simulation.truth import PLAUSIBLE_SPREAD
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.physics import (
     GRAVITY,
     STANDSTILL_SPEED,
@@ -54,9 +54,7 @@ def floors(
     altitude: bool = False,
 ) -> Iterator[Mapping[str, float]]:
     """`median_floor` of the drives that `benchmarks.truth.compare` has."""
-    for number, seed in enumerate(seeds):
-        vehicle = load_vehicle(vehicles[number % len(vehicles)])
-        drive = simulate(kind, vehicle, seconds, seed, can_profile=PROFILE, rms_grade=rms_grade)
+    for drive in simulated_drives([kind], vehicles, seeds, seconds, rms_grade=rms_grade):
         yield median_floor(drive, seconds, rms_grade, altitude=altitude)
 
 
@@ -65,11 +63,8 @@ def median_floor(
 ) -> Mapping[str, float]:
     """Least median error of the first seconds of a drive, percent, of each of `ASKED`.
 
-    Args:
-        drive: one by `simulate` on a road of `rms_grade`, 0 for slopes that are known exactly.
-        seconds: from its start.
-        rms_grade: of the road, which the oracle knows.
-        altitude: whether the oracle has the barometer.
+    The drive is one by `simulate` on a road of `rms_grade`, which the oracle knows, 0 for slopes
+    that are known exactly; `altitude` gives it the barometer.
     """
     count, every = round(seconds * SAMPLE_RATE), round(SAMPLE_RATE / SAMPLES)
     motion = drive.trace.motion

@@ -22,36 +22,21 @@ STATISTICS = {"inputs": "number_of_executed_units", "memory_mb": "peak_rss_mb"}
 
 @dataclass(frozen=True, slots=True)
 class FuzzResult:
-    """Result of one target.
+    """Result of one target."""
 
-    Attributes:
-        target: its name.
-        inputs: that were parsed.
-        seconds: they took, with loading.
-        slowest_s: the longest of them.
-        memory_mb: most of the process; instrumented libraries are most of that.
-        crash: the file with the input that crashed, hung or grew, None if none was kept.
-        said: the error, empty if there was none.
-    """
-
-    target: str
-    inputs: int
-    seconds: float
-    slowest_s: float
-    memory_mb: int
-    crash: Path | None
-    said: str
+    target: str  # its name
+    inputs: int  # that were parsed
+    seconds: float  # they took, with loading
+    slowest_s: float  # the longest of them
+    memory_mb: int  # most of the process; instrumented libraries are most of that
+    crash: Path | None  # the file with the input that crashed, hung or grew, None if none was kept
+    said: str  # the error, empty if there was none
 
 
 def fuzz(target: Target, inputs: int, seconds: int, crashes: Path, seed: int) -> FuzzResult:
     """Parse so many damaged inputs, or for so many seconds; stops at the first crash.
 
-    Args:
-        target: of the table.
-        inputs: at most.
-        seconds: at most.
-        crashes: folder for inputs that crash.
-        seed: of all that is drawn; another one gives other inputs.
+    Inputs that crash are kept in the folder `crashes`. Another seed gives other inputs.
 
     Raises:
         InputError: atheris is not installed, or did not start.

@@ -19,19 +19,8 @@ from evpinn_ros import topics
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.estimation.pinn import PinnLearner
-from evpinn_ros.signals.readings import (
-    NANOSECONDS,
-    AltitudeReading,
-    AuxiliaryReading,
-    BatteryReading,
-    GradeReading,
-    MotorReading,
-    PressureReading,
-    Reading,
-    SpeedReading,
-    TemperatureReading,
-    WindReading,
-)
+from evpinn_ros.signals import readings
+from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.topics.messages import header, scalar, speed_message
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.plans import DISTANCE_JOINT
@@ -43,14 +32,14 @@ START = 1_700_000_000 * NANOSECONDS
 STEP = NANOSECONDS // 10
 READINGS: tuple[Reading, ...] = (
     SpeedReading(START, 10.0),
-    BatteryReading(START, 350.0, -20.0, 0.5),
-    GradeReading(START, 0.01),
-    AltitudeReading(START, 300.0),
-    TemperatureReading(START, 12.0),
-    PressureReading(START, 98e3),
-    WindReading(START, 2.0),
-    AuxiliaryReading(START, 500.0, 100.0),
-    MotorReading(START, 80.0, 400.0),
+    readings.BatteryReading(START, 350.0, -20.0, 0.5),
+    readings.GradeReading(START, 0.01),
+    readings.AltitudeReading(START, 300.0),
+    readings.TemperatureReading(START, 12.0),
+    readings.PressureReading(START, 98e3),
+    readings.WindReading(START, 2.0),
+    readings.AuxiliaryReading(START, 500.0, 100.0),
+    readings.MotorReading(START, 80.0, 400.0),
 )
 """One of each kind; the place in here chooses the type of a fuzzed message."""
 

@@ -18,13 +18,7 @@ import numpy as np
 
 from benchmarks import fuzz_seeds as seeds
 from benchmarks.fuzz_seeds import READINGS, VEHICLE
-from benchmarks.fuzz_structures import (
-    Mutate,
-    mutate_json,
-    mutate_mcap,
-    mutate_table,
-    mutate_yaml,
-)
+from benchmarks.fuzz_structures import Mutate, mutate_json, mutate_mcap, mutate_table, mutate_yaml
 from evpinn_ros import topics
 from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.bags.convert import BagReadings
@@ -65,24 +59,16 @@ _PACKED_METADATA = """rosbag2_bagfile_information:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One parser.
+    """One parser."""
 
-    Attributes:
-        name: of the target.
-        file_name: under which it gets an input.
-        seeds: makes sound inputs.
-        parse: reads the file; it may raise InputError and nothing else.
-        beside: makes what the parser needs in the folder of the file.
-        weight: its part of all inputs; less where one input takes longer.
-        mutate: damages an input and keeps its structure, where it has one to keep.
-    """
-
-    name: str
-    file_name: str
-    seeds: Callable[[], list[bytes]]
-    parse: Callable[[Path], object]
+    name: str  # of the target
+    file_name: str  # under which it gets an input
+    seeds: Callable[[], list[bytes]]  # makes sound inputs
+    parse: Callable[[Path], object]  # reads the file; it may raise InputError and nothing else
+    # makes what the parser needs in the folder of the file
     beside: Callable[[Path], object] = lambda folder: None
-    weight: float = 1.0
+    weight: float = 1.0  # its part of all inputs; less where one input takes longer
+    # damages an input and keeps its structure, where it has one to keep
     mutate: Mutate | None = None
 
     def run(self, folder: Path, data: bytes) -> None:
@@ -233,6 +219,20 @@ def _cut(data: bytes) -> Iterator[CanFrame]:
         position = end
 
 
+def _bundled(pattern: str) -> Callable[[], list[bytes]]:
+    return partial(seeds.bundled, pattern)
+
+
+def _estimator_seed() -> list[bytes]:
+    return seeds.as_json(_estimator().export())
+
+
+def _account_seed() -> list[bytes]:
+    return seeds.as_json(_account().export())
+
+
+_settings = partial(Target, weight=SLOW, mutate=mutate_yaml)
+
 TARGETS = (
     Target("mcap", "drive.mcap", seeds.mcap_files, _bag, mutate=mutate_mcap),
     Target("recover", "drive.mcap", seeds.mcap_files, _recovered, weight=SLOW, mutate=mutate_mcap),
@@ -240,76 +240,22 @@ TARGETS = (
     Target(
         "packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside, weight=SLOW
     ),
-    Target(
-        "metadata",
-        METADATA,
-        seeds.metadata,
-        _bag_folder,
-        _mcap_beside,
-        weight=SLOW,
-        mutate=mutate_yaml,
-    ),
+    _settings("metadata", METADATA, seeds.metadata, _bag_folder, _mcap_beside),
     *(
         Target(suffix.strip("."), f"drive{suffix}", partial(seeds.can_log, suffix), _log)
         for suffix in (".log", ".asc", ".trc", ".csv", ".blf")
     ),
     Target("log.gz", "drive.log.gz", seeds.zipped_log, _log),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive, mutate=mutate_table),
+    Target("dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside, SLOW),
+    _settings("profile", "p.yaml", _bundled("can/*.yaml"), load_profile, _dbc_beside),
+    _settings("vehicle", "car.yaml", _bundled("vehicles/*.yaml"), load_vehicle),
+    _settings("params", "p.yaml", _bundled("*.param.yaml"), check_parameter_file),
     Target(
-        "dbc",
-        "input.dbc",
-        partial(seeds.bundled, "can/tesla_model_3.dbc"),
-        _dbc,
-        _profile_beside,
-        weight=SLOW,
+        "truth", TRUTH_FILE, seeds.truth, lambda path: read_truth(path.parent), mutate=mutate_yaml
     ),
-    Target(
-        "profile",
-        "p.yaml",
-        partial(seeds.bundled, "can/*.yaml"),
-        load_profile,
-        _dbc_beside,
-        weight=SLOW,
-        mutate=mutate_yaml,
-    ),
-    Target(
-        "vehicle",
-        "car.yaml",
-        partial(seeds.bundled, "vehicles/*.yaml"),
-        load_vehicle,
-        weight=SLOW,
-        mutate=mutate_yaml,
-    ),
-    Target(
-        "params",
-        "p.yaml",
-        partial(seeds.bundled, "*.param.yaml"),
-        check_parameter_file,
-        weight=SLOW,
-        mutate=mutate_yaml,
-    ),
-    Target(
-        "truth",
-        TRUTH_FILE,
-        seeds.truth,
-        lambda path: read_truth(path.parent),
-        mutate=mutate_yaml,
-    ),
-    Target(
-        "state",
-        "s.json",
-        lambda: seeds.as_json(_estimator().export()),
-        _estimator_state,
-        weight=SLOW,
-        mutate=mutate_json,
-    ),
-    Target(
-        "energy",
-        "e.json",
-        lambda: seeds.as_json(_account().export()),
-        _energy_state,
-        mutate=mutate_json,
-    ),
+    Target("state", "s.json", _estimator_seed, _estimator_state, weight=SLOW, mutate=mutate_json),
+    Target("energy", "e.json", _account_seed, _energy_state, mutate=mutate_json),
     Target("rknn", "w.npz", lambda: [SHIPPED_WEIGHTS.read_bytes()], load_rknn),
     Target("message", "m", seeds.messages, partial(_refused, _reading)),
     Target("model", "m", seeds.model, partial(_refused, _model)),

@@ -103,10 +103,7 @@ def compare_integrators(
 ) -> Iterator[IntegratorRow]:
     """Each method on each sampling of one car's drives.
 
-    Args:
-        car: its name.
-        drives: all of them; the networks as published are trained on the first.
-        epochs: of that training.
+    The networks as published are trained on the first drive, for so many epochs.
 
     Raises:
         InputError: the training diverges, or the first drive is too short for it.
@@ -161,14 +158,6 @@ def _integral(drive: PowerSeries) -> EnergyIntegral:
     return integral
 
 
-def _trapezoid(drive: PowerSeries) -> float:
-    return _integral(drive).energy
-
-
-def _simpson(drive: PowerSeries) -> float:
-    return float(simpson(drive.power, x=drive.time))
-
-
 def _shipped(drive: PowerSeries) -> float:
     known = divided(drive)
     return float(load_rknn().integrate(known.time, known.power)[-1])
@@ -191,8 +180,8 @@ def _networks(drive: PowerSeries, epochs: int) -> dict[str, Integrator]:
 
 
 RULES: Mapping[str, Integrator] = {
-    "trapezoid": _trapezoid,
-    "Simpson": _simpson,
+    "trapezoid": lambda drive: _integral(drive).energy,
+    "Simpson": lambda drive: float(simpson(drive.power, x=drive.time)),
     "RKNN, shipped": _shipped,
 }
 SAMPLINGS: Mapping[str, Sampling] = {

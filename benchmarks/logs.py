@@ -24,9 +24,7 @@ class Log(NamedTuple):
 def find_logs(argument: str, vehicle: str) -> list[Log]:
     """The logs that an argument names, in order of their paths.
 
-    Args:
-        argument: `PATH`, `PATH=VEHICLE` or `PATH=VEHICLE,PROFILE`.
-        vehicle: whose logs they are when the argument does not say.
+    They are of `vehicle` where the argument does not say.
 
     Raises:
         InputError: nothing is there.

@@ -11,24 +11,13 @@ import math
 from typing import Protocol
 
 from benchmarks.kalman import FAST, FiveStateFilter
-from benchmarks.regression import (
-    FIVE_TERMS,
-    SEVEN_TERMS,
-    BatchLeastSquares,
-    RecursiveLeastSquares,
-)
+from benchmarks.regression import FIVE_TERMS, SEVEN_TERMS, BatchLeastSquares, RecursiveLeastSquares
 from evpinn_ros.estimation.learner import PowerPrediction
+from evpinn_ros.reproduction.published import PREDICTED
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
-from evpinn_ros.vehicle.parameters import Parameters
-from evpinn_ros.vehicle.physics import RegenForm, battery_power
-
-# EV-PINN paper, Table V; P_aux from section III.C.
-TABLE_V: Mapping[str, Parameters] = {
-    "tesla_model_3_lr": Parameters(0.7349, 0.6743, 1975.0, 0.00915, 0.2349, 1100.0),
-    "tesla_model_s": Parameters(0.7248, 0.7038, 2313.0, 0.01100, 0.2457, 390.0),
-}
+from evpinn_ros.vehicle.physics import RegenForm
 
 
 class OnlineMethod(Protocol):
@@ -45,7 +34,6 @@ class PriorOnly:
     """Physics at the priors of the vehicle file, the form and inertia of `mode: hybrid`."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Take the priors' values."""
         self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
         self._rotating_mass_factor = vehicle.rotating_mass_factor
 
@@ -70,19 +58,17 @@ class PublishedParameters:
 
     def __init__(self, vehicle: Vehicle, form: RegenForm) -> None:
         """Take the published values; KeyError when there are none for this car."""
-        self._parameters = TABLE_V[vehicle.key]
+        self._parameters = PREDICTED[vehicle.key]
         self._vehicle, self._form = vehicle, form
 
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of eq. 21, W."""
-        power = battery_power(
+        power = self._vehicle.power(
             sample.speed,
             sample.acceleration,
             self._parameters,
-            area=self._vehicle.frontal_area,
+            self._form,
             air_density=sample.air_density,
-            form=self._form,
-            beta=self._vehicle.beta,
             grade=sample.grade,
         )
         return PowerPrediction(float(power) + sample.known_auxiliary, math.nan)
@@ -105,7 +91,7 @@ PEERS: Mapping[str, Callable[[Vehicle], OnlineMethod]] = {
 
 def peers(names: list[str], vehicle: Vehicle) -> dict[str, OnlineMethod]:
     """The peers of these names that exist for a car, each at its start."""
-    published = vehicle.key in TABLE_V
+    published = vehicle.key in PREDICTED
     return {
         name: PEERS[name](vehicle)
         for name in names

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-import signal
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
@@ -14,7 +13,7 @@ import time
 from benchmarks.soak import SEED, VEHICLE, resident_mb
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.processes import STOP_TIMEOUT, own_network, processor_seconds
+from evpinn_ros.nodes.processes import interrupt, own_network, processor_seconds
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -25,25 +24,17 @@ LOOK = 1.0  # s between two looks
 
 @dataclass(frozen=True, slots=True)
 class OnboardLoad:
-    """`evpinn run` on a drive with 10 Hz speed and 10 Hz battery, in real time.
+    """`evpinn run` on a drive with 10 Hz speed and 10 Hz battery, in real time."""
 
-    Attributes:
-        seconds: that were watched.
-        resident_mb: largest memory of the process.
-        core_share: of one core, on average.
-    """
-
-    seconds: float
-    resident_mb: float
-    core_share: float
+    seconds: float  # that were watched
+    resident_mb: float  # largest memory of the process
+    core_share: float  # of one core, on average
 
 
 def measure_onboard(seconds: float, progress: Callable[[float], None]) -> OnboardLoad:
     """Run the three nodes on a simulated drive in town.
 
-    Args:
-        seconds: to watch, after `SETTLE`.
-        progress: takes the seconds done.
+    They are watched for so many seconds after `SETTLE`; `progress` takes the seconds done.
 
     Raises:
         InputError: the nodes ended, or no /proc here.
@@ -63,11 +54,7 @@ def measure_onboard(seconds: float, progress: Callable[[float], None]) -> Onboar
             try:
                 return _watched(process, seconds, progress)
             finally:
-                process.send_signal(signal.SIGINT)
-                try:
-                    process.wait(STOP_TIMEOUT)
-                except subprocess.TimeoutExpired:
-                    process.kill()
+                interrupt(process)
 
 
 def _watched(

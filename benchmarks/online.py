@@ -30,21 +30,14 @@ METHODS = (LAST_VALUE, RANDOM_SPLIT, *PEERS, *(mode.value for mode in (Mode.PAPE
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One log after all methods.
+    """One log after all methods."""
 
-    Attributes:
-        drive: readings of the car; it holds no predictions.
-        predicted: for each method the same drive with its predictions.
-        moments: number of smoothed samples.
-        stream_s: what the samples themselves took, s.
-        method_s: what predicting and learning took, s. Of `paper` and `hybrid` it includes the
-            samples; the baselines have none.
-    """
-
-    drive: Drive
-    predicted: Mapping[str, Drive]
-    moments: int
-    stream_s: float
+    drive: Drive  # readings of the car; it holds no predictions
+    predicted: Mapping[str, Drive]  # for each method the same drive with its predictions
+    moments: int  # number of smoothed samples
+    stream_s: float  # what the samples themselves took, s
+    # what predicting and learning took, s. Of `paper` and `hybrid` it includes the samples; the
+    # baselines have none
     method_s: Mapping[str, float]
 
 

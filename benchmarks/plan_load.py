@@ -19,12 +19,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.processes import (
-    START_TIMEOUT,
-    node_process,
-    own_network,
-    processor_seconds,
-)
+from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network, processor_seconds
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import header
@@ -51,18 +46,14 @@ class RoundLoad(NamedTuple):
 
 
 class PlanLoad(NamedTuple):
-    """Count and size of plans that were answered, and their delays in ms.
-
-    Attributes:
-        node_ms: of the processor that the node took for one, whatever else the machine did.
-    """
+    """Count and size of plans that were answered, and their delays in ms."""
 
     plans: int
     points: int
     p50_ms: float
     p99_ms: float
     largest_ms: float
-    node_ms: float
+    node_ms: float  # of the processor that the node took for one, whatever else the machine did
 
 
 def measure_plans(plans: int, points: int, progress: Callable[[float], None]) -> PlanLoad:

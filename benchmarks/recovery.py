@@ -10,12 +10,13 @@ import random
 import shutil
 from tempfile import TemporaryDirectory
 import time
+from typing import Any
 
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
 
-from evpinn_ros.bags.recover import RecoveredFile, recover
+from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -35,23 +36,15 @@ Identity = tuple[str, int, int, bytes]  # topic, log time, sequence, data
 
 @dataclass(slots=True)
 class Tally:
-    """Results of the cases of one storage and fault.
+    """Results of the cases of one storage and fault."""
 
-    Attributes:
-        cases: that were tried.
-        messages: of undamaged chunks, and of whole records outside of chunks, to be returned.
-        missing: those that were not.
-        altered: messages returned that are not in the original.
-        miscounted: cases whose report differs from what is in the new bag.
-        unread: cases whose new bag rosbags does not read.
-    """
-
-    cases: int = 0
+    cases: int = 0  # that were tried
+    # of undamaged chunks, and of whole records outside of chunks, to be returned
     messages: int = 0
-    missing: int = 0
-    altered: int = 0
-    miscounted: int = 0
-    unread: int = 0
+    missing: int = 0  # those that were not
+    altered: int = 0  # messages returned that are not in the original
+    miscounted: int = 0  # cases whose report differs from what is in the new bag
+    unread: int = 0  # cases whose new bag rosbags does not read
 
 
 @dataclass(slots=True)
@@ -104,14 +97,18 @@ def messages_of(path: Path) -> list[Identity]:
         ]
 
 
+def chunks_of(path: Path) -> list[Any]:
+    """The index of the chunks of a sound file, a `mcap.records.ChunkIndex` each."""
+    with path.open("rb") as file:
+        return list(make_reader(file).get_summary().chunk_indexes)
+
+
 def blocks_of(path: Path, loose: bool) -> list[Block]:
     """The chunks of a sound file, or its messages one by one, with what is in each."""
     messages = iter(messages_of(path))
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
     if not loose:
         blocks = []
-        for chunk in summary.chunk_indexes:
+        for chunk in chunks_of(path):
             begin, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
             indexes = len(chunk.message_index_offsets) * 15
             count = (chunk.message_index_length - indexes) // 16
@@ -143,11 +140,8 @@ def campaign(
 ) -> Iterator[tuple[str, str, Tally]]:
     """Break bags in every way and save them again; gives storage, fault and what became of it.
 
-    Args:
-        cases: in all, dealt out to storages and faults.
-        size: bytes of each bag.
-        seed: of bags and faults.
-        progress: takes the cases done.
+    The cases are dealt out to storages and faults; each bag has at least `size` bytes; `progress`
+    takes the cases done.
     """
     rng = random.Random(seed)
     kinds = [(storage, fault) for storage in STORAGES for fault in FAULTS]
@@ -187,12 +181,8 @@ def _try(
     tally.missing += (Counter(expected) - found).total()
     tally.altered += (found - original).total()
     tally.miscounted += report.messages != found.total()
-    tally.unread += not _rosbags_reads(new, report)
-
-
-def _rosbags_reads(folder: Path, report: RecoveredFile) -> bool:
-    with Reader(folder) as reader:
-        return sum(1 for _ in reader.messages()) == report.messages
+    with Reader(new) as reader:
+        tally.unread += sum(1 for _ in reader.messages()) != report.messages
 
 
 def measure_speed(storage: str, size: int) -> tuple[float, float]:

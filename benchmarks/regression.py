@@ -97,14 +97,8 @@ class RecursiveLeastSquares(_Regression):
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        count: int,
-        *,
-        forgetting: float = FORGETTING,
-        huber: float = HUBER,
+        self, vehicle: Vehicle, count: int, *, forgetting: float = FORGETTING, huber: float = HUBER
     ) -> None:
-        """Start from the vehicle's priors, with this many terms."""
         super().__init__(vehicle, count)
         self._forgetting, self._huber = forgetting, huber
         self._covariance = np.eye(count)
@@ -135,7 +129,6 @@ class BatchLeastSquares(_Regression):
     """
 
     def __init__(self, vehicle: Vehicle, count: int) -> None:
-        """Start from the vehicle's priors, with this many terms."""
         super().__init__(vehicle, count)
         self._information = np.eye(count)
         self._target = self._terms.start.copy()

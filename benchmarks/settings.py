@@ -72,9 +72,8 @@ def others(car: str, cars: Iterable[str]) -> list[str]:
 def choose(scores: Scores, judges: Sequence[str]) -> dict[Place, Any]:
     """Choose the core's constants on these cars, each constant by itself.
 
-    Args:
-        scores: of `alternatives` on these cars at least; no other car's are looked at.
-        judges: cars that vote by their likelihoods; several of `ONE_CAR` have one vote together.
+    Judges vote by their likelihoods in `scores`, which hold those of `alternatives`; several of
+    `ONE_CAR` have one vote together. No other car's scores are looked at.
     """
     changes: dict[Place, Any] = {}
     for setting in SETTINGS:

@@ -28,19 +28,17 @@ PIECE = 1000  # readings
 
 
 class Hour(NamedTuple):
-    """One hour of driving.
+    """One hour of driving."""
 
-    Attributes:
-        readings: that went through the chain.
-        resident_mb: memory of the process at its end.
-        us_per_reading: processor time for one, all learning included.
-        energy: counted since the first hour, J.
-    """
+    readings: int  # that went through the chain
+    resident_mb: float  # memory of the process at its end
+    us_per_reading: float  # processor time for one, all learning included
+    energy: float  # counted since the first hour, J
 
-    readings: int
-    resident_mb: float
-    us_per_reading: float
-    energy: float
+    @property
+    def energy_kwh(self) -> float:
+        """The same in kWh."""
+        return self.energy / 3.6e6
 
 
 def soak(
@@ -48,11 +46,7 @@ def soak(
 ) -> Iterator[Hour]:
     """Drive one chain for hours, each of another drive, with a pause after it.
 
-    Args:
-        hours: of driving.
-        clock: processor time, s.
-        progress: takes the seconds done.
-        duration: of an hour, s.
+    The clock is processor time, s; `progress` takes the seconds done; an hour lasts `duration`, s.
 
     Raises:
         InputError: no /proc here.

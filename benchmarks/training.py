@@ -41,25 +41,15 @@ OnEpoch = Callable[[str, int, int, float], None]  # title, epoch, last epoch, va
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """One way of training.
+    """One way of training."""
 
-    Attributes:
-        title: of it.
-        epochs: run.
-        seconds: spent on training.
-        best: least total validation loss seen.
-        best_epoch: at which it was first seen.
-        best_seconds: of training up to there.
-        reached: whether `best` came down to the loss asked for.
-    """
-
-    title: str
-    epochs: int
-    seconds: float
-    best: float
-    best_epoch: int
-    best_seconds: float
-    reached: bool
+    title: str  # of it
+    epochs: int  # run
+    seconds: float  # spent on training
+    best: float  # least total validation loss seen
+    best_epoch: int  # at which it was first seen
+    best_seconds: float  # of training up to there
+    reached: bool  # whether `best` came down to the loss asked for
 
 
 class Training(Protocol):
@@ -87,12 +77,8 @@ def bench_training(
 
     Adam's own time is that to its best loss, not that of all its epochs.
 
-    Args:
-        log: the drive.
-        vehicle: its vehicle file.
-        epochs: of Adam; the others stop there too if they have not reached its loss.
-        seed: of split, networks and batches.
-        on_epoch: called with the losses.
+    The others stop at `epochs` too, if they have not reached its loss; `on_epoch` takes the
+    losses.
     """
     stop = -math.inf
     for contender in _contenders(log, vehicle, seed):

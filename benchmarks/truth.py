@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 import math
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,6 @@ class CarChain:
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the priors of a vehicle file."""
         self.car = LearnedCar(vehicle)
         self.motion = 0.0
         self._stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
@@ -69,6 +69,28 @@ class CarChain:
     def parameters(self) -> ParameterSet:
         """Present estimate."""
         return parameter_set(self._newest_ns, published(self.car.filter, self.car.sums))
+
+
+def simulated_drives(
+    kinds: Sequence[DriveKind],
+    vehicles: Sequence[str],
+    seeds: Iterable[int],
+    seconds: float,
+    *,
+    from_priors: bool = False,
+    **options: Any,
+) -> Iterator[SimulatedDrive]:
+    """A drive for each seed, each of another car; vehicles and kinds take turns.
+
+    `from_priors` draws the cars from the priors instead of from plausible cars; `options` are
+    those of `simulate`.
+    """
+    for number, seed in enumerate(seeds):
+        vehicle = load_vehicle(vehicles[number % len(vehicles)])
+        kind = kinds[number // len(vehicles) % len(kinds)]
+        wish = prior_parameters(vehicle, np.random.default_rng(seed)) if from_priors else None
+        car = wish._asdict() if wish else None
+        yield simulate(kind, vehicle, seconds, seed, car=car, can_profile=PROFILE, **options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,29 +151,12 @@ def compare(
 ) -> Iterator[Comparison]:
     """Drive one car per seed and hold what is published against the truth so far.
 
-    Args:
-        kind: where to drive.
-        vehicles: models, in turn.
-        seeds: of the drives.
-        marks: s into the drive.
-        from_priors: whether the car is drawn from the priors instead of from plausible cars.
-        rms_grade: of the road.
-        altitude: whether there is a barometer.
+    Marks are s into the drive; `altitude` gives the cars a barometer.
     """
-    for number, seed in enumerate(seeds):
-        vehicle = load_vehicle(vehicles[number % len(vehicles)])
-        wish = prior_parameters(vehicle, np.random.default_rng(seed)) if from_priors else None
-        drive = simulate(
-            kind,
-            vehicle,
-            max(marks),
-            seed,
-            car=wish._asdict() if wish else None,
-            can_profile=PROFILE,
-            altitude=altitude,
-            rms_grade=rms_grade,
-        )
-        chain, left = CarChain(vehicle), sorted(marks)
+    road: dict[str, Any] = {"altitude": altitude, "rms_grade": rms_grade}
+    drives = simulated_drives([kind], vehicles, seeds, max(marks), from_priors=from_priors, **road)
+    for drive in drives:
+        chain, left = CarChain(drive.vehicle), sorted(marks)
         begin = drive.readings[0].stamp_ns
         for reading in drive.readings:
             while left and reading.stamp_ns - begin >= (left[0] - 1) * NANOSECONDS:
@@ -219,10 +224,8 @@ def false_alarms(
     kind: DriveKind, vehicles: Sequence[str], seeds: Iterable[int], *, hours: float = 1.0
 ) -> Iterator[tuple[float, int, int]]:
     """Hours driven, changes of load found and withdrawn, of drives on which there were none."""
-    for number, seed in enumerate(seeds):
-        vehicle = load_vehicle(vehicles[number % len(vehicles)])
-        drive = simulate(kind, vehicle, 3600.0 * hours, seed, can_profile=PROFILE)
-        chain = CarChain(vehicle)
+    for drive in simulated_drives([kind], vehicles, seeds, 3600.0 * hours):
+        chain = CarChain(drive.vehicle)
         for reading in drive.readings:
             chain.add_reading(reading)
         yield hours, chain.car.payload.found, chain.car.payload.withdrawn

@@ -96,6 +96,16 @@ class Row:
         return float(np.mean(more)), error
 
 
+# As `cli.output.table_of` takes them.
+SCORE_COLUMNS = (
+    ("carried: net %", "{0.carried_net[0]:.1f}; {0.carried_net[1]:.1f}"),
+    ("in 90 %", "{0.carried_coverage:.0f}"),
+    ("200 s: gross %", "{0.stretch_gross:.1f}"),
+    ("in 90 %", "{0.stretch_coverage:.0f}"),
+    ("likelihood", "{0.likelihood:.2f}"),
+)
+
+
 def constant(name: str) -> Place:
     """A constant of the filter or of the noise of its intervals."""
     own = name in vars(interval_noise)

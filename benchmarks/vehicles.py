@@ -38,26 +38,17 @@ LEARNED = (2, 3, 4)  # of the parameters: mass, c_rr, c_d
 
 
 class PriorError(NamedTuple):
-    """Error of a prior of the force on cars withheld from it, over the certified force.
+    """Error of a prior of the force on cars withheld from it, over the certified force."""
 
-    Attributes:
-        name: whose prior.
-        speed: m/s.
-        bias: in the median.
-        error: its size, in the median.
-        inside: share of cars within the 90 % interval.
-        after: size of the error in the median once mass and the force at `TOWN_SPEED` are known
-            to `TOWN_ERROR`.
-        after_inside: likewise.
-    """
-
-    name: str
-    speed: float
-    bias: float
-    error: float
-    inside: float
+    name: str  # whose prior
+    speed: float  # m/s
+    bias: float  # in the median
+    error: float  # its size, in the median
+    inside: float  # share of cars within the 90 % interval
+    # size of the error in the median once mass and the force at `TOWN_SPEED` are known to
+    # `TOWN_ERROR`
     after: float
-    after_inside: float
+    after_inside: float  # likewise
 
 
 class CycleEnergy(NamedTuple):

@@ -8,20 +8,10 @@ from typing import Annotated
 import typer
 
 from benchmarks.ablation import CARS, VARIANTS, ablate
-from benchmarks.variants import Row, read_car
+from benchmarks.cli.output import table_of
+from benchmarks.variants import SCORE_COLUMNS, Row, read_car
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import titled_table
-
-COLUMNS = (
-    "left out",
-    "carried: net %",
-    "in 90 %",
-    "200 s: gross %",
-    "in 90 %",
-    "likelihood",
-    "lost by leaving out",
-)
 
 
 def ablation(
@@ -41,20 +31,9 @@ def ablation(
                 rows.append(row)
                 progress(len(rows))
     for key in keys:
-        table = titled_table(key)
-        for name in COLUMNS:
-            table.add_column(name, justify="left" if name == COLUMNS[0] else "right")
-        whole, *_ = found = [each for each in rows if each.car == key]
-        for row in found:
-            table.add_row(
-                row.variant,
-                f"{row.carried_net[0]:.1f}; {row.carried_net[1]:.1f}",
-                f"{row.carried_coverage:.0f}",
-                f"{row.stretch_gross:.1f}",
-                f"{row.stretch_coverage:.0f}",
-                f"{row.likelihood:.2f}",
-                "" if row is whole else "{:+.2f} +- {:.2f}".format(*whole.gain(row)),
-            )
-        show(table)
+        whole, *_ = own = [row for row in rows if row.car == key]
+        lost = ["{:+.2f} +- {:.2f}".format(*whole.gain(row)) for row in own]
+        columns = ("left out", "{0.variant}"), *SCORE_COLUMNS, ("lost by leaving out", "{1}")
+        show(table_of(key, list(zip(own, ["", *lost[1:]], strict=True)), columns))
     if json_file is not None:
         write_json(json_file, [asdict(row) for row in rows])

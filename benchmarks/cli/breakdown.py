@@ -7,22 +7,26 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.breakdown import (
-    PartCheck,
-    PartSummary,
-    difference_checks,
-    part_checks,
-    part_summaries,
-)
+from benchmarks.breakdown import PartCheck, difference_checks, part_checks, part_summaries
+from benchmarks.cli.output import table_of
 from benchmarks.truth import VEHICLES
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
 
-TABLE_WIDTH = 150  # characters; narrower ones would cut the names of what is given together
+WIDTH = 150  # characters; narrower ones would cut the names of what is given together
+COLUMNS = (
+    ("part", "{0.name}"),
+    ("drives", "{0.drives}"),
+    ("95 % covers %", "{0.coverage_percent:.1f}"),
+    ("rms error / sigma", "{0.deviation:.2f}"),
+    ("share %", "{0.share_percent:.1f}"),
+    ("bias %", "{0.bias_percent:+.2f}"),
+    ("rms error %", "{0.rms_percent:.2f}"),
+    ("sigma %", "{0.sigma_percent:.2f}"),
+)
 FIRST_SEED = 12_000  # none of those that constants were chosen by
 
 
@@ -71,24 +75,6 @@ def breakdown(
                 progress(check.seed - FIRST_SEED + 1)
     finally:  # Ctrl-C leaves the drives so far
         rows = part_summaries(found)
-        show(_table(rows), at_least=TABLE_WIDTH)
+        show(table_of("", rows, COLUMNS), at_least=WIDTH)
         if json_file is not None:
             write_json(json_file, [asdict(row) for row in rows])
-
-
-def _table(rows: list[PartSummary]) -> PlainTable:
-    table = PlainTable("part", "drives", "95 % covers %", "rms error / sigma")
-    for name in ("share %", "bias %", "rms error %", "sigma %"):
-        table.add_column(name)
-    for row in rows:
-        table.add_row(
-            row.name,
-            str(row.drives),
-            f"{row.coverage_percent:.1f}",
-            f"{row.deviation:.2f}",
-            f"{row.share_percent:.1f}",
-            f"{row.bias_percent:+.2f}",
-            f"{row.rms_percent:.2f}",
-            f"{row.sigma_percent:.2f}",
-        )
-    return table

@@ -20,7 +20,8 @@ from benchmarks.can_decoding import (
     measure_throughput,
 )
 from benchmarks.can_traffic import Idle, measure_idle
-from evpinn_ros.cli.console import note, progress_bar, show, write_json
+from benchmarks.cli.output import json_at_the_end, number
+from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import figures_table, titled_table
 
@@ -45,11 +46,8 @@ def can(
     Example: evpinn bench can --minutes 10 --data captures/ --json out/can.json
     """
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
-    try:
+    with json_at_the_end(json_file, lambda: found):
         _measure(found, minutes, data)
-    finally:  # Ctrl-C leaves the figures so far
-        if json_file is not None:
-            write_json(json_file, found)
 
 
 def _measure(found: dict[str, Any], minutes: float, data: Path | None) -> None:
@@ -111,8 +109,8 @@ def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
             str(each.frames),
             _all_of(each.battery_equal, each.battery_frames),
             _all_of(each.rows_equal, each.rows),
-            _number(each.wheel_speed, ".3f"),
-            _number(each.wheel_speed_within_2_percent, ".1%"),
+            number(each.wheel_speed, ".3f"),
+            number(each.wheel_speed_within_2_percent, ".1%"),
             "equal" if live else "differs",
         )
     show(table)
@@ -120,7 +118,3 @@ def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
 
 def _all_of(count: int, total: int) -> str:
     return f"all {total}" if count == total else f"{count} of {total}"
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)

@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 
 from benchmarks.carried import CarriedBenchmark, CarriedForecast, energy_errors
+from benchmarks.cli.output import number
 from benchmarks.logs import find_logs
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
-from evpinn_ros.cli.options import JsonOption, complete_vehicle
+from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
@@ -24,12 +25,7 @@ def carried(
     path: Annotated[
         str, typer.Argument(metavar="PATH", help="Folder of one car's drives, in order of names.")
     ],
-    vehicle: Annotated[
-        str,
-        typer.Option(
-            help="Whose drives, or the path of its file.", autocompletion=complete_vehicle
-        ),
-    ],
+    vehicle: VehicleOption,
     speed_only: Annotated[
         bool, typer.Option(help="Hide grade, temperature and auxiliary loads.")
     ] = False,
@@ -49,7 +45,7 @@ def carried(
     logs = find_logs(path, vehicle)
     try:
         with progress_bar("drives", len(logs), unit="drives") as progress:
-            for number, log in enumerate(logs, start=1):
+            for done, log in enumerate(logs, start=1):
                 source = open_source(log.path, car, log.can_profile)
                 try:
                     found[str(log.path)] = benchmark.drive(source.readings)
@@ -57,7 +53,7 @@ def carried(
                     note(f"evpinn: {error}")
                     continue
                 finally:
-                    progress(number)
+                    progress(done)
                 if source.problem is not None:
                     note(f"evpinn: {source.problem}")
     finally:  # Ctrl-C leaves the drives so far
@@ -86,6 +82,5 @@ def _table(found: dict[str, CarriedForecast]) -> PlainTable:
             (one.rmse_w, ".0f"),
             (one.coverage_90, ".1%"),
         )
-        cells = ("-" if value is None else format(value, form) for value, form in numbers)
-        table.add_row(Path(name).name, *cells)
+        table.add_row(Path(name).name, *(number(value, form) for value, form in numbers))
     return table

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from benchmarks.cli.integration import EPOCHS, battery, counting, integrators, show_battery
+from benchmarks.cli.output import json_at_the_end, table_of
 from benchmarks.energy_forecast import ForecastBenchmark, PlannedForecast, forecast_totals
 from benchmarks.energy_library import (
     BATCH,
@@ -25,9 +26,9 @@ from benchmarks.energy_library import (
 )
 from benchmarks.fastsim_peer import fastsim_version
 from benchmarks.logs import Log, find_logs
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
-from evpinn_ros.cli.tables import figures_table, titled_table
+from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
@@ -86,7 +87,7 @@ def energy(
     limit_blas_threads()
     cars = [find_logs(path, vehicle) for path in paths]
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
-    try:
+    with json_at_the_end(json_file, lambda: found):
         if Part.INTEGRATORS in parts:
             found["integrators"] = integrators(cars, epochs)
         if Part.COUNTING in parts:
@@ -103,9 +104,6 @@ def energy(
             note("rclpy is not installed: plans over DDS are left out")
         elif Part.PLANS in parts:
             found["plans"] = _plans(plans)
-    finally:  # Ctrl-C leaves the parts so far
-        if json_file is not None:
-            write_json(json_file, found)
 
 
 def _library(cycles: Path | None) -> dict[str, Any]:
@@ -145,18 +143,22 @@ def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
 
 
 def _show_forecasts(car: str, found: Mapping[str, PlannedForecast]) -> None:
-    table = titled_table(f"{car}: energy of each drive, forecast before it was driven")
-    table.add_column("drive")
-    for column in ("measured Wh", "forecast Wh", "1-sigma Wh", "error", "in band", "combinations"):
-        table.add_column(column, justify="right")
+    rows = []
     for name, one in found.items():
-        measured, forecast, sigma, simple = (
-            f"{joules / JOULES_PER_WH:.0f}"
-            for joules in (one.measured_j, one.forecast_j, one.sigma_j, one.combinations_j)
-        )
-        error, inside = f"{one.error_percent:+.1f} %", "yes" if one.covered else "no"
-        table.add_row(Path(name).name, measured, forecast, sigma, error, inside, simple)
-    show(table)
+        joules = (one.measured_j, one.forecast_j, one.sigma_j, one.combinations_j)
+        watt_hours = (each / JOULES_PER_WH for each in joules)
+        inside = "yes" if one.covered else "no"
+        rows.append((Path(name).name, *watt_hours, one.error_percent, inside))
+    columns = (
+        ("drive", "{0}"),
+        ("measured Wh", "{1:.0f}"),
+        ("forecast Wh", "{2:.0f}"),
+        ("1-sigma Wh", "{3:.0f}"),
+        ("error", "{5:+.1f} %"),
+        ("in band", "{6}"),
+        ("combinations", "{4:.0f}"),
+    )
+    show(table_of(f"{car}: energy of each drive, forecast before it was driven", rows, columns))
 
 
 def _show_throughput(found: ForecastThroughput) -> None:
@@ -176,24 +178,28 @@ def _cycles(folder: Path) -> Any:
         note("fastsim is not installed: the comparison is left out (see bench/fastsim_peer.py)")
         return None
     rows = list(compare_cycles(folder, load_vehicle(CAR)))
-    table = titled_table(f"Beside fastsim {installed}, Model 3, flat")
-    table.add_column("cycle")
-    columns = ("fastsim Wh/km", "same car", "vehicle file", "fastsim a step", "ours", "times")
-    for column in columns:
-        table.add_column(column, justify="right")
-    for row in rows:
-        table.add_row(*_cycle_cells(row))
-    show(table)
+    columns = (
+        ("cycle", "{0.cycle}"),
+        ("fastsim Wh/km", "{1:.1f}"),
+        ("same car", "{2:.1f}"),
+        ("vehicle file", "{3:.1f}"),
+        ("fastsim a step", "{0.fastsim_us:.1f} us"),
+        ("ours", "{0.ours_us:.3f} us"),
+        ("times", "{4:.0f}"),
+    )
+    show(
+        table_of(
+            f"Beside fastsim {installed}, Model 3, flat",
+            [(row, *_wh_per_km(row), row.fastsim_us / row.ours_us) for row in rows],
+            columns,
+        )
+    )
     return {"fastsim": installed, "rows": [row._asdict() for row in rows]}
 
 
-def _cycle_cells(row: CycleRow) -> Iterator[str]:
-    yield row.cycle
+def _wh_per_km(row: CycleRow) -> Iterator[float]:
     for joules in (row.fastsim_j, row.same_car_j, row.vehicle_file_j):
-        yield f"{joules / JOULES_PER_WH / (row.distance_m / 1e3):.1f}"
-    yield f"{row.fastsim_us:.1f} us"
-    yield f"{row.ours_us:.3f} us"
-    yield f"{row.fastsim_us / row.ours_us:.0f}"
+        yield joules / JOULES_PER_WH / (row.distance_m / 1e3)
 
 
 def _plans(plans: int) -> dict[str, Any]:

@@ -13,11 +13,11 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.cli.output import table_of
 from benchmarks.fleet import Recovered, Scaling, many_drives, recovered, scaling
 from evpinn_ros.cli.console import progress_bar, say, show, write_json
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import JsonOption, VehicleOption
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.fleet.manifest import CarDrives
 from evpinn_ros.fleet.tables import require_parquet
 from evpinn_ros.vehicle.files import load_vehicle
@@ -82,38 +82,32 @@ def _scaled(
 
 
 def _show_scaling(runs: list[Scaling]) -> None:
-    table = titled_table("Many drives")
-    for name in ("workers", "drives", "a second", "times", "ms CPU", "ms a drive", "MB"):
-        table.add_column(name, justify="right", no_wrap=True)
+    columns = (
+        ("workers", "{0.workers}"),
+        ("drives", "{0.drives}"),
+        ("a second", "{0.drives_per_s:.2f}"),
+        ("times", "{1:.2f}"),
+        ("ms CPU", "{2:.0f}"),
+        ("ms a drive", "{3:.0f} -> {4:.0f}"),
+        ("MB", "{0.rss_mb[0]:.0f} -> {0.rss_mb[1]:.0f}"),
+    )
+    rows = []
     for run in runs:
-        table.add_row(
-            str(run.workers),
-            str(run.drives),
-            f"{run.drives_per_s:.2f}",
-            f"{run.drives_per_s / runs[0].drives_per_s:.2f}",
-            f"{1e3 * run.cpu_s:.0f}",
-            " -> ".join(f"{1e3 * each:.0f}" for each in run.quarters_s),
-            " -> ".join(f"{each:.0f}" for each in run.rss_mb),
-        )
-    show(table)
+        milliseconds = (1e3 * each for each in (run.cpu_s, *run.quarters_s))
+        rows.append((run, run.drives_per_s / runs[0].drives_per_s, *milliseconds))
+    show(table_of("Many drives", rows, columns, left=0))
     say("a -> b: in the first quarter of the cars, and in the last")
 
 
 def _show_population(known: list[Recovered]) -> None:
-    table = titled_table("Cars of a known population")
-    table.add_column("", no_wrap=True)
-    for name in ("mean", "found", "sigma", "spread", "found", "sigma"):
-        table.add_column(name, justify="right", no_wrap=name != "found")
-    for one in known:
-        learned = one.told
-        table.add_row(
-            one.name,
-            f"{one.mean:.4g}",
-            f"{learned.mean:.4g} +- {learned.mean_std:.2g}",
-            f"{(learned.mean - one.mean) / learned.mean_std:+.1f}",
-            f"{one.spread:.3g}",
-            f"{learned.spread:.3g} +- {learned.spread_std:.2g}",
-            f"{(learned.spread - one.spread) / learned.spread_std:+.1f}",
-        )
-    show(table)
+    columns = (
+        ("", "{0.name}"),
+        ("mean", "{0.mean:.4g}"),
+        ("found", "{0.told.mean:.4g} +- {0.told.mean_std:.2g}"),
+        ("sigma", "{0.mean_off:+.1f}"),
+        ("spread", "{0.spread:.3g}"),
+        ("found", "{0.told.spread:.3g} +- {0.told.spread_std:.2g}"),
+        ("sigma", "{0.spread_off:+.1f}"),
+    )
+    show(table_of("Cars of a known population", known, columns))
     say("Logarithms, p_aux in W; sigma: by how many of its own what was found is off")

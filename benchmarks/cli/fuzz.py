@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from benchmarks.cli.output import table_of
 from benchmarks.fuzz import FuzzResult
 from benchmarks.fuzz import fuzz as fuzz_target
 from benchmarks.fuzz_targets import TARGETS
@@ -57,15 +58,18 @@ def fuzz(
 
 
 def _table(found: list[FuzzResult]) -> PlainTable:
-    table = PlainTable("target", "inputs", "inputs/s", "slowest, ms", "memory, MB", "crash")
-    for each in found:
-        table.add_row(
-            each.target,
-            str(each.inputs),
-            f"{each.inputs / each.seconds:.0f}",
-            f"{1e3 * each.slowest_s:.0f}",
-            str(each.memory_mb),
-            str(each.crash or each.said or "none"),
-        )
+    columns = (
+        ("target", "{0.target}"),
+        ("inputs", "{0.inputs}"),
+        ("inputs/s", "{1:.0f}"),
+        ("slowest, ms", "{2:.0f}"),
+        ("memory, MB", "{0.memory_mb}"),
+        ("crash", "{3}"),
+    )
+    rows = [
+        (one, one.inputs / one.seconds, 1e3 * one.slowest_s, one.crash or one.said or "none")
+        for one in found
+    ]
+    table = table_of("", rows, columns)
     table.add_row("all", str(sum(each.inputs for each in found)))
     return table

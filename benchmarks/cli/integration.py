@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 import time
 from typing import Any
@@ -88,15 +88,10 @@ def show_battery(title: str, rows: Mapping[str, BatteryRow]) -> None:
     for column in ("drive", "charge used", "by capacity", "by state", "V held", "V by state"):
         table.add_column(column, justify="left" if column == "drive" else "right")
     for name, row in rows.items():
-        table.add_row(Path(name).name, f"{100 * row.used:.1f} %", *_battery_cells(row))
+        shares = ("-" if each is None else f"{100 * each:+.2f} points" for each in row[1:3])
+        volts = ("-" if each is None else f"{each:+.1f} V" for each in row[3:])
+        table.add_row(Path(name).name, f"{100 * row.used:.1f} %", *shares, *volts)
     show(table)
-
-
-def _battery_cells(row: BatteryRow) -> Iterator[str]:
-    for share in (row.by_capacity, row.by_state):
-        yield "-" if share is None else f"{100 * share:+.2f} points"
-    for volts in (row.voltage_held, row.voltage_by_state):
-        yield "-" if volts is None else f"{volts:+.1f} V"
 
 
 def counting(cars: Sequence[Sequence[Log]]) -> list[dict[str, Any]]:

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from benchmarks.app_logs import LogRead, measure_large, read_log, write_large
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from benchmarks.cli.output import json_at_the_end, table_of
+from evpinn_ros.cli.console import note, progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.recordings import recordings
 
@@ -31,7 +31,7 @@ def logs(
     """
     found: dict[str, Any] = {"logs": [], "large": []}
     refused = 0
-    try:
+    with json_at_the_end(json_file, lambda: found):
         paths = sorted(path for each in data for path in recordings(each))
         with progress_bar("logs", total=len(paths), unit="logs") as progress:
             for done, path in enumerate(paths):
@@ -44,21 +44,22 @@ def logs(
         _show([LogRead(**each) for each in found["logs"]], refused)
         if megabytes:
             _measure(megabytes, found["large"])
-    finally:  # Ctrl-C leaves the figures so far
-        if json_file is not None:
-            write_json(json_file, _finite(found))
     if refused:
         raise typer.Exit(1)
 
 
 def _show(found: list[LogRead], refused: int) -> None:
-    table = titled_table("Logs of apps")
-    for name in ("log", "rows", "used", "empty", "readings", "distance", "energy"):
-        table.add_column(name, justify="left" if name == "log" else "right")
-    for log in found:
-        counts = map(str, (log.rows, log.used, log.empty, log.readings))
-        table.add_row(log.name, *counts, _off(log.way, log.odometer), _off(log.energy, log.charge))
-    show(table)
+    columns = (
+        ("log", "{0.name}"),
+        ("rows", "{0.rows}"),
+        ("used", "{0.used}"),
+        ("empty", "{0.empty}"),
+        ("readings", "{0.readings}"),
+        ("distance", "{1}"),
+        ("energy", "{2}"),
+    )
+    rows = [(log, _off(log.way, log.odometer), _off(log.energy, log.charge)) for log in found]
+    show(table_of("Logs of apps", rows, columns))
     lost = sum(log.rows - log.used - log.empty for log in found)
     say(
         f"{len(found)} logs read, {refused} refused; {sum(log.rows for log in found)} rows, "
@@ -100,12 +101,3 @@ def _measure(megabytes: int, rows: list[dict[str, float]]) -> None:
 
 def _off(found: float, stated: float) -> str:
     return f"{found / stated - 1:+.1%}" if math.isfinite(found) and stated else ""
-
-
-def _finite(value: Any) -> Any:
-    """The same without NaN, which JSON has not."""
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

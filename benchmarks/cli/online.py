@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from rich.box import MARKDOWN, SIMPLE_HEAD
 import typer
 
+from benchmarks.cli.output import names_in
 from benchmarks.logs import Log, find_logs
 from benchmarks.online import METHODS, OnlineBenchmark, Run
 from benchmarks.scores import Score, log_scores, total_scores
@@ -95,7 +96,7 @@ def _report(
 
 
 def _chosen(methods: str) -> list[str]:
-    names = [name.strip() for name in methods.split(",") if name.strip()]
+    names = names_in(methods)
     unknown = [name for name in names if name not in METHODS]
     if unknown or not names:
         raise InputError(f"no method '{', '.join(unknown)}'; known are {', '.join(METHODS)}")

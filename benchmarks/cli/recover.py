@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.cli.output import json_at_the_end, table_of
 from benchmarks.recovery import STORAGES, campaign, measure_speed
-from evpinn_ros.cli.console import progress_bar, say, show, write_json
+from evpinn_ros.cli.console import progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import titled_table
 
 BAG_BYTES = 200_000
 MEGABYTE = 1e6
@@ -29,7 +29,7 @@ def recover(
     Example: evpinn bench recover --cases 1000 --json out/recover.json
     """
     found: dict[str, Any] = {"campaign": [], "speed": []}
-    try:
+    with json_at_the_end(json_file, lambda: found):
         _break(cases, seed, found["campaign"])
         for storage in STORAGES if megabytes else ():
             wall, processor = measure_speed(storage, int(megabytes * MEGABYTE))
@@ -38,21 +38,14 @@ def recover(
                 f"{storage}: {wall / MEGABYTE:.0f} MB/s, "
                 f"{processor / MEGABYTE:.0f} MB for each second of the processor"
             )
-    finally:  # Ctrl-C leaves the figures so far
-        if json_file is not None:
-            write_json(json_file, found)
 
 
 def _break(cases: int, seed: int, rows: list[dict[str, Any]]) -> None:
-    table = titled_table("Broken bags saved")
-    for column in ("storage", "fault", "cases", "messages", "missing", "altered", "unread"):
-        table.add_column(column, justify="left" if column in ("storage", "fault") else "right")
+    names = ("storage", "fault", "cases", "messages", "missing", "altered", "unread", "miscounted")
+    columns = [(name, f"{{0[{name}]}}") for name in names]
     try:
         with progress_bar("bags broken and saved", total=cases, unit="bags") as progress:
             for storage, fault, tally in campaign(cases, BAG_BYTES, seed, progress):
                 rows.append({"storage": storage, "fault": fault, **asdict(tally)})
-                unread = tally.unread + tally.miscounted
-                figures = (tally.cases, tally.messages, tally.missing, tally.altered, unread)
-                table.add_row(storage, fault, *map(str, figures))
     finally:
-        show(table)
+        show(table_of("Broken bags saved", rows, columns, left=2))

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.cli.output import TABLE_WIDTH, json_at_the_end, table_of
 from benchmarks.settings import (
     CARS,
     PRODUCT,
@@ -21,14 +22,12 @@ from benchmarks.settings import (
     support,
 )
 from benchmarks.unseen.drives import cars_in
-from benchmarks.variants import RecordedCar, Row, Variant, read_car, score
-from evpinn_ros.cli.console import progress_bar, show, write_json
+from benchmarks.variants import SCORE_COLUMNS, RecordedCar, Row, Variant, read_car, score
+from evpinn_ros.cli.console import progress_bar, show
 from evpinn_ros.cli.options import MetricsOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
-
-TABLE_WIDTH = 140  # characters; narrower ones would break the numbers
 
 
 def settings(
@@ -54,19 +53,16 @@ def settings(
     scores: dict[str, dict[str, Row]] = {key: {} for key in keys}
     finals: dict[str, dict[str, Row]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
-    try:
+    with json_at_the_end(metrics, lambda: _found(scores, chosen, finals)):
         with ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool:
             recorded = list(pool.map(partial(read_car, data), keys))
             tasks = [(each, car) for car in recorded for each in alternatives()]
             _score(pool, "alternatives on cars", tasks, scores)
-            chosen = {key: final_variants(scores, key) for key in keys}
+            chosen |= {key: final_variants(scores, key) for key in keys}
             tasks = [(each, car) for car in recorded for each in chosen[car.key]]
             _score(pool, "chosen constants", tasks, finals)
         _show_alternatives(scores)
         _show_chosen(chosen, finals)
-    finally:  # Ctrl-C leaves the rows so far
-        if metrics is not None:
-            write_json(metrics, _found(scores, chosen, finals))
 
 
 def _score(
@@ -110,22 +106,17 @@ def _show_alternatives(scores: Scores) -> None:
 
 
 def _show_chosen(chosen: Mapping[str, Sequence[Variant]], finals: Scores) -> None:
-    table = titled_table("Scored with constants chosen without the car, and others beside")
-    for name in ("car", "constants", "other than the product's"):
-        table.add_column(name)
-    for name in ("carried: net %", "in 90 %", "200 s: gross %", "in 90 %", "likelihood"):
-        table.add_column(name, justify="right")
-    for key, variants in chosen.items():
-        for variant in variants:
-            row = finals[key][variant.name]
-            table.add_row(
-                key,
-                variant.name,
-                changes_text(variant.changes) or "-",
-                f"{row.carried_net[0]:.1f}; {row.carried_net[1]:.1f}",
-                f"{row.carried_coverage:.0f}",
-                f"{row.stretch_gross:.1f}",
-                f"{row.stretch_coverage:.0f}",
-                f"{row.likelihood:.2f}",
-            )
-    show(table, at_least=TABLE_WIDTH)
+    changes = {
+        (key, each.name): changes_text(each.changes) or "-"
+        for key, variants in chosen.items()
+        for each in variants
+    }
+    columns = (
+        ("car", "{0.car}"),
+        ("constants", "{0.variant}"),
+        ("other than the product's", "{1}"),
+        *SCORE_COLUMNS,
+    )
+    rows = [(finals[key][name], text) for (key, name), text in changes.items()]
+    title = "Scored with constants chosen without the car, and others beside"
+    show(table_of(title, rows, columns, left=3), at_least=TABLE_WIDTH)

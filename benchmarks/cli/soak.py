@@ -10,12 +10,21 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.cli.output import json_at_the_end, table_of
 from benchmarks.soak import HOUR, Hour, memory_growth, time_drift
 from benchmarks.soak import soak as drive_for
-from evpinn_ros.cli.console import note, progress_bar, show, write_json
+from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import figures_table, titled_table
+from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
+
+COLUMNS = (
+    ("hour", "{0}"),
+    ("readings", "{1.readings}"),
+    ("memory", "{1.resident_mb:.1f} MB"),
+    ("per reading", "{1.us_per_reading:.0f} us"),
+    ("energy so far", "{1.energy_kwh:.2f} kWh"),
+)
 
 
 def soak(
@@ -33,11 +42,8 @@ def soak(
     """
     limit_blas_threads()
     found: dict[str, Any] = {"hours": []}
-    try:
+    with json_at_the_end(json_file, lambda: found):
         _soak(hours, seconds, found)
-    finally:  # Ctrl-C leaves the hours so far
-        if json_file is not None:
-            write_json(json_file, found)
 
 
 def _soak(hours: int, seconds: float, found: dict[str, Any]) -> None:
@@ -48,7 +54,8 @@ def _soak(hours: int, seconds: float, found: dict[str, Any]) -> None:
                 rows.append(hour)
                 found["hours"].append(hour._asdict())
     finally:
-        _show(rows)
+        numbered = list(enumerate(rows, start=1))
+        show(table_of("One chain, hour by hour", numbered, COLUMNS, left=0))
     summary = list(_summary(rows))
     if seconds:
         if find_spec("rclpy") is None:
@@ -69,21 +76,6 @@ def _watch_nodes(seconds: float) -> tuple[dict[str, Any], list[tuple[str, str, s
         ("three nodes in one process, memory", f"{load.resident_mb:.0f} MB", "600 MB"),
         ("  share of one core at 10 Hz", f"{load.core_share:.1%}", "25 %"),
     ]
-
-
-def _show(rows: Sequence[Hour]) -> None:
-    table = titled_table("One chain, hour by hour")
-    for column in ("hour", "readings", "memory", "per reading", "energy so far"):
-        table.add_column(column, justify="right")
-    for number, row in enumerate(rows, start=1):
-        table.add_row(
-            str(number),
-            str(row.readings),
-            f"{row.resident_mb:.1f} MB",
-            f"{row.us_per_reading:.0f} us",
-            f"{row.energy / 3.6e6:.2f} kWh",
-        )
-    show(table)
 
 
 def _summary(rows: Sequence[Hour]) -> Iterator[tuple[str, str, str]]:

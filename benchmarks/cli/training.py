@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
+from benchmarks.cli.output import table_of
 from benchmarks.deepxde_peer import deepxde_version
 from benchmarks.training import Timed, bench_training
 from evpinn_ros.cli.console import note, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.reproduce import training_progress
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.reproduction.drive_log import read_drive_log
 from evpinn_ros.vehicle.files import load_vehicle
@@ -52,17 +52,18 @@ def training(
 
 def _show(timed: list[Timed]) -> None:
     published = timed[0]
-    table = titled_table(f"Time to a validation loss of {published.best:.6f}, Adam's best")
-    for column in ("training", "epochs", "seconds", "ms/epoch", "best loss", "times as fast"):
-        table.add_column(column, justify="left" if column == "training" else "right")
+    rows = []
     for one in timed:
         ratio = f"{published.best_seconds / one.best_seconds:.1f}"
-        table.add_row(
-            one.title,
-            str(one.best_epoch),
-            f"{one.best_seconds:.1f}",
-            f"{1000 * one.seconds / one.epochs:.0f}",
-            f"{one.best:.6f}",
-            "1" if one is published else ratio if one.reached else "not reached",
-        )
-    show(table)
+        faster = "1" if one is published else ratio if one.reached else "not reached"
+        rows.append((one, 1000 * one.seconds / one.epochs, faster))
+    columns = (
+        ("training", "{0.title}"),
+        ("epochs", "{0.best_epoch}"),
+        ("seconds", "{0.best_seconds:.1f}"),
+        ("ms/epoch", "{1:.0f}"),
+        ("best loss", "{0.best:.6f}"),
+        ("times as fast", "{2}"),
+    )
+    title = f"Time to a validation loss of {published.best:.6f}, Adam's best"
+    show(table_of(title, rows, columns))

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from benchmarks.cli.output import json_at_the_end, table_of
 from benchmarks.floor import ASKED, floors
 from benchmarks.truth import (
     VEHICLES,
@@ -20,15 +21,26 @@ from benchmarks.truth import (
     load_steps,
     summaries,
 )
-from evpinn_ros.cli.console import progress_bar, say, show, write_json
+from evpinn_ros.cli.console import progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
 
 FIRST_SEED = 7000
 IN_TIME, NEAR = 90.0, 25.0  # s of motion and kg within which a change of load is to be detected
+
+COLUMNS = (
+    ("quantity", "{0.name}"),
+    ("s", "{0.seconds}"),
+    ("drives", "{0.drives}"),
+    ("bias %", "{0.bias_percent:+.2f}"),
+    ("median %", "{0.median_percent:.2f}"),
+    ("90 % within %", "{0.p90_percent:.2f}"),
+    ("sigma %", "{0.std_percent:.2f}"),
+    ("95 % covers %", "{0.coverage_percent:.0f}"),
+    ("prior share", "{0.prior_share:.2f}"),
+)
 
 
 def truth(
@@ -56,26 +68,15 @@ def truth(
     """
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
     figures: dict[str, Any] = {}
-    try:
-        compared = compare(
-            kind,
-            VEHICLES,
-            seeds,
-            from_priors=from_priors,
-            rms_grade=rms_grade,
-            altitude=altitude,
-        )
-        _compare(figures, compared, drives)
+    road: dict[str, Any] = {"rms_grade": rms_grade, "altitude": altitude}
+    with json_at_the_end(json_file, lambda: figures):
+        _compare(figures, compare(kind, VEHICLES, seeds, from_priors=from_priors, **road), drives)
         if floor:
-            least = floors(kind, VEHICLES, seeds, rms_grade=rms_grade, altitude=altitude)
-            _show_floor(figures, list(least))
+            _show_floor(figures, list(floors(kind, VEHICLES, seeds, **road)))
         if load:
             _show_loads(figures, list(load_steps(VEHICLES, seeds)))
         if hours:
             _show_alarms(figures, kind, hours)
-    finally:  # Ctrl-C leaves the figures so far
-        if json_file is not None:
-            write_json(json_file, figures)
 
 
 def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: int) -> None:
@@ -94,7 +95,7 @@ def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: in
 
 def _show(figures: dict[str, Any], rows: list[TruthSummary]) -> None:
     figures["summaries"] = [asdict(row) for row in rows]
-    show(_table(rows))
+    show(table_of("", rows, COLUMNS))
 
 
 def _unobservable(found: Sequence[Comparison]) -> str:
@@ -127,23 +128,3 @@ def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
     alarms, withdrawn = sum(one[1] for one in quiet), sum(one[2] for one in quiet)
     figures["false_alarms"] = {"hours": hours, "alarms": alarms, "withdrawn": withdrawn}
     say(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")
-
-
-def _table(rows: list[TruthSummary]) -> PlainTable:
-    """Errors and coverage of each quantity at each time."""
-    table = PlainTable("quantity", "s", "drives", "bias %", "median %", "90 % within %", "sigma %")
-    table.add_column("95 % covers %")
-    table.add_column("prior share")
-    for row in rows:
-        table.add_row(
-            row.name,
-            str(row.seconds),
-            str(row.drives),
-            f"{row.bias_percent:+.2f}",
-            f"{row.median_percent:.2f}",
-            f"{row.p90_percent:.2f}",
-            f"{row.std_percent:.2f}",
-            f"{row.coverage_percent:.0f}",
-            f"{row.prior_share:.2f}",
-        )
-    return table

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.cli.output import TABLE_WIDTH, json_at_the_end, names_in
 from benchmarks.unseen.drives import cars_in
 from benchmarks.unseen.run import (
     METHODS,
@@ -20,11 +21,9 @@ from benchmarks.unseen.run import (
 from benchmarks.unseen.sumo_cars import sumo_is_there
 from benchmarks.unseen.table import age_table, energy_table, truth_table
 from benchmarks.unseen.truth import KINDS
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.errors import InputError
-
-TABLE_WIDTH = 140  # characters; narrower ones would break the numbers
 
 
 def unseen(
@@ -52,30 +51,25 @@ def unseen(
 
     Example: evpinn bench unseen $DATA --cars model3,i3 --methods weak_ls,core --jobs 2
     """
-    names = [*_names(methods), *(method or ())]
+    names = [*names_in(methods), *(method or ())]
     for name in names:
         find_method(name)
     there = [*cars_in(data), *(() if "=" in data else KINDS)]
     if not sumo_is_there():
         note("evpinn: eclipse-sumo and libsumo are not installed, so there are no cars by SUMO")
-    chosen = _chosen(_names(cars), there)
+    chosen = _chosen(names_in(cars), there)
     tasks = [Task(data, car, name) for car in chosen for name in names]
     found: dict[str, Any] = {}
-    try:
-        with progress_bar("methods on cars", len(tasks), unit="done") as progress:
-            for number, result in enumerate(run_tasks(tasks, jobs), start=1):
-                _add(found, result)
-                progress(number)
-                entry = found[result.task.car]
-                if len(entry["methods"]) == len(names):
-                    _show(result.task.car, entry, names)
-    finally:  # Ctrl-C leaves the cars so far
-        if json_file is not None:
-            write_json(json_file, {"data": data, "cars": found})
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
+    with (
+        json_at_the_end(json_file, lambda: {"data": data, "cars": found}),
+        progress_bar("methods on cars", len(tasks), unit="done") as progress,
+    ):
+        for number, result in enumerate(run_tasks(tasks, jobs), start=1):
+            _add(found, result)
+            progress(number)
+            entry = found[result.task.car]
+            if len(entry["methods"]) == len(names):
+                _show(result.task.car, entry, names)
 
 
 def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:

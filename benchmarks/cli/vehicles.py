@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from benchmarks.cli.output import table_of
 from benchmarks.vehicles import CycleEnergy, cycle_energies, prior_errors
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.vehicle.certified import CHARGING_LOSS, certified_cars
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
@@ -43,15 +43,18 @@ def vehicles(
     """
     others = {name: load_vehicle(name) for name in ("generic", *(beside or ()))}
     found: dict[str, Any] = {"beliefs": [each._asdict() for each in prior_errors(others)]}
-    table = titled_table(f"Force on {len(certified_cars())} cars that roll, against certificates")
-    for name in ("prior", "km/h", "bias", "error", "in 90 %", "after a drive", "in 90 %"):
-        table.add_column(name, justify="left" if name == "prior" else "right")
-    for row in found["beliefs"]:
-        name, speed, *shares = row.values()
-        table.add_row(
-            name, f"{3.6 * speed:.0f}", f"{shares[0]:+.1%}", *map("{:.1%}".format, shares[1:])
-        )
-    show(table, at_least=110)
+    columns = (
+        ("prior", "{0[name]}"),
+        ("km/h", "{1:.0f}"),
+        ("bias", "{0[bias]:+.1%}"),
+        ("error", "{0[error]:.1%}"),
+        ("in 90 %", "{0[inside]:.1%}"),
+        ("after a drive", "{0[after]:.1%}"),
+        ("in 90 %", "{0[after_inside]:.1%}"),
+    )
+    forces = [(row, 3.6 * row["speed"]) for row in found["beliefs"]]
+    title = f"Force on {len(certified_cars())} cars that roll, against certificates"
+    show(table_of(title, forces, columns), at_least=110)
     if cycles is not None:
         found["cycles"] = _cycles(cycles, others)
     if json_file is not None:
@@ -60,9 +63,6 @@ def vehicles(
 
 def _cycles(folder: Path, others: dict[str, Vehicle]) -> list[dict[str, Any]]:
     cars = certified_cars()
-    table = titled_table(f"Energy at the wall, {CHARGING_LOSS:.0%} lost in charging")
-    for name in ("prior", "cycles", "bias", "error", "within 15 %"):
-        table.add_column(name, justify="left" if name == "prior" else "right")
     rows: list[dict[str, Any]] = []
     with progress_bar("cars", total=len(cars) * (1 + len(others)), unit="cars") as progress:
 
@@ -79,14 +79,18 @@ def _cycles(folder: Path, others: dict[str, Vehicle]) -> list[dict[str, Any]]:
             groups[name] = [each for key in cars for each in energies(key, vehicle)]
         for name, key in SAME_CARS.items():
             groups[name] = energies(key, load_vehicle(name))
+    figures = []
     for name, each in groups.items():
         errors = np.array([one.error for one in each])
-        table.add_row(
-            name,
-            str(len(errors)),
-            f"{np.median(errors):+.1%}",
-            f"{np.median(np.abs(errors)):.1%}",
-            f"{np.mean(np.abs(errors) < 0.15):.0%}",
-        )
-    show(table)
+        size = np.abs(errors)
+        shares = np.median(errors), np.median(size), np.mean(size < 0.15)
+        figures.append((name, len(errors), *map(float, shares)))
+    columns = (
+        ("prior", "{0}"),
+        ("cycles", "{1}"),
+        ("bias", "{2:+.1%}"),
+        ("error", "{3:.1%}"),
+        ("within 15 %", "{4:.0%}"),
+    )
+    show(table_of(f"Energy at the wall, {CHARGING_LOSS:.0%} lost in charging", figures, columns))
     return rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 import math
 import os
@@ -136,13 +137,20 @@ def _drive_again(rig: Rig, adapter: _Adapter, arrivals: _SpeedArrivals) -> float
     return end
 
 
-def _unplug(rig: Rig) -> Finding:
+@contextmanager
+def _receiving(rig: Rig) -> Iterator[tuple[_Adapter, _SpeedArrivals]]:
+    """A bridge on an adapter whose frames it receives, and what it publishes."""
     adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
     adapter.plug()
     bridge = _bridge(rig, adapter)
     with running(bridge):
         bridge.await_ready(change=nothing)
         _await_receiving(rig, adapter, arrivals)
+        yield adapter, arrivals
+
+
+def _unplug(rig: Rig) -> Finding:
+    with _receiving(rig) as (adapter, arrivals):
         begin = time.monotonic()
         adapter.unplug()
         rig.rest(3.0)
@@ -191,12 +199,7 @@ def _noise(rig: Rig) -> Finding:
 
 def _while(rig: Rig, send: Callable[[_Adapter], None], *words: str) -> Finding:
     """A good bus, then something else on it until it is named, then a good bus."""
-    adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
-    adapter.plug()
-    bridge = _bridge(rig, adapter)
-    with running(bridge):
-        bridge.await_ready(change=nothing)
-        _await_receiving(rig, adapter, arrivals)
+    with _receiving(rig) as (adapter, arrivals):
         begin, status = time.monotonic(), None
         while status is None and time.monotonic() - begin < LONGEST:
             send(adapter)

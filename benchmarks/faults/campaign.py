@@ -27,10 +27,8 @@ def run_campaign(
 ) -> Iterator[Result]:
     """Inject the faults; results come one by one.
 
-    Args:
-        only: names of faults, empty for all.
-        kills: how often to kill at a random instant.
-        progress: takes the name of the fault that begins.
+    `only` names faults, none for all; `kills` is how often to kill at a random instant; `progress`
+    takes the name of the fault that begins.
 
     Raises:
         InputError: no fault of such a name.

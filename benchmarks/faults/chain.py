@@ -39,11 +39,7 @@ class Process:
     ) -> None:
         """Start it, after hearing the last words of those before it.
 
-        Args:
-            rig: feeds it.
-            name: of its node.
-            command: that starts it.
-            environment: variables that it has besides ours.
+        `environment` holds variables that it has besides ours.
         """
         self.name, self._rig = name, rig
         rig.rest(LAST_WORDS)
@@ -102,11 +98,7 @@ class Process:
 
 
 def start_node(
-    rig: Rig,
-    name: str,
-    environment: Mapping[str, str] | None = None,
-    /,
-    **parameters: Value,
+    rig: Rig, name: str, environment: Mapping[str, str] | None = None, /, **parameters: Value
 ) -> Process:
     """Start the executable of one node; of parameters with a dot, the dot is a double `_`."""
     values = {key.replace("__", "."): value for key, value in parameters.items()}
@@ -138,11 +130,7 @@ class NodeChain:
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        folder: Path,
-        environment: Mapping[str, str] | None = None,
-        **common: Value,
+        self, rig: Rig, folder: Path, environment: Mapping[str, str] | None = None, **common: Value
     ) -> None:
         """Not running yet; `environment` and the parameters `common` are those of both."""
         self.folder, self._rig, self._common = folder, rig, common

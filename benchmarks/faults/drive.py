@@ -12,7 +12,7 @@ from evpinn_ros.estimation.state_file import write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.physics import RegenForm, battery_power
+from evpinn_ros.vehicle.physics import RegenForm
 
 VEHICLE = "tesla_model_3_lr"
 OTHER_VEHICLE = "nissan_leaf"
@@ -33,16 +33,7 @@ def readings(stamp_ns: int) -> tuple[SpeedReading, BatteryReading]:
     angle = 2 * math.pi * (stamp_ns % (int(PERIOD) * NANOSECONDS)) / NANOSECONDS / PERIOD
     speed = MEAN + SWING * math.sin(angle)
     acceleration = SWING * math.cos(angle) * 2 * math.pi / PERIOD
-    car = vehicle()
-    power = battery_power(
-        speed,
-        acceleration,
-        car.initial,
-        area=car.frontal_area,
-        air_density=car.air_density,
-        form=RegenForm.WHEEL_POWER,
-        beta=0.0,
-    )
+    power = vehicle().power(speed, acceleration, vehicle().initial, RegenForm.WHEEL_POWER)
     chance = random.Random(stamp_ns)
     current = -float(power) / VOLTAGE + chance.gauss(0.0, 0.2)
     voltage = VOLTAGE + RESISTANCE * current

@@ -15,19 +15,12 @@ QUIET = ""  # instead of a word: no diagnosis is due
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Effect of a fault on the chain.
+    """Effect of a fault on the chain."""
 
-    Attributes:
-        lost: what was lost, in a few words.
-        kept: that this is no more than the contract states.
-        seconds: until all was as before, inf when it never was.
-        said: its diagnosis, None when they did not name it.
-    """
-
-    lost: str
-    kept: bool
-    seconds: float
-    said: str | None
+    lost: str  # what was lost, in a few words
+    kept: bool  # that this is no more than the contract states
+    seconds: float  # until all was as before, inf when it never was
+    said: str | None  # its diagnosis, None when they did not name it
 
 
 Inject: TypeAlias = Callable[["Rig"], Finding]
@@ -35,21 +28,13 @@ Inject: TypeAlias = Callable[["Rig"], Finding]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One entry of the campaign.
+    """One entry of the campaign."""
 
-    Attributes:
-        name: on the command line.
-        what: is done, in one line.
-        contract: what may be lost, in one line.
-        inject: does it, and looks.
-        limit: s in which all must be as before.
-    """
-
-    name: str
-    what: str
-    contract: str
-    inject: Inject
-    limit: float = RECOVERY
+    name: str  # on the command line
+    what: str  # is done, in one line
+    contract: str  # what may be lost, in one line
+    inject: Inject  # does it, and looks
+    limit: float = RECOVERY  # s in which all must be as before
 
     @property
     def is_shared(self) -> bool:

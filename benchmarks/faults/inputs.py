@@ -22,21 +22,13 @@ HOUR_NS = 3600 * NANOSECONDS
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Changes what the car sends for some seconds.
+    """Changes what the car sends for some seconds."""
 
-    Attributes:
-        chain: that it is done to.
-        change: of the messages of each moment.
-        word: of the diagnostics that name it.
-        may_lose: share of the predictions that may be missing meanwhile.
-        forgets: whether what was learned may move.
-    """
-
-    chain: NodeChain
-    change: Change
-    word: str
-    may_lose: float = 0.0
-    forgets: bool = False
+    chain: NodeChain  # that it is done to
+    change: Change  # of the messages of each moment
+    word: str  # of the diagnostics that name it
+    may_lose: float = 0.0  # share of the predictions that may be missing meanwhile
+    forgets: bool = False  # whether what was learned may move
 
     def __call__(self, rig: Rig) -> Finding:
         """Disturb, and look."""
@@ -110,7 +102,6 @@ class Leaping:
     """Every third speed is far off, as by a broken wire."""
 
     def __init__(self) -> None:
-        """Begin with a good one."""
         self._count = 0
 
     def __call__(self, messages: Iterable[Sent]) -> Iterator[Sent]:
@@ -133,7 +124,6 @@ class Shuffled:
     """Every other speed comes a second late."""
 
     def __init__(self) -> None:
-        """Hold nothing back yet."""
         self._held: list[Any] = []
         self._count = 0
 

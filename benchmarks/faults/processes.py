@@ -12,14 +12,7 @@ import signal
 import time
 
 from benchmarks.faults.bus import bus_arguments
-from benchmarks.faults.chain import (
-    LEADING,
-    NodeChain,
-    Process,
-    running,
-    start_all,
-    start_node,
-)
+from benchmarks.faults.chain import LEADING, NodeChain, Process, running, start_all, start_node
 from benchmarks.faults.drive import learned_state
 from benchmarks.faults.fault import RECOVERY, Fault, Finding
 from benchmarks.faults.files import file_of
@@ -118,16 +111,13 @@ class _Stop:
             run.await_ready("recorder")
             rig.drive(2.0)
             end = run.stop(self.how)
-        saved = all(_saved(path) for path in (state, state.with_suffix(".energy.json")))
+        paths = (state, state.with_suffix(".energy.json"))
+        saved = all(read_state(path) is not None for path in paths)
         with BagReader(folder) as bag:
             whole = bag.problem is None
         lost = f"exit {end.code}; files {'saved' if saved else 'not saved'}"
         kept = saved and whole and not end.code
         return Finding(f"nothing: {lost}" if kept else lost, kept, end.seconds, UNNAMED)
-
-
-def _saved(path: Path) -> bool:
-    return read_state(path) is not None
 
 
 def _stop_saving(rig: Rig) -> Finding:

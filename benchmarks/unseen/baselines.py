@@ -9,13 +9,13 @@ import math
 import numpy as np
 
 from benchmarks.kalman import FAST, FiveStateFilter
+from benchmarks.methods import PriorOnly
 from benchmarks.unseen.method import Estimate, Factory, Prediction
 from benchmarks.unseen.steps import Step, StepStream
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.physics import GRAVITY
 
 LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
@@ -28,7 +28,6 @@ class StepMethod(ABC):
     """Predicts each step first and learns from it once its power is known; heirs say how."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start a stream of steps."""
         self._stream = StepStream(vehicle)
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
@@ -60,10 +59,8 @@ class PriorAlone(StepMethod):
     """Physics at the priors of the vehicle file."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Take the priors' values."""
         super().__init__(vehicle)
-        self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
-        self._rotating_mass_factor = vehicle.rotating_mass_factor
+        self._prior = PriorOnly(vehicle)
 
     def learn(self, step: Step) -> None:
         """Keep the prior."""
@@ -74,16 +71,7 @@ class PriorAlone(StepMethod):
 
     def power(self, step: Step) -> float:
         """Likewise."""
-        sample = _sample(step)
-        power = combined_power(
-            sample.speed,
-            sample.acceleration,
-            self._combined,
-            air_density=sample.air_density,
-            grade=sample.grade,
-            rotating_mass_factor=self._rotating_mass_factor,
-        )
-        return float(power) + sample.known_auxiliary
+        return self._prior.predict(_sample(step)).power
 
 
 class EnergyPerKilometre(PriorAlone):
@@ -95,7 +83,6 @@ class EnergyPerKilometre(PriorAlone):
     START, WEIGHT = 0.25, 2.0  # 1-sigma of one drive's consumption over the mean; in drives
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Nothing driven."""
         super().__init__(vehicle)
         self._drives: list[tuple[float, float]] = []
         self._now, self._unmeasured = np.zeros(2), 0.0
@@ -134,8 +121,8 @@ class BatchLeastSquares(PriorAlone):
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """No samples."""
         super().__init__(vehicle)
+        self._rotating_mass_factor = vehicle.rotating_mass_factor
         self._normal, self._target, self._count = np.zeros((7, 7)), np.zeros(7), 0
         self._solved: np.ndarray | None = None
 
@@ -178,7 +165,6 @@ class FastKalman(StepMethod):
     """The extended Kalman filter of `benchmarks.kalman`, whose states wander fast."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the vehicle's priors."""
         super().__init__(vehicle)
         self._filter = FiveStateFilter(vehicle, pace=FAST)
         self._unmeasured = np.zeros(2)  # energy's 1-sigma by a lasting error, J, and its variance

@@ -10,12 +10,7 @@ from pathlib import Path
 from benchmarks.logs import find_logs
 from benchmarks.unseen.lines import Line, Span, battery_power, common, speed_line
 from benchmarks.unseen.splitting import split
-from benchmarks.unseen.sumo_cars import (
-    SUMO_CARS,
-    simulate_sumo,
-    sumo_is_there,
-    sumo_truth,
-)
+from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
 from benchmarks.unseen.truth import CARRIED_VEHICLE, carried_drives
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
@@ -74,18 +69,12 @@ class Drive:
 
 @dataclass(frozen=True)
 class Car:
-    """A car and its drives, in order.
+    """A car and its drives, in order."""
 
-    Attributes:
-        key: what `--cars` calls it.
-        vehicle: all that a method knows of it.
-        drives: in order of time.
-        truth: true combinations by the names of `truth.NAMES`, empty where they are unknown.
-    """
-
-    key: str
-    vehicle: Vehicle
-    drives: tuple[Drive, ...]
+    key: str  # what `--cars` calls it
+    vehicle: Vehicle  # all that a method knows of it
+    drives: tuple[Drive, ...]  # in order of time
+    # true combinations by `method.NAMES`, empty where they are unknown
     truth: dict[str, float] = field(default_factory=dict)
 
     @property

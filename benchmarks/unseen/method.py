@@ -20,24 +20,19 @@ from evpinn_ros.signals.readings import BatteryReading, Reading
 from evpinn_ros.vehicle.files import Vehicle
 
 Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
+NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")
 
 
 class Prediction(NamedTuple):
-    """Prediction of one moment, from readings before it and at most a little after.
+    """Prediction of one moment, from readings before it and at most a little after."""
 
-    Attributes:
-        stamp_ns: the moment.
-        power: battery power, W, positive when drawn.
-        sigma: its 1-sigma, W, NaN if unknown.
-        energy: integral of the predicted power since the start of the drive, J; NaN: take the
-            trapezoid of `power`.
-        energy_sigma: 1-sigma, J, of the energy predicted since the last battery reading.
-    """
-
-    stamp_ns: int
-    power: float
-    sigma: float = math.nan
+    stamp_ns: int  # the moment
+    power: float  # battery power, W, positive when drawn
+    sigma: float = math.nan  # its 1-sigma, W, NaN if unknown
+    # integral of the predicted power since the start of the drive, J; NaN: take the trapezoid of
+    # `power`
     energy: float = math.nan
+    # 1-sigma, J, of the energy predicted since the last battery reading
     energy_sigma: float = math.nan
 
 
@@ -51,7 +46,7 @@ class Method(Protocol):
         """Begin another drive of the same car."""
 
     def combinations(self) -> Mapping[str, Estimate]:
-        """Estimates of the car, by the names of `truth.NAMES`; empty if there are none."""
+        """Estimates of the car, by `NAMES`; empty if there are none."""
 
 
 Factory: TypeAlias = Callable[[Vehicle], Method]
@@ -61,8 +56,7 @@ class OnlineChain:
     """Our estimator and energy account, as `evpinn replay` runs them."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the vehicle's priors."""
-        self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(_no_clock))
+        self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
         self._variance_measured = 0.0  # J^2, of the energy up to the last battery reading
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
@@ -105,8 +99,3 @@ class OnlineChain:
             "drag_area_over_eta": (value.drag_area_over_eta, std.drag_area_over_eta),
             "p_aux": (p_aux.value, p_aux.std),
         }
-
-
-def _no_clock() -> float:
-    """Updates are not timed here."""
-    return 0.0

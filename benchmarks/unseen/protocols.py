@@ -53,21 +53,13 @@ class Scored:
 
 @dataclass(frozen=True)
 class CarRun:
-    """Results of a method on one car.
+    """Results of a method on one car."""
 
-    Attributes:
-        carried: each drive whole, from what the drives before it taught.
-        online: each drive with the battery, but for the first `WARM_UP` s.
-        withheld: dropouts of 200 s (shorter where the drive is).
-        long: dropouts of 600 s.
-        combinations: what is known of the car at the end.
-    """
-
-    carried: list[Scored]
-    online: list[Scored]
-    withheld: list[Scored]
-    long: list[Scored]
-    combinations: dict[str, Estimate]
+    carried: list[Scored]  # each drive whole, from what the drives before it taught
+    online: list[Scored]  # each drive with the battery, but for the first `WARM_UP` s
+    withheld: list[Scored]  # dropouts of 200 s (shorter where the drive is)
+    long: list[Scored]  # dropouts of 600 s
+    combinations: dict[str, Estimate]  # what is known of the car at the end
 
 
 def cuts(drive: Drive, step: float) -> list[Cut]:
@@ -127,12 +119,9 @@ def predicted(
 ) -> Track:
     """Let a method go on from a reading without any battery reading.
 
-    Args:
-        method: a copy that may be spoilt.
-        drive: the drive.
-        index: of the first reading that it has not seen.
-        span: what is to be predicted, s.
-        before: the last prediction that was made with the battery, so that the start is covered.
+    The method is a copy that may be spoilt, `index` that of the first reading that it has not
+    seen, and `span`, s, what is to be predicted. `before` holds the last prediction that was made
+    with the battery, so that the start is covered.
     """
     rows = list(before)
     end_ns = drive.start_ns + int((span.end + AFTER_END) * NANOSECONDS)

@@ -16,14 +16,7 @@ from benchmarks.unseen.drives import Car, load_car
 from benchmarks.unseen.method import Factory, OnlineChain
 from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
-from benchmarks.unseen.truth import (
-    DRIVES,
-    KINDS,
-    SECONDS,
-    errors,
-    run_truth,
-    truth_summary,
-)
+from benchmarks.unseen.truth import DRIVES, KINDS, SECONDS, errors, run_truth, truth_summary
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 

@@ -34,7 +34,6 @@ class Track:
     """
 
     def __init__(self, drive: Drive, rows: Sequence[Prediction]) -> None:
-        """Take predictions in order of time."""
         columns = np.array([row[1:] for row in rows], dtype=float).reshape(-1, 4).T
         time = np.array([drive.seconds(row.stamp_ns) for row in rows], dtype=float)
         gap = max(drive.power.gap, drive.speed.gap)
@@ -71,29 +70,17 @@ class AgeScore:
 
 @dataclass(frozen=True)
 class PartScore:
-    """Scores of one part of a drive; energies in J, powers in W; NaN where there is none.
+    """Scores of one part of a drive; energies in J, powers in W; NaN where there is none."""
 
-    Attributes:
-        covered: share of what is scored that was predicted.
-        net: measured energy.
-        gross: measured, drawn and regenerated together.
-        error: predicted less measured energy.
-        sigma: 1-sigma that the method gives its energy.
-        squares: sum of squared errors at the stamps of speed, and their number.
-        means: the same for means over each of `MEANS` s.
-        ages: by each of `AGES` that the part reaches.
-        absolute: integral of the size of the error of power.
-    """
-
-    covered: float
-    net: float
-    gross: float
-    error: float
-    sigma: float
-    squares: tuple[float, int]
-    means: dict[float, tuple[float, int]]
-    ages: dict[float, AgeScore]
-    absolute: float
+    covered: float  # share of what is scored that was predicted
+    net: float  # measured energy
+    gross: float  # measured, drawn and regenerated together
+    error: float  # predicted less measured energy
+    sigma: float  # 1-sigma that the method gives its energy
+    squares: tuple[float, int]  # sum of squared errors at the stamps of speed, and their number
+    means: dict[float, tuple[float, int]]  # the same for means over each of `MEANS` s
+    ages: dict[float, AgeScore]  # by each of `AGES` that the part reaches
+    absolute: float  # integral of the size of the error of power
 
     @property
     def valid(self) -> bool:

@@ -28,33 +28,19 @@ KEPT = 4000  # battery samples
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Driving between two moments; means over it.
+    """Driving between two moments; means over it."""
 
-    Attributes:
-        begin_ns: where it begins.
-        end_ns: where it ends.
-        speed: m/s.
-        cube: of speed, m^3/s^3.
-        kinetic: growth of v^2 / 2 per second, W/kg.
-        climb: growth of height, m/s.
-        grade: rad.
-        density: of the air, kg/m^3.
-        known: auxiliary power that the car reports, W.
-        celsius: outside, None while unknown.
-        power: of the battery, W, NaN while unknown.
-    """
-
-    begin_ns: int
-    end_ns: int
-    speed: float
-    cube: float
-    kinetic: float
-    climb: float
-    grade: float
-    density: float
-    known: float
-    celsius: float | None
-    power: float = math.nan
+    begin_ns: int  # where it begins
+    end_ns: int  # where it ends
+    speed: float  # m/s
+    cube: float  # of speed, m^3/s^3
+    kinetic: float  # growth of v^2 / 2 per second, W/kg
+    climb: float  # growth of height, m/s
+    grade: float  # rad
+    density: float  # of the air, kg/m^3
+    known: float  # auxiliary power that the car reports, W
+    celsius: float | None  # outside, None while unknown
+    power: float = math.nan  # of the battery, W, NaN while unknown
 
     @property
     def dt(self) -> float:
@@ -71,7 +57,6 @@ class StepStream:
     """Makes steps of readings, first without their power and, once it is known, with it."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start empty."""
         self._road = Road(GradeSource.AUTO, vehicle.air_density)
         self.begin_next_drive()
 

@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.truth import PROFILE, VEHICLES
-from benchmarks.unseen.method import Estimate, Factory
+from benchmarks.unseen.method import NAMES, Estimate, Factory
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, SimulatedDrive, simulate
 from evpinn_ros.vehicle.files import load_vehicle
 
-NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")
 KINDS = {
     "truth_town": DriveKind.URBAN,
     "truth_mixed": DriveKind.MIXED,
@@ -35,17 +34,12 @@ CARRIED_VEHICLE, CARRIED_SEED, CARRIED_DRIVES = "nissan_leaf", 9100, 8
 
 
 class Error(NamedTuple):
-    """An estimate against the truth.
+    """An estimate against the truth."""
 
-    Attributes:
-        percent: of the truth.
-        absolute: in the unit of the quantity.
-        covered: whether the 95 % interval holds the truth; where only positive values are
-            possible it is an interval of the logarithm.
-    """
-
-    percent: float
-    absolute: float
+    percent: float  # of the truth
+    absolute: float  # in the unit of the quantity
+    # whether the 95 % interval holds the truth; where only positive values are possible it is an
+    # interval of the logarithm
     covered: bool
 
 

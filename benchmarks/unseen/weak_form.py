@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from benchmarks.unseen.method import Estimate, Prediction
+from benchmarks.unseen.method import NAMES, Estimate, Prediction
 from benchmarks.unseen.steps import Step, StepStream
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
@@ -47,7 +47,6 @@ class WeakFormLeastSquares:
     """The filter of the module's text."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Start at the vehicle's priors."""
         prior = identifiable(vehicle.initial, vehicle.frontal_area)
         mass, rolling = prior.mass_over_eta, prior.c_rr * prior.mass_over_eta
         back = prior.regeneration
@@ -204,15 +203,8 @@ class WeakFormLeastSquares:
         gradient = np.array([self._combined(self.mean + each) - found for each in self._nudges])
         sizes = np.diag(self._nudges)[:, None]
         std = np.sqrt(np.diag((gradient / sizes).T @ self.covariance @ (gradient / sizes)))
-        names = (
-            "mass_over_eta",
-            "regeneration",
-            "rolling_over_eta",
-            "drag_area_over_eta",
-            "p_aux",
-        )
         pairs = zip(found.tolist(), std.tolist(), strict=True)
-        return dict(zip(names, pairs, strict=True))
+        return dict(zip(NAMES, pairs, strict=True))
 
     def _combined(self, mean: np.ndarray) -> np.ndarray:
         """The five combinations of a mean, shape (5,)."""

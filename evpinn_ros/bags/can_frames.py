@@ -31,17 +31,11 @@ _CDR = struct.Struct("<4siII4xI???B8s")
 
 
 class CanLog(Protocol):
-    """A recorded bus, read once by `frames()`: `LogFile` and `BagFrames`.
+    """A recorded bus, read once by `frames()`: `LogFile` and `BagFrames`."""
 
-    Attributes:
-        path: of the file or folder.
-        count: frames read so far.
-        skipped: what is not a data frame, by kind; complete once all are read.
-    """
-
-    path: Path
-    count: int
-    skipped: Counter[str]
+    path: Path  # of the file or folder
+    count: int  # frames read so far
+    skipped: Counter[str]  # what is not a data frame, by kind; complete once all are read
 
     @property
     def problem(self) -> str | None:

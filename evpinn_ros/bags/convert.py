@@ -67,10 +67,8 @@ class BagReadings:
     ) -> None:
         """Find the topics by name and type.
 
-        Args:
-            reader: an open bag.
-            namespace: of the car; None when the bag holds one car only.
-            mounting: of its IMU, see `grade_reading`.
+        `namespace` is that of the car, None when the bag holds one car only; `mounting` that of
+        its IMU, see `grade_reading`.
 
         Raises:
             InputError: none of the topics is there, or the bag holds several cars.

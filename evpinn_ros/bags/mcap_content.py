@@ -47,15 +47,8 @@ _PARSED = {
     Opcode.METADATA: mcap_records.Metadata,
     Opcode.METADATA_INDEX: mcap_records.MetadataIndex,
 }
-_HEADS = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-    ]
-)  # MESSAGE_HEAD
+_HEADS = np.dtype("u1, <u8, <u2, <u4, <u8")  # as MESSAGE_HEAD
+_HEADS.names = ("opcode", "length", "channel", "sequence", "log_time")
 OPCODES = frozenset(Opcode)
 MessageIndex: TypeAlias = dict[int, np.ndarray]
 """By channel id: log time, ns, and offset of each message, unsigned, shape (n, 2)."""
@@ -84,22 +77,14 @@ class BytesAnywhere(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A stretch of a file that holds message records: a chunk, or records outside of any.
+    """A stretch of a file that holds message records: a chunk, or records outside of any."""
 
-    Attributes:
-        start_ns: log time of its first message.
-        begin: first byte of its (packed) records.
-        end: behind their last byte; the file may end before it.
-        head: of the chunk, None for records outside of chunks.
-        count: of its messages.
-        channels: ids of the messages to be read; None for all, which is what the chunk says.
-    """
-
-    start_ns: int
-    begin: int
-    end: int
-    head: ChunkHead | None
-    count: int
+    start_ns: int  # log time of its first message
+    begin: int  # first byte of its (packed) records
+    end: int  # behind their last byte; the file may end before it
+    head: ChunkHead | None  # of the chunk, None for records outside of chunks
+    count: int  # of its messages
+    # ids of the messages to be read; None for all, which is what the chunk says
     channels: frozenset[int] | None = None
 
 
@@ -107,7 +92,6 @@ class Definitions:
     """Schemas and channels, by id; the first one of an id holds."""
 
     def __init__(self) -> None:
-        """None yet."""
         self.schemas: dict[int, Any] = {}
         self.channels: dict[int, Any] = {}
         self._size = 0
@@ -143,19 +127,12 @@ class Definitions:
 
 @dataclass(slots=True)
 class Records:
-    """Messages and definitions that follow each other in some bytes.
+    """Messages and definitions that follow each other in some bytes."""
 
-    Attributes:
-        index: of the messages whose topic is known.
-        unknown: messages whose topic is not.
-        last: where the last record begins.
-        end: behind it.
-    """
-
-    index: MessageIndex = field(default_factory=dict)
-    unknown: int = 0
-    last: int = 0
-    end: int = 0
+    index: MessageIndex = field(default_factory=dict)  # of the messages whose topic is known
+    unknown: int = 0  # messages whose topic is not
+    last: int = 0  # where the last record begins
+    end: int = 0  # behind it
 
     @property
     def count(self) -> int:
@@ -196,11 +173,8 @@ def records_in(
 ) -> Records:
     """Go from record to record, as far as messages and definitions reach.
 
-    Args:
-        data: whose records begin at `first`.
-        definitions: that are known; those in the data are added.
-        strict: a message of an unknown channel ends it too.
-        first: where to begin.
+    Definitions in the data are added to those that are known. Where it is `strict`, a message of
+    an unknown channel ends it too.
     """
     found = Records(last=first, end=first)
     index: dict[int, list[int]] = {}

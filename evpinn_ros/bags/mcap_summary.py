@@ -33,40 +33,24 @@ LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the
 
 @dataclass(slots=True)
 class SoundFile:
-    """Facts of a file that are known before its messages are read.
+    """Facts of a file that are known before its messages are read."""
 
-    Attributes:
-        definitions: of schemas and channels.
-        counts: messages by channel id.
-        blocks: where the messages lie.
-        notes: what is wrong with the file, in words.
-        lost_chunks: damaged ones that are in no block.
-    """
-
-    definitions: Definitions
-    counts: Counter[int]
-    blocks: list[Block]
-    notes: list[str] = field(default_factory=list)
-    lost_chunks: int = 0
+    definitions: Definitions  # of schemas and channels
+    counts: Counter[int]  # messages by channel id
+    blocks: list[Block]  # where the messages lie
+    notes: list[str] = field(default_factory=list)  # what is wrong with the file, in words
+    lost_chunks: int = 0  # damaged ones that are in no block
 
 
 @dataclass(slots=True)
 class FileSummary:
-    """Summary at the end of a file; of a damaged one, as far as it can be read.
+    """Summary at the end of a file; of a damaged one, as far as it can be read."""
 
-    Attributes:
-        start: where it begins.
-        ended: the file has its end.
-        definitions: of schemas and channels.
-        statistics: what the file counted, or None.
-        chunks: the index of the chunks.
-    """
-
-    start: int = 0
-    ended: bool = False
-    definitions: Definitions = field(default_factory=Definitions)
-    statistics: Statistics | None = None
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    start: int = 0  # where it begins
+    ended: bool = False  # the file has its end
+    definitions: Definitions = field(default_factory=Definitions)  # of schemas and channels
+    statistics: Statistics | None = None  # what the file counted, or None
+    chunks: list[ChunkIndex] = field(default_factory=list)  # the index of the chunks
 
 
 def sound_file(file: FileBytes) -> SoundFile | None:

@@ -24,9 +24,8 @@ REFUSAL = b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: 0" + 
 def is_welcome(head: bytes, origins: Collection[str]) -> bool:
     """True if a request opens a WebSocket, from no page or from one of `origins`.
 
-    Args:
-        head: of an HTTP request, with its empty line.
-        origins: as browsers write them, `https://app.foxglove.dev`.
+    `head` is that of an HTTP request, with its empty line; origins are as browsers write them,
+    `https://app.foxglove.dev`.
     """
     found, upgrades = [], False
     for line in head.split(b"\r\n")[1:]:

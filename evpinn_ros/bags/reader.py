@@ -100,8 +100,7 @@ class BagReader:
     def records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
         """The messages in log time order, those of equal time in the order of the file.
 
-        Args:
-            topics: full names of the topics to read; None for all.
+        `topics` are full names, None for all.
         """
         for raw in self.raw_records(topics):
             try:

@@ -35,41 +35,23 @@ Progress = Callable[[int], None]  # takes bytes of the file done
 
 @dataclass(slots=True)
 class RecoveredFile:
-    """Yield of one file.
+    """Yield of one file."""
 
-    Attributes:
-        path: of the broken file.
-        size: of it, bytes.
-        messages: saved.
-        unproven: those of them that no checksum covers.
-        chunks: saved as they were packed.
-        stated: messages that the file says it held, None when it does not say.
-        ended: it has its end and index.
-        unknown_topic: messages left out, since the definition of their topic is lost.
-        doubtful_topics: whose definition comes from a damaged chunk.
-        start_ns: first log time saved; zero without a message.
-        end_ns: last log time saved.
-        losses: the first `MOST_LOSSES` of them, in order.
-        more_losses: those beyond.
-        lost_bytes: of all losses.
-        problem: why it could not be read, or not to its end; None if it could.
-    """
-
-    path: Path
-    size: int = 0
-    messages: int = 0
-    unproven: int = 0
-    chunks: int = 0
-    stated: int | None = None
-    ended: bool = False
-    unknown_topic: int = 0
-    doubtful_topics: tuple[str, ...] = ()
-    start_ns: int = 0
-    end_ns: int = 0
-    losses: list[Loss] = field(default_factory=list)
-    more_losses: int = 0
-    lost_bytes: int = 0
-    problem: str | None = None
+    path: Path  # of the broken file
+    size: int = 0  # of it, bytes
+    messages: int = 0  # saved
+    unproven: int = 0  # those of them that no checksum covers
+    chunks: int = 0  # saved as they were packed
+    stated: int | None = None  # messages that the file says it held, None when it does not say
+    ended: bool = False  # it has its end and index
+    unknown_topic: int = 0  # messages left out, since the definition of their topic is lost
+    doubtful_topics: tuple[str, ...] = ()  # whose definition comes from a damaged chunk
+    start_ns: int = 0  # first log time saved; zero without a message
+    end_ns: int = 0  # last log time saved
+    losses: list[Loss] = field(default_factory=list)  # the first `MOST_LOSSES` of them, in order
+    more_losses: int = 0  # those beyond
+    lost_bytes: int = 0  # of all losses
+    problem: str | None = None  # why it could not be read, or not to its end; None if it could
 
     @property
     def lost_chunks(self) -> int:
@@ -103,10 +85,8 @@ def recover(source: Path, out: Path, progress: Progress | None = None) -> list[R
     A file that cannot be read stops no other. Interrupted, or where the disk is full, it leaves
     nothing behind.
 
-    Args:
-        source: MCAP file, or rosbag2 folder, with or without metadata.yaml.
-        out: folder of the new bag, not there or empty.
-        progress: takes how many bytes are done, of all files together.
+    `source` is an MCAP file or a rosbag2 folder, with or without metadata.yaml; `out` a folder
+    that is not there, or empty. `progress` takes the bytes done, of all files together.
 
     Raises:
         InputError: no MCAP there, `out` is in use, or no message could be saved.

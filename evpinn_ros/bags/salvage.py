@@ -42,46 +42,28 @@ PATIENCE = 1024 * MEBIBYTE, 16  # bytes, and times the file, spent on chunks tha
 
 @dataclass(slots=True)
 class Piece:
-    """Messages that were found.
+    """Messages that were found."""
 
-    Attributes:
-        end: behind their last byte in the file.
-        content: their records.
-        found: where each message lies in the content.
-        block: where to find them again.
-        packed: the chunk as it was packed, to be copied as it is; None when a part is missing.
-        proven: a checksum says that they are what was written.
-    """
-
-    end: int
-    content: bytes
-    found: Records
-    block: Block
+    end: int  # behind their last byte in the file
+    content: bytes  # their records
+    found: Records  # where each message lies in the content
+    block: Block  # where to find them again
+    # the chunk as it was packed, to be copied as it is; None when a part is missing
     packed: bytes | None = None
-    proven: bool = False
+    proven: bool = False  # a checksum says that they are what was written
 
 
 @dataclass(slots=True)
 class Loss:
-    """Bytes of the file that were given up.
+    """Bytes of the file that were given up."""
 
-    Attributes:
-        begin: first byte.
-        end: behind the last one.
-        reason: in a few words.
-        chunk: the bytes were those of one chunk.
-        messages: that were in there, None when nothing tells.
-        after_ns: log time of the newest message before, None for none.
-        before_ns: log time of the oldest message of the next piece, None for none.
-    """
-
-    begin: int
-    end: int
-    reason: str
-    chunk: bool = False
-    messages: int | None = None
-    after_ns: int | None = None
-    before_ns: int | None = None
+    begin: int  # first byte
+    end: int  # behind the last one
+    reason: str  # in a few words
+    chunk: bool = False  # the bytes were those of one chunk
+    messages: int | None = None  # that were in there, None when nothing tells
+    after_ns: int | None = None  # log time of the newest message before, None for none
+    before_ns: int | None = None  # log time of the oldest message of the next piece, None for none
 
 
 Found: TypeAlias = Piece | Loss | Attachment | Metadata
@@ -99,7 +81,6 @@ class Salvage:
     """
 
     def __init__(self, file: FileBytes) -> None:
-        """Read what the end of the file says, if it is there."""
         self.definitions = Definitions()
         self.ended = False
         self.stated: int | None = None

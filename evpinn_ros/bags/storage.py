@@ -33,12 +33,8 @@ def change_storage(
 ) -> int:
     """Write every message of a sound bag, byte for byte, into a new bag.
 
-    Args:
-        source: folder, `.mcap` or `.db3`.
-        out: folder of the new bag, not there yet.
-        storage: of the new bag.
-        progress: takes the seconds of the recording done.
-        stopped: whether to end here, with a whole bag.
+    `source` is a folder, `.mcap` or `.db3`; `out` is not there yet. `progress` takes the seconds
+    of the recording done; `stopped` says whether to end here, with a whole bag.
 
     Returns:
         Messages written.

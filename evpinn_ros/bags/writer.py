@@ -30,15 +30,11 @@ from evpinn_ros.signals.readings import NANOSECONDS
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Limits at which a bag goes on in another file.
+    """Limits at which a bag goes on in another file."""
 
-    Attributes:
-        size: bytes from which on a file is full; the chunk that fills it is still written to it.
-        seconds: of log time that a file spans at most.
-    """
-
+    # bytes from which on a file is full; the chunk that fills it is still written to it
     size: float = math.inf
-    seconds: float = math.inf
+    seconds: float = math.inf  # of log time that a file spans at most
 
 
 class BagWriter:

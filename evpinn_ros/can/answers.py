@@ -61,7 +61,8 @@ class AnswerDecoder:
                 readings += self._late(stamp_ns, part)
                 self._waiting[part] = stamp_ns, values[part][0]
         if len(self._waiting) == len(PARTS):
-            readings.append(self._battery())
+            found, self._waiting = self._waiting, {}
+            readings.append(self._reading(found))
         return tuple(readings)
 
     def _values(self, answer: Answer) -> dict[str, tuple[float, float]]:
@@ -85,10 +86,6 @@ class AnswerDecoder:
         for name in late:
             del self._waiting[name]
         return [self._reading({name: at}) for name, at in late.items()]
-
-    def _battery(self) -> BatteryReading:
-        found, self._waiting = self._waiting, {}
-        return self._reading(found)
 
     def _reading(self, parts: Mapping[str, tuple[int, float]]) -> BatteryReading:
         stamp_ns = max(at for at, _ in parts.values())

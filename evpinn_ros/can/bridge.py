@@ -30,45 +30,28 @@ _KINDS: Mapping[str, type[Reading]] = {"speed": SpeedReading, "battery": Battery
 
 @dataclass(frozen=True, slots=True)
 class SignalStatus:
-    """Arrival of one quantity: count, rate, age.
+    """Arrival of one quantity: count, rate, age."""
 
-    Attributes:
-        count: readings so far.
-        rate: readings per second, NaN until two came.
-        age: seconds since the last, NaN before the first.
-        stale: none for ten periods, or none ever.
-    """
-
-    count: int
-    rate: float
-    age: float
-    stale: bool
+    count: int  # readings so far
+    rate: float  # readings per second, NaN until two came
+    age: float  # seconds since the last, NaN before the first
+    stale: bool  # none for ten periods, or none ever
 
 
 @dataclass(frozen=True, slots=True)
 class BridgeStatus:
-    """One look at the bridge, for diagnostics.
+    """One look at the bridge, for diagnostics."""
 
-    Attributes:
-        ok: every quantity of the profile arrives.
-        text: the state in a few words.
-        frames: frames of the profile's ids.
-        unknown_frames: frames of other ids.
-        unknown_ids: how many other ids, up to `MOST_IDS`.
-        dropped: values not used, by reason (see `Decoder`).
-        signals: `speed` and `battery`, as far as the profile has them.
-        refusal: why nothing is let out, None while the traffic does not contradict the profile.
-        fault: wrong sign of the current by the other signals, None while all is well.
-    """
-
-    ok: bool
-    text: str
-    frames: int
-    unknown_frames: int
-    unknown_ids: int
-    dropped: Mapping[str, int]
-    signals: Mapping[str, SignalStatus]
+    ok: bool  # every quantity of the profile arrives
+    text: str  # the state in a few words
+    frames: int  # frames of the profile's ids
+    unknown_frames: int  # frames of other ids
+    unknown_ids: int  # how many other ids, up to `MOST_IDS`
+    dropped: Mapping[str, int]  # values not used, by reason (see `Decoder`)
+    signals: Mapping[str, SignalStatus]  # `speed` and `battery`, as far as the profile has them
+    # why nothing is let out, None while the traffic does not contradict the profile
     refusal: str | None = None
+    # wrong sign of the current by the other signals, None while all is well
     fault: str | None = None
 
 

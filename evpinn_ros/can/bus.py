@@ -26,7 +26,7 @@ import can
 from evpinn_ros.can import elm327
 from evpinn_ros.can.clock_map import ClockMap
 from evpinn_ros.can.frame import EPOCH_S, CanFrame, nanoseconds
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, one_line
 
 RECEIVE_TIMEOUT_S = 0.1
 SILENT_AFTER_S = 1.0
@@ -55,16 +55,8 @@ INTERFACES = can.VALID_INTERFACES | {elm327.NAME}
 """Drivers of python-can, and our own."""
 
 OUR_CLOCK = frozenset(
-    (
-        elm327.NAME,
-        "iscan",
-        "neousys",
-        "seeedstudio",
-        "slcan",
-        "socketcan",
-        "udp_multicast",
-        "virtual",
-    )
+    {elm327.NAME, "virtual", "udp_multicast"}
+    | {"iscan", "neousys", "seeedstudio", "slcan", "socketcan"}
 )
 """Drivers of python-can 4.6 that stamp each frame by this computer's clock. Others that tell the
 epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counter: they drift."""
@@ -83,18 +75,12 @@ class BusState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BusStatus:
-    """One look at the adapter.
+    """One look at the adapter."""
 
-    Attributes:
-        state: now.
-        problem: the last fault in one line with what to do about it, or None.
-        counters: since the start: `frames`, `opened`, `lost`, `bus_off`, `error_frames`,
-            `remote_frames`, `garbled` (the driver could not read a frame), `callback_errors`,
-            `close_errors`.
-    """
-
-    state: BusState
-    problem: str | None
+    state: BusState  # now
+    problem: str | None  # the last fault in one line with what to do about it, or None
+    # since the start: `frames`, `opened`, `lost`, `bus_off`, `error_frames`, `remote_frames`,
+    # `garbled` (the driver could not read a frame), `callback_errors`, `close_errors`
     counters: Mapping[str, int]
 
 
@@ -245,7 +231,7 @@ class BusReader:
         """
         self._counters["garbled"] += 1
         self._garbled += 1
-        self._problem = f"{self._name}: garbled frame: {_one_line(error)}"
+        self._problem = f"{self._name}: garbled frame: {one_line(error)}"
         if self._garbled >= MANY_GARBLED:
             self._lose(self._problem)
         else:
@@ -307,7 +293,7 @@ class BusReader:
         except Exception as error:
             # An unplugged adapter cannot be stopped; it is gone already.
             self._counters["close_errors"] += 1
-            self._problem = self._problem or f"{self._name}: closing failed: {_one_line(error)}"
+            self._problem = self._problem or f"{self._name}: closing failed: {one_line(error)}"
 
     @property
     def _name(self) -> str:
@@ -330,7 +316,7 @@ def _deepen_queue(bus: Any) -> None:
 
 def _explain(error: BaseException, interface: str, channel: str | int) -> str:
     """The fault in one line: which bus, the driver's message, what a person can do."""
-    what = f"CAN bus {interface} {channel}: {_one_line(error)}"
+    what = f"CAN bus {interface} {channel}: {one_line(error)}"
     remedy = _remedy(error, interface, channel)
     return f"{what}; {remedy}" if remedy else what
 
@@ -380,7 +366,3 @@ def _errno(error: BaseException) -> int | None:
                 return number
         cause = cause.__cause__ or cause.__context__
     return None
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -85,10 +85,7 @@ class ControlUnit:
     ) -> None:
         """Prepare a conversation.
 
-        Args:
-            address: of the control unit.
-            requests: what it may be asked, most urgent first.
-            send: None to listen alone.
+        Requests come most urgent first; without `send` it listens alone.
         """
         self.counters: Counter[str] = Counter()
         self.retired: dict[str, str] = {}
@@ -112,9 +109,7 @@ class ControlUnit:
     def receive(self, frame: CanFrame, now_s: float) -> Answer | None:
         """The answer that this frame completes; never raises.
 
-        Args:
-            frame: with the id of the control unit's answers.
-            now_s: of the clock of `step`.
+        The frame has the id of the control unit's answers; `now_s` is of the clock of `step`.
         """
         position = len(self._address.prefix)
         if len(frame.data) > position and frame.data[position] >> 4 in (0, 1):
@@ -139,9 +134,7 @@ class ControlUnit:
     def step(self, now_s: float, may_ask: Collection[str]) -> float:
         """Give up waiting, ask what is due; gives the time of the next step.
 
-        Args:
-            now_s: of the monotonic clock.
-            may_ask: names of the requests that may be made now.
+        `may_ask` names the requests that may be made now; `now_s` is of the monotonic clock.
         """
         if self._asked is not None and now_s >= self._deadline_s:
             self.counters["silent"] += 1

@@ -21,7 +21,6 @@ class CurrentSign:
     """Follows the readings of one bus; reports, and corrects nothing."""
 
     def __init__(self) -> None:
-        """Nothing seen, nothing suspected."""
         settings = StreamSettings(grade_source=GradeSource.NONE)
         self._stream, self._time = SampleStream(settings, AIR_DENSITY), StampGuard(SpeedReading)
         self._driving, self._charging = SignSuspicion(), ChargeSuspicion()

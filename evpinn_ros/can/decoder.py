@@ -192,7 +192,8 @@ class _Reader:
         self._check_checksum(frame)
         self._check_counter(raw)
         if any(signal.name not in raw for signal in self.rule.signals):
-            if len(frame.data) < self.rule.message.length and not self._is_other_page(raw):
+            other_page = any(page in raw and raw[page] not in pages for page, pages in self._pages)
+            if len(frame.data) < self.rule.message.length and not other_page:
                 raise _DroppedError("short_frame")
             return None
         return [_value(signal, raw[signal.name]) for signal in self.rule.signals]
@@ -207,9 +208,6 @@ class _Reader:
             # file can fail in other ways, and a frame must never stop the bridge.
             paged = self.rule.message.is_multiplexed()
             raise _DroppedError("unknown_multiplexer" if paged else "undecodable") from None
-
-    def _is_other_page(self, raw: dict[str, int]) -> bool:
-        return any(page in raw and raw[page] not in pages for page, pages in self._pages)
 
     def _check_checksum(self, frame: CanFrame) -> None:
         checksum, position = self.rule.checksum, self.rule.checksum_byte

@@ -64,11 +64,7 @@ def is_request_id(can_id: int, extended: bool) -> bool:
 def refusal(tx_id: int, rx_id: int, target: int | None, source: int | None) -> str | None:
     """Reason why no request may go to a control unit, None where one may.
 
-    Args:
-        tx_id: id of the requests.
-        rx_id: id of the answers.
-        target: first byte of every request, or None.
-        source: first byte of every answer, or None.
+    `target` and `source` are the first byte of every request and of every answer, or None.
     """
     if tx_id not in _ANSWERS:
         return (

@@ -10,42 +10,30 @@ from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReadi
 
 
 class Encoder:
-    """Writes the frames a car with this profile would send, counters and checksums included."""
+    """Writes the frames a car with this profile would send, counters and checksums included.
+
+    Its methods raise ValueError where the profile has no such quantity, or the car cannot show
+    the values.
+    """
 
     def __init__(self, profile: CanProfile) -> None:
         self._profile = profile
         self._counters = dict.fromkeys(profile.messages, -1)
 
     def speed(self, reading: SpeedReading) -> CanFrame:
-        """The frame with a speed.
-
-        Raises:
-            ValueError: the profile has no speed, or the car cannot show the value.
-        """
+        """The frame with a speed."""
         return self._frame("speed", reading.stamp_ns, [reading.speed])
 
     def battery(self, reading: BatteryReading) -> CanFrame:
-        """The frame with voltage and current.
-
-        Raises:
-            ValueError: the profile has no battery, or the car cannot show the values.
-        """
+        """The frame with voltage and current."""
         return self._frame("battery", reading.stamp_ns, [reading.voltage, reading.current])
 
     def state_of_charge(self, reading: BatteryReading) -> CanFrame:
-        """The frame with the state of charge.
-
-        Raises:
-            ValueError: the profile has no state of charge, or the car cannot show the value.
-        """
+        """The frame with the state of charge."""
         return self._frame("state_of_charge", reading.stamp_ns, [reading.state_of_charge])
 
     def motor(self, reading: MotorReading) -> list[CanFrame]:
-        """The frame with torque and speed, after that of a second motor, which then rests.
-
-        Raises:
-            ValueError: the profile has no motor, or the car cannot show the values.
-        """
+        """The frame with torque and speed, after that of a second motor, which then rests."""
         stamp_ns, rules = reading.stamp_ns, self._profile.messages
         frames = []
         if "second_motor" in rules and rules["second_motor"].signals:

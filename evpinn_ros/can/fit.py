@@ -38,23 +38,14 @@ HOLDS = 0.5  # mean share of the received messages from which on a profile is wo
 
 @dataclass(frozen=True, slots=True)
 class MessageFit:
-    """Fit of the frames of one message.
+    """Fit of the frames of one message."""
 
-    Attributes:
-        quantity: of the profile: `speed`, `battery`, `state_of_charge`.
-        can_id: of the message.
-        frames: all that came.
-        good: frames that hold.
-        bad: frames that do not, by reason: those of `Decoder`, and `jumped`.
-        has_checksum: whether the profile knows the rule of the message's checksum.
-    """
-
-    quantity: str
-    can_id: int
-    frames: int
-    good: int
-    bad: Mapping[str, int]
-    has_checksum: bool
+    quantity: str  # of the profile: `speed`, `battery`, `state_of_charge`
+    can_id: int  # of the message
+    frames: int  # all that came
+    good: int  # frames that hold
+    bad: Mapping[str, int]  # frames that do not, by reason: those of `Decoder`, and `jumped`
+    has_checksum: bool  # whether the profile knows the rule of the message's checksum
 
     @property
     def share(self) -> float:
@@ -92,16 +83,11 @@ class MessageFit:
 
 @dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """Fit of one profile.
+    """Fit of one profile."""
 
-    Attributes:
-        profile: its key.
-        name: for people.
-        messages: of the profile; none when it only asks, so that listening cannot tell.
-    """
-
-    profile: str
-    name: str
+    profile: str  # its key
+    name: str  # for people
+    # of the profile; none when it only asks, so that listening cannot tell
     messages: tuple[MessageFit, ...]
 
     @property
@@ -140,24 +126,17 @@ class ProfileFit:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Reason why a profile cannot be the right one.
+    """Reason why a profile cannot be the right one."""
 
-    Attributes:
-        wrong: quantities of the messages that speak against it.
-        why: the same in words.
-        better: key of a profile that fits better, None when none does.
-    """
-
-    wrong: frozenset[str]
-    why: str
-    better: str | None
+    wrong: frozenset[str]  # quantities of the messages that speak against it
+    why: str  # the same in words
+    better: str | None  # key of a profile that fits better, None when none does
 
 
 class ProfileEvidence:
     """Gathers what the frames say of one profile: the `Witness` of its decoder."""
 
     def __init__(self, profile: CanProfile) -> None:
-        """Begin without any frame."""
         self._profile = profile
         self._tallies = {
             quantity: _Tally(*JUMPS.get(quantity, ()))

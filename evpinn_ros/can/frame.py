@@ -14,19 +14,12 @@ EPOCH_S = 1e9
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """A data frame.
+    """A data frame."""
 
-    Attributes:
-        stamp_ns: when it was received, ns.
-        can_id: identifier, 11 bits, or 29 when `extended`.
-        data: 0 to 64 bytes.
-        extended: whether the identifier has 29 bits.
-    """
-
-    stamp_ns: int
-    can_id: int
-    data: bytes
-    extended: bool = False
+    stamp_ns: int  # when it was received, ns
+    can_id: int  # identifier, 11 bits, or 29 when `extended`
+    data: bytes  # 0 to 64 bytes
+    extended: bool = False  # whether the identifier has 29 bits
 
 
 class FirstBus:

@@ -54,10 +54,7 @@ class FitGuard:
     ) -> None:
         """Guard a profile.
 
-        Args:
-            profile: which decodes the bus.
-            others: that may fit better.
-            patient: always weigh ten seconds first, where nothing waits for the readings.
+        `patient` always weighs ten seconds first, where nothing waits for the readings.
         """
         self.evidence = ProfileEvidence(profile)
         self.verdict = ProfileVerdict.UNDECIDED

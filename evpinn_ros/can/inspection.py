@@ -27,25 +27,15 @@ NO_ANSWER = "no_answer"
 
 @dataclass(frozen=True, slots=True)
 class IdStatus:
-    """The traffic of one id.
+    """The traffic of one id."""
 
-    Attributes:
-        can_id: the id.
-        extended: whether it has 29 bits.
-        count: frames.
-        period: mean time from one to the next, s, NaN for a single one.
-        jitter: its standard deviation, s, NaN for fewer than three frames.
-        age: from the last one to the end, s.
-        lengths: frames by bytes of data.
-    """
-
-    can_id: int
-    extended: bool
-    count: int
-    period: float
-    jitter: float
-    age: float
-    lengths: Mapping[int, int]
+    can_id: int  # the id
+    extended: bool  # whether it has 29 bits
+    count: int  # frames
+    period: float  # mean time from one to the next, s, NaN for a single one
+    jitter: float  # its standard deviation, s, NaN for fewer than three frames
+    age: float  # from the last one to the end, s
+    lengths: Mapping[int, int]  # frames by bytes of data
 
     @property
     def rate(self) -> float:
@@ -53,61 +43,48 @@ class IdStatus:
         return 1.0 / self.period if self.period else math.nan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ValueStatus:
     """The values of one signal: how many, and the newest, smallest and largest of them."""
 
-    count: int
-    newest: float
-    lowest: float
-    highest: float
+    count: int = 0
+    newest: float = math.nan
+    lowest: float = math.inf
+    highest: float = -math.inf
+
+    def record(self, value: float) -> None:
+        """Note one more value."""
+        self.count, self.newest = self.count + 1, value
+        self.lowest, self.highest = min(self.lowest, value), max(self.highest, value)
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileReport:
-    """Report of one profile on the traffic.
+    """Report of one profile on the traffic."""
 
-    Attributes:
-        fit: how well it fits.
-        contradicted: why it cannot be the right one, None while nothing says so.
-        values: `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came.
-        dropped: values not used, by reason.
-        asks: some of its quantities must be asked for; only answers to others are seen here.
-        experimental: its sources disagree, so it is never the best.
-        sign: what is wrong with the sign of the current, None while nothing is.
-        sign_decided: whether the car pulled away, braked or charged enough to judge that.
-    """
-
-    fit: ProfileFit
-    contradicted: str | None
+    fit: ProfileFit  # how well it fits
+    contradicted: str | None  # why it cannot be the right one, None while nothing says so
+    # `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came
     values: Mapping[str, ValueStatus]
-    dropped: Mapping[str, int]
-    asks: bool
-    experimental: bool
-    sign: str | None
-    sign_decided: bool
+    dropped: Mapping[str, int]  # values not used, by reason
+    asks: bool  # some of its quantities must be asked for; only answers to others are seen here
+    experimental: bool  # its sources disagree, so it is never the best
+    sign: str | None  # what is wrong with the sign of the current, None while nothing is
+    sign_decided: bool  # whether the car pulled away, braked or charged enough to judge that
 
 
 @dataclass(frozen=True, slots=True)
 class BusReport:
-    """Report of a bus's contents.
+    """Report of a bus's contents."""
 
-    Attributes:
-        duration: from the first frame to the end, s.
-        frames: all of them.
-        uncounted: frames of ids beyond `MOST_IDS`.
-        load: share of the bit rate that the frames take, 0..1, without stuffing bits and with
-            the most of them; NaN when no time passed.
-        ids: in order.
-        profiles: best first.
-    """
-
-    duration: float
-    frames: int
-    uncounted: int
+    duration: float  # from the first frame to the end, s
+    frames: int  # all of them
+    uncounted: int  # frames of ids beyond `MOST_IDS`
+    # share of the bit rate that the frames take, 0..1, without stuffing bits and with the most of
+    # them; NaN when no time passed
     load: tuple[float, float]
-    ids: tuple[IdStatus, ...]
-    profiles: tuple[ProfileReport, ...]
+    ids: tuple[IdStatus, ...]  # in order
+    profiles: tuple[ProfileReport, ...]  # best first
 
     @property
     def best(self) -> ProfileReport | None:
@@ -206,14 +183,14 @@ class _Candidate:
         self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder = Decoder(profile, self.evidence)
         self._asks, self._asked = bool(profile.asked), _Asked(profile)
-        self._values: dict[str, _Values] = {}
+        self._values: dict[str, ValueStatus] = {}
         self._sign = CurrentSign()
 
     def add_frame(self, frame: CanFrame) -> None:
         for reading in self._readings(frame):
             self._sign.add_reading(reading)
             for name, value in _named_values(reading):
-                self._values.setdefault(name, _Values()).record(value)
+                self._values.setdefault(name, ValueStatus()).record(value)
 
     def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
         if self._asked.is_answer(frame):
@@ -231,7 +208,7 @@ class _Candidate:
         return ProfileReport(
             fit=fit,
             contradicted=found.why if found is not None else None,
-            values={name: values.status() for name, values in self._values.items()},
+            values={name: replace(values) for name, values in self._values.items()},
             dropped=dict(self._decoder.dropped + self._asked.dropped),
             asks=self._asks,
             experimental=self._experimental,
@@ -278,23 +255,6 @@ class _Asked:
             good = self._good["voltage" if quantity == "battery" else quantity]
             bad = dict(self.dropped) if good else {NO_ANSWER: frames} if frames else {}
             yield MessageFit(quantity, unit[0], frames, good, bad, has_checksum=False)
-
-
-class _Values:
-    """Follows the values of one signal."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._newest = math.nan
-        self._lowest, self._highest = math.inf, -math.inf
-
-    def record(self, value: float) -> None:
-        self._count += 1
-        self._newest = value
-        self._lowest, self._highest = min(self._lowest, value), max(self._highest, value)
-
-    def status(self) -> ValueStatus:
-        return ValueStatus(self._count, self._newest, self._lowest, self._highest)
 
 
 def _named_values(reading: Reading) -> Iterable[tuple[str, float]]:

@@ -22,7 +22,7 @@ from can.io import mf4
 from evpinn_ros.can.blf import BlfReader
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.can.gvret import HEADER, GvretReader
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, one_line
 from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.plain_file import open_file
 from evpinn_ros.common.text_lines import bounded_lines
@@ -104,7 +104,7 @@ class LogFile:
                     frame = next(frames, None)
                 except Exception as error:
                     place = f"{self.path}:{lines.number}" if lines else str(self.path)
-                    self.problem = f"{place}: broken after {self.count} frames: {_say(error)}"
+                    self.problem = f"{place}: broken after {self.count} frames: {one_line(error)}"
                     break
                 if frame is None:
                     break
@@ -261,7 +261,3 @@ def _candump_line(frame: CanFrame, channel: str) -> str:
     # Two marks and a digit of flags tell a CAN FD frame, the only one longer than 8 bytes.
     mark = "##0" if len(frame.data) > 8 else "#"
     return f"({seconds}.{rest:06d}) {channel} {can_id}{mark}{frame.data.hex().upper()}\n"
-
-
-def _say(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -34,17 +34,11 @@ LONGEST_SLEEP_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class PollStatus:
-    """One look at the poller, for diagnostics.
+    """One look at the poller, for diagnostics."""
 
-    Attributes:
-        ok: asking, and nothing was refused for good.
-        text: the state in a few words.
-        counters: of every control unit together (see `ControlUnit`).
-    """
-
-    ok: bool
-    text: str
-    counters: Mapping[str, int]
+    ok: bool  # asking, and nothing was refused for good
+    text: str  # the state in a few words
+    counters: Mapping[str, int]  # of every control unit together (see `ControlUnit`)
 
 
 class Poller:
@@ -65,10 +59,7 @@ class Poller:
     ) -> None:
         """Prepare to ask, or to listen.
 
-        Args:
-            profile: what to ask.
-            send: puts a frame on the bus; None to listen alone.
-            clock: s, never goes back.
+        `send` puts a frame on the bus, None to listen alone; `clock`, s, never goes back.
         """
         self.contradicted = False
         self._profile, self._clock = profile, clock

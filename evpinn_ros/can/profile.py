@@ -50,22 +50,15 @@ OPTIONAL_PARTS = (("motor", "speed"), ("second_motor", "torque"))
 
 @dataclass(frozen=True, slots=True)
 class MessageRule:
-    """One message and the signals of a quantity in it.
+    """One message and the signals of a quantity in it."""
 
-    Attributes:
-        message: the `cantools.database.Message`.
-        signals: the rules, in the order of the quantity (battery: voltage, current; motor:
-            torque, speed where the message has it; second motor: torque, none when unknown).
-        checksum: the function that makes the checksum byte, or None.
-        checksum_byte: where that byte is.
-        counter: name of the signal that counts frames, or None.
-    """
-
-    message: Any
+    message: Any  # the `cantools.database.Message`
+    # the rules, in the order of the quantity (battery: voltage, current; motor: torque, speed
+    # where the message has it; second motor: torque, none when unknown)
     signals: tuple[SignalRule, ...]
-    checksum: ChecksumRule | None
-    checksum_byte: int
-    counter: str | None
+    checksum: ChecksumRule | None  # the function that makes the checksum byte, or None
+    checksum_byte: int  # where that byte is
+    counter: str | None  # name of the signal that counts frames, or None
 
     @property
     def key(self) -> tuple[int, bool]:
@@ -75,26 +68,18 @@ class MessageRule:
 
 @dataclass(frozen=True, slots=True)
 class CanProfile:
-    """The signals of one car's bus.
+    """The signals of one car's bus."""
 
-    Attributes:
-        key: short name, the file's stem.
-        name: name for people.
-        source: where the layout was learned.
-        verified_by: which recording confirms it.
-        messages: the message of each quantity that the car broadcasts, a subset of `QUANTITIES`.
-        asked: where each other quantity lies in the answers to requests, in the order of the
-            quantity (battery: voltage, current). There is a speed or a battery in one of both.
-        experimental: the sources disagree; never to be chosen for a user who did not name it.
-    """
-
-    key: str
-    name: str
-    source: str
-    verified_by: str
+    key: str  # short name, the file's stem
+    name: str  # name for people
+    source: str  # where the layout was learned
+    verified_by: str  # which recording confirms it
+    # the message of each quantity that the car broadcasts, a subset of `QUANTITIES`
     messages: Mapping[str, MessageRule]
+    # where each other quantity lies in the answers to requests, in the order of the quantity
+    # (battery: voltage, current). There is a speed or a battery in one of both
     asked: Mapping[str, tuple[AnswerField, ...]]
-    experimental: bool
+    experimental: bool  # the sources disagree; never to be chosen for a user who did not name it
 
     @property
     def requests(self) -> tuple[RequestRule, ...]:

@@ -40,10 +40,7 @@ class ReadOnlyGate:
     ) -> None:
         """Open the gate to some questions.
 
-        Args:
-            requests: those that may pass.
-            send: puts a frame on the bus.
-            clock: s, never goes back.
+        `send` puts a frame on the bus; `clock`, s, never goes back.
 
         Raises:
             PermissionError: a request does more than read, or goes to no diagnostic id.

@@ -32,21 +32,13 @@ _TYPE = re.compile(r"(?P<sign>[su])(?P<bits>8|16|24|32)(?P<little>_le)?")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """One control unit on the bus.
+    """One control unit on the bus."""
 
-    Attributes:
-        tx_id: id of the requests.
-        rx_id: id of the answers.
-        extended: both ids have 29 bits.
-        target: first byte of every request (extended addressing), or None.
-        source: first byte of every answer (extended addressing), or None.
-    """
-
-    tx_id: int
-    rx_id: int
-    extended: bool
-    target: int | None
-    source: int | None
+    tx_id: int  # id of the requests
+    rx_id: int  # id of the answers
+    extended: bool  # both ids have 29 bits
+    target: int | None  # first byte of every request (extended addressing), or None
+    source: int | None  # first byte of every answer (extended addressing), or None
 
     @property
     def prefix(self) -> bytes:
@@ -61,21 +53,13 @@ class Address:
 
 @dataclass(frozen=True, slots=True)
 class RequestRule:
-    """One question to one control unit.
+    """One question to one control unit."""
 
-    Attributes:
-        name: in the profile.
-        address: of the control unit.
-        payload: the service and its identifier.
-        min_length: bytes that the answer must have behind its echo of the identifier.
-        period_s: how often to ask.
-    """
-
-    name: str
-    address: Address
-    payload: bytes
-    min_length: int
-    period_s: float
+    name: str  # in the profile
+    address: Address  # of the control unit
+    payload: bytes  # the service and its identifier
+    min_length: int  # bytes that the answer must have behind its echo of the identifier
+    period_s: float  # how often to ask
 
     @property
     def echo(self) -> bytes:
@@ -90,23 +74,14 @@ class RequestRule:
 
 @dataclass(frozen=True, slots=True)
 class AnswerField:
-    """Place of a value in an answer.
+    """Place of a value in an answer."""
 
-    Attributes:
-        request: the question.
-        first: index of its first byte behind the echo.
-        length: in bytes.
-        signed: two's complement.
-        byte_order: which byte comes first.
-        signal: what the raw value means.
-    """
-
-    request: RequestRule
-    first: int
-    length: int
-    signed: bool
-    byte_order: Literal["big", "little"]
-    signal: SignalRule
+    request: RequestRule  # the question
+    first: int  # index of its first byte behind the echo
+    length: int  # in bytes
+    signed: bool  # two's complement
+    byte_order: Literal["big", "little"]  # which byte comes first
+    signal: SignalRule  # what the raw value means
 
     def raw(self, data: bytes) -> int:
         """The raw value in what follows the echo, at least `min_length` bytes."""

@@ -30,25 +30,15 @@ RULE_KEYS = ("unit", "scale", "valid", "not_available")
 
 @dataclass(frozen=True, slots=True)
 class SignalRule:
-    """Conversion of one signal's raw bits to a number in SI units, and its valid range.
+    """Conversion of one signal's raw bits to a number in SI units, and its valid range."""
 
-    Attributes:
-        name: of the signal in the DBC file, or of the quantity in an answer.
-        scale: file units per raw step.
-        offset: file units at raw zero.
-        si: SI units, with the sign of `evpinn_ros.signals.readings`, per file unit.
-        lower: smallest value the car can show, SI.
-        upper: largest value the car can show, SI.
-        not_available: raw values that stand for "no value".
-    """
-
-    name: str
-    scale: float
-    offset: float
-    si: float
-    lower: float
-    upper: float
-    not_available: frozenset[int]
+    name: str  # of the signal in the DBC file, or of the quantity in an answer
+    scale: float  # file units per raw step
+    offset: float  # file units at raw zero
+    si: float  # SI units, with the sign of `evpinn_ros.signals.readings`, per file unit
+    lower: float  # smallest value the car can show, SI
+    upper: float  # largest value the car can show, SI
+    not_available: frozenset[int]  # raw values that stand for "no value"
 
     def value(self, raw: float) -> float:
         """The value of the raw bits, SI. File units come first: they are exact at rest."""
@@ -79,12 +69,8 @@ def signal_rule(
 ) -> SignalRule:
     """Read the keys `RULE_KEYS` of a section, and the sign that `POSITIVE_MEANS` asks for.
 
-    Args:
-        section: of the profile.
-        name: see `SignalRule`.
-        quantity: a key of `UNITS`.
-        scale: of the DBC file; the section's own is multiplied with it.
-        offset: of the DBC file, scaled likewise.
+    The quantity is a key of `UNITS`; `scale` and `offset` are those of the DBC file, both of which
+    the section's own scale multiplies.
 
     Raises:
         InputError: a key is missing or wrong; a sign is never guessed.

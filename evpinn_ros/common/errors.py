@@ -20,6 +20,11 @@ class InputError(Exception):
         return printable(super().__str__())
 
 
+def one_line(error: BaseException) -> str:
+    """Text of an error of foreign code in one line; its kind where it has no text."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def printable(text: str) -> str:
     """One line of a text, without what would speak to the terminal, and of bearable length."""
     shown = "".join(character if character.isprintable() else " " for character in text)

@@ -28,12 +28,6 @@ def choose_clock(
 
     The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
     `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
-
-    Args:
-        found: columns of quantity `time`, among others.
-        survey: their cells.
-        styles: of their numbers.
-        header: names of all columns.
     """
     columns = [column for column in found if column.quantity == "time"]
     clocks = [clock for column in columns if (clock := _clock(column, survey, styles))]

@@ -23,37 +23,29 @@ LONGEST_LIST = 200  # characters of column names in a message
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column that is used.
+    """A column that is used."""
 
-    Attributes:
-        quantity: of `QUANTITIES`.
-        name: in the file.
-        factor: to SI.
-        unit: that of the file, with a minus where the sign is turned.
-        why: the reason for the unit; empty when the name is one of ours.
-        offset: to SI, added after the factor.
-        place: of the column in the file, from 0.
-    """
-
-    quantity: str
-    name: str
-    factor: float = 1.0
-    unit: str = ""
-    why: str = ""
-    offset: float = 0.0
-    place: int = 0
+    quantity: str  # of `QUANTITIES`
+    name: str  # in the file
+    factor: float = 1.0  # to SI
+    unit: str = ""  # that of the file, with a minus where the sign is turned
+    why: str = ""  # the reason for the unit; empty when the name is one of ours
+    offset: float = 0.0  # to SI, added after the factor
+    place: int = 0  # of the column in the file, from 0
 
     def measured_in(self, text: str, unit: Unit, why: str) -> Column:
         """The same column, its unit known."""
         return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
 
+    def in_unit(self, text: str, why: str) -> Column:
+        """The same column in a unit of its quantity, as `QUANTITIES` spells it."""
+        return self.measured_in(text, QUANTITIES[self.quantity].units[text], why)
+
 
 def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column]:
     """The columns of a header that are used, those for the time all: their cells decide.
 
-    Args:
-        header: names of the columns.
-        chosen: `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign.
+    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign.
 
     Raises:
         InputError: a choice that names no quantity, no column or no unit, or a bracketed unit

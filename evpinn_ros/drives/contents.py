@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -19,7 +19,7 @@ from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.drives.sources import Source, is_drive_table, open_source
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
+from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here
 INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
@@ -39,37 +39,23 @@ class TopicContents:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """Contents of a recording.
+    """Contents of a recording."""
 
-    Attributes:
-        path: of it.
-        kind: `bag`, `CAN log` or `table`.
-        topics: of a bag.
-        columns: of a table that are used.
-        unused: names of those that are not.
-        dated: what tells the day of a table, see `TableDrive`; None of what has stamps.
-        zoned: whether its clock is UTC or names its zone.
-        frames: of a CAN log or a bag, that were looked at for the profile; 0 without.
-        profile: that fits the frames, None when none does, or without frames.
-        vehicles: whose profile that is.
-        drive: what the estimator can use, None when there is nothing of ours in it.
-        dropped: what was not used of the drive, by reason.
-        notes: what could not be read or used, and why.
-    """
-
-    path: Path
-    kind: str
-    topics: tuple[TopicContents, ...] = ()
-    columns: tuple[Column, ...] = ()
-    unused: tuple[str, ...] = ()
+    path: Path  # of it
+    kind: str  # `bag`, `CAN log` or `table`
+    topics: tuple[TopicContents, ...] = ()  # of a bag
+    columns: tuple[Column, ...] = ()  # of a table that are used
+    unused: tuple[str, ...] = ()  # names of those that are not
+    # what tells the day of a table, see `TableDrive`; None of what has stamps
     dated: str | None = None
-    zoned: bool = True
-    frames: int = 0
-    profile: str | None = None
-    vehicles: tuple[str, ...] = ()
+    zoned: bool = True  # whether its clock is UTC or names its zone
+    frames: int = 0  # of a CAN log or a bag, that were looked at for the profile; 0 without
+    profile: str | None = None  # that fits the frames, None when none does, or without frames
+    vehicles: tuple[str, ...] = ()  # whose profile that is
+    # what the estimator can use, None when there is nothing of ours in it
     drive: DataCoverage | None = None
-    dropped: Counter[str] | None = None
-    notes: tuple[str, ...] = ()
+    dropped: Counter[str] | None = None  # what was not used of the drive, by reason
+    notes: tuple[str, ...] = ()  # what could not be read or used, and why
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
@@ -87,10 +73,8 @@ def contents(
 ) -> Contents:
     """Look through a bag, a CAN log or a table.
 
-    Args:
-        path: of it.
-        columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
-        progress: takes the seconds of the drive done.
+    `columns` are those given of a table (see `column.columns_by_name`); `progress` takes the
+    seconds of the drive done.
 
     Raises:
         InputError: it is none of these, or nothing can be read.
@@ -126,7 +110,11 @@ def _with_frames(found: Contents, log: CanLog, progress: Progress | None) -> Con
         inspection.add_frame(frame)
     report = inspection.report()
     profile = report.best.fit.profile if report.best is not None else None
-    names = tuple(car.key for car in _vehicles() if profile and car.can_profile == profile)
+    names = tuple(
+        car.key
+        for car in map(load_vehicle, vehicle_names())
+        if profile and car.can_profile == profile
+    )
     found = replace(found, frames=report.frames, profile=profile, vehicles=names)
     if profile is None and found.kind != "bag":
         return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
@@ -174,7 +162,3 @@ def _has_readings(path: Path) -> bool:
     except InputError:
         return False
     return True
-
-
-def _vehicles() -> Iterator[Vehicle]:
-    yield from map(load_vehicle, vehicle_names())

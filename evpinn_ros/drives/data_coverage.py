@@ -23,19 +23,12 @@ Span: TypeAlias = tuple[int, int]  # first and last stamp, ns
 
 @dataclass(slots=True)
 class ReadingFlow:
-    """Stamps of one kind, as they come.
+    """Stamps of one kind, as they come."""
 
-    Attributes:
-        count: of them.
-        first_ns: the earliest.
-        last_ns: the latest.
-        longest_gap: between two, s.
-    """
-
-    count: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-    longest_gap: float = 0.0
+    count: int = 0  # of them
+    first_ns: int = 0  # the earliest
+    last_ns: int = 0  # the latest
+    longest_gap: float = 0.0  # between two, s
     _breaks: list[Span] = field(default_factory=list)  # longer than `MAX_GAP_NS`, or back in time
     _begin_ns: int = 0
     _newest_ns: int = 0
@@ -89,22 +82,15 @@ class ReadingFlow:
 
 @dataclass(frozen=True, slots=True)
 class DataCoverage:
-    """Data of a drive that the estimator can use.
+    """Data of a drive that the estimator can use."""
 
-    Attributes:
-        flows: readings by kind, as `speed`.
-        spans: in which speed and battery come without a gap that is too long, `SHORTEST` at least.
-        moving: seconds of those in which the car moves.
-        distance: m, of the whole drive, where speed is known.
-        voltage: mean of the battery, V; NaN without one.
-        charge: state of charge at the first and at the last, 0..1; NaN where unknown.
-    """
-
-    flows: dict[str, ReadingFlow]
+    flows: dict[str, ReadingFlow]  # readings by kind, as `speed`
+    # in which speed and battery come without a gap that is too long, `SHORTEST` at least
     spans: tuple[Span, ...]
-    moving: float
-    distance: float
-    voltage: float
+    moving: float  # seconds of those in which the car moves
+    distance: float  # m, of the whole drive, where speed is known
+    voltage: float  # mean of the battery, V; NaN without one
+    # state of charge at the first and at the last, 0..1; NaN where unknown
     charge: tuple[float, float] = (math.nan, math.nan)
 
     @property

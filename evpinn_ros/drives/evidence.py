@@ -45,14 +45,11 @@ def with_units(
 ) -> dict[str, Column]:
     """The columns, each with a unit and a sign.
 
-    Args:
-        found: columns by quantity; those without a unit are completed.
-        cells: what is in them.
-        header: names of all columns, which may tell the app.
+    The names of all columns, `header`, may tell the app.
     """
     done = {name: _by_app(column, header) for name, column in found.items()}
     if "odometer" in done and not done["odometer"].unit:
-        done["odometer"] = done["odometer"].measured_in("km", Unit(1e3), "assumed")
+        done["odometer"] = done["odometer"].in_unit("km", "assumed")
     if "power" in done and not done["power"].unit and not _is_known(done["power"]):
         done["power"] = _power_unit(done["power"], cells["power"].value)
     if "speed" in done and not _is_known(done["speed"]):
@@ -67,8 +64,7 @@ def with_units(
         done["ambient"] = _temperature_unit(done["ambient"], cells["ambient"].value)
     for name, column in done.items():
         if not _is_known(column):
-            text, unit = next(iter(QUANTITIES[name].units.items()))
-            done[name] = column.measured_in(text, unit, "assumed")
+            done[name] = column.in_unit(next(iter(QUANTITIES[name].units)), "assumed")
     return done
 
 
@@ -156,27 +152,27 @@ def _speed_unit(
         ratios = {text: abs(np.log(units[text].factor / road)) for text in ("km/h", "mph", "m/s")}
         text = min(ratios, key=lambda each: ratios[each])
         if ratios[text] < SAME_ROAD:
-            return column.measured_in(text, units[text], "by the odometer")
+            return column.in_unit(text, "by the odometer")
     if odometer is not None and odometer.why == "by its name":
         text = "mph" if odometer.unit.startswith("mi") else "km/h"
-        return column.measured_in(text, units[text], "as the unit of the odometer")
+        return column.in_unit(text, "as the unit of the odometer")
     power = _power_of(found, cells)
     mass = _mass(signal, power) if power is not None else np.nan
     if mass > 0:
         masses = {text: mass / units[text].factor ** 2 for text in ("km/h", "m/s")}
         text = min(masses, key=lambda each: abs(np.log(masses[each] / USUAL_MASS)))
         if abs(np.log(masses[text] / USUAL_MASS)) < np.log(3.0):
-            return column.measured_in(text, units[text], "by the power that accelerating takes")
+            return column.in_unit(text, "by the power that accelerating takes")
     value = signal.value[np.isfinite(signal.value)]
     fastest = float(np.abs(value).max(initial=0.0))
     changes = np.sort(np.abs(accelerations(signal)[1]))
     strongest = changes[int(0.99 * changes.size)] if changes.size else 0.0
     if fastest > FASTEST or strongest > STRONGEST:
         why = "by its size" if fastest > FASTEST else "by how fast it changes"
-        return column.measured_in("km/h", units["km/h"], why)
+        return column.in_unit("km/h", why)
     if fastest > 1 and value.size > LEAST_EVENTS and not (value % 1).any():
-        return column.measured_in("km/h", units["km/h"], "by its whole numbers")
-    return column.measured_in("m/s", units["m/s"], f"by its size, up to {fastest:.3g}")
+        return column.in_unit("km/h", "by its whole numbers")
+    return column.in_unit("m/s", f"by its size, up to {fastest:.3g}")
 
 
 def stands_still(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> bool:
@@ -270,36 +266,30 @@ def _say_sign(column: Column, positive: bool, shows: str) -> Column:
 
 def _power_unit(column: Column, values: FloatArray) -> Column:
     """Watts, or kilowatts where they would not move a car."""
-    units = QUANTITIES["power"].units
     known = np.abs(values[np.isfinite(values)])
     largest = float(np.quantile(known, 0.99)) if known.size else 0.0
     text = "kw" if 0 < largest < WEAKEST else "w"
-    return column.measured_in(text, units[text], f"by its size, up to {largest:.3g}")
+    return column.in_unit(text, f"by its size, up to {largest:.3g}")
 
 
 def _charge_unit(column: Column, values: FloatArray) -> Column:
-    units = QUANTITIES["charge"].units
     known = values[np.isfinite(values)]
     highest = float(known.max(initial=0.0))
     if 0 < highest <= 1.0:
-        return column.measured_in("fraction", units["fraction"], "by its size")
+        return column.in_unit("fraction", "by its size")
     if np.median(known) > 100.0 if known.size else False:
         # LeafSpy counts 1/10000 of a percent.
         factor = 10.0 ** -np.ceil(np.log10(highest / 101.0))
-        unit = units["%"]._replace(factor=float(factor))
-        return column.measured_in(f"{factor:g} %", unit, "by its size")
-    return column.measured_in("%", units["%"], "by its size")
+        return column.measured_in(f"{factor:g} %", Unit(float(factor)), "by its size")
+    return column.in_unit("%", "by its size")
 
 
 def _temperature_unit(column: Column, values: FloatArray) -> Column:
-    units = QUANTITIES["ambient"].units
     known = values[np.isfinite(values)]
     middle = float(np.median(known)) if known.size else 0.0
     if middle > HOTTEST:
-        return column.measured_in(
-            "f", units["f"], f"{middle:.3g} in the median is no weather in C"
-        )
-    return column.measured_in("c", units["c"], f"{middle:.3g} in the median, assumed")
+        return column.in_unit("f", f"{middle:.3g} in the median is no weather in C")
+    return column.in_unit("c", f"{middle:.3g} in the median, assumed")
 
 
 def seconds(stamps_ns: NDArray[np.int64], first_ns: int) -> FloatArray:

@@ -26,10 +26,7 @@ class LongTable:
     def __init__(self, table: Table, head: Head, places: tuple[int, int, int | None]) -> None:
         """Find all signals: one pass over the table.
 
-        Args:
-            table: in long form.
-            head: of it.
-            places: of the columns of names, values and units.
+        `places` are those of the columns of names, values and units.
         """
         self._table, self._head = table, head
         self._name, self._value, self._unit = places

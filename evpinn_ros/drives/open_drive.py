@@ -80,11 +80,9 @@ class DriveSource:
                 raise
             self._problem = str(error)
         if not begun:
-            raise InputError(self.drive.first_bad or f"{self.path}: {self._nothing()}")
-
-    def _nothing(self) -> str:
-        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.dropped.items()))
-        return f"no reading in it; dropped: {reasons or 'nothing'}"
+            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.dropped.items()))
+            nothing = f"{self.path}: no reading in it; dropped: {reasons or 'nothing'}"
+            raise InputError(self.drive.first_bad or nothing)
 
 
 def open_drive(
@@ -92,10 +90,8 @@ def open_drive(
 ) -> DriveSource:
     """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
 
-    Args:
-        path: of the file.
-        nominal_voltage: V; power alone becomes current at it.
-        columns: that are given, see `evpinn_ros.drives.column.columns_by_name`.
+    Power alone becomes current at `nominal_voltage`, V; `columns` are those given, see
+    `column.columns_by_name`.
 
     Raises:
         InputError: it cannot be read, or holds no drive.

@@ -18,16 +18,13 @@ class RowOrder:
     """
 
     def __init__(self) -> None:
-        """Begin before all time."""
         self.dropped = 0
         self._newest = -1
 
     def sorted(self, stamps: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
         """Some rows in order, none older than those of the batches before.
 
-        Args:
-            stamps: of all rows of the batch, ns; shape (n,).
-            rows: those that have one.
+        `stamps`, ns, shape (n,), are those of all rows of the batch; `rows` those that have one.
         """
         kept = rows[~_alone(stamps[rows])]
         times = stamps[kept]

@@ -24,29 +24,35 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """Quantity that a column may hold.
+    """Quantity that a column may hold."""
 
-    Attributes:
-        column: the name that needs no guessing, with the unit in it.
-        words: phrases of which a name must have one.
-        needs: phrases of which it must have one as well; empty for none.
-        better: that speak for a name.
-        worse: that speak against it, where another one is there.
-        never: that rule a name out.
-        units: by their lower-case spelling; the first is taken when nothing tells.
-    """
-
-    column: str
-    words: tuple[str, ...]
-    needs: tuple[str, ...]
-    better: tuple[str, ...]
-    worse: tuple[str, ...]
-    never: tuple[str, ...]
+    column: str  # the name that needs no guessing, with the unit in it
+    words: tuple[str, ...]  # phrases of which a name must have one
+    needs: tuple[str, ...]  # phrases of which it must have one as well; empty for none
+    better: tuple[str, ...]  # that speak for a name
+    worse: tuple[str, ...]  # that speak against it, where another one is there
+    never: tuple[str, ...]  # that rule a name out
+    # by their lower-case spelling; the first is taken when nothing tells
     units: Mapping[str, Unit]
 
 
 def _phrases(text: str) -> tuple[str, ...]:
     return tuple(phrase.strip() for phrase in text.split(",") if phrase.strip())
+
+
+def _quantity(
+    column: str,
+    words: str,
+    units: Mapping[str, Unit],
+    *,
+    needs: str = "",
+    better: str = "",
+    worse: str = "",
+    never: str = "",
+) -> Quantity:
+    """A quantity whose phrases stand in one text each, with commas."""
+    found = _phrases(words), _phrases(needs), _phrases(better), _phrases(worse), _phrases(never)
+    return Quantity(column, *found, units)
 
 
 def _units(**factors: float) -> dict[str, Unit]:
@@ -79,142 +85,104 @@ _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,s
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "time": Quantity(
+    "time": _quantity(
         "t_s",
-        _phrases(
-            "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,elapsed,stamp,utc,epoch"
-        ),
-        (),
-        _phrases("time,timestamp,elapsed,epoch"),
-        _phrases("since,trip"),
-        _phrases("charging,remaining,left,to full,charge,max,min,parking"),
+        "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,elapsed,stamp,utc,epoch",
         _TIME,
+        better="time,timestamp,elapsed,epoch",
+        worse="since,trip",
+        never="charging,remaining,left,to full,charge,max,min,parking",
     ),
-    "speed": Quantity(
+    "speed": _quantity(
         "speed_mps",
-        _phrases(
-            "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,"
-            "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,prędkość,rychlost,скорость,车速"
-        ),
-        (),
-        _phrases("vehicle,car,obd,v p"),
-        _phrases("gps,gnss,ground"),
-        _phrases(_OTHERS + ",wheel,shaft,rpm,angular,air"),
+        "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,"
+        "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,prędkość,rychlost,скорость,车速",
         _SPEED,
+        better="vehicle,car,obd,v p",
+        worse="gps,gnss,ground",
+        never=_OTHERS + ",wheel,shaft,rpm,angular,air",
     ),
-    "voltage": Quantity(
+    "voltage": _quantity(
         "voltage_v",
-        _phrases("voltage,volt,volts,spannung,batteriespannung,tension,tensión,tensione,spänning"),
-        (),
-        _phrases(_BATTERY),
-        (),
-        _phrases(_OTHERS + ",12,control"),
+        "voltage,volt,volts,spannung,batteriespannung,tension,tensión,tensione,spänning",
         _units(v=1.0, volts=1.0, mv=1e-3),
+        better=_BATTERY,
+        never=_OTHERS + ",12,control",
     ),
-    "current": Quantity(
+    "current": _quantity(
         "current_a",
-        _phrases("current,amps,ampere,amperage,strom,batteriestrom,courant,corriente,corrente"),
-        (),
-        _phrases(_BATTERY),
-        (),
-        _phrases(_OTHERS),
+        "current,amps,ampere,amperage,strom,batteriestrom,courant,corriente,corrente",
         _units(a=1.0, amps=1.0, ma=1e-3),
+        better=_BATTERY,
+        never=_OTHERS,
     ),
-    "power": Quantity(
-        "power_w",
-        _phrases("power,pwr,leistung,kw"),
-        (),
-        _phrases(_BATTERY),
-        (),
-        _phrases(_OTHERS + ",sw"),
-        _POWER,
+    "power": _quantity(
+        "power_w", "power,pwr,leistung,kw", _POWER, better=_BATTERY, never=_OTHERS + ",sw"
     ),
-    "elevation": Quantity(
+    "elevation": _quantity(
         "elevation_m",
-        _phrases("elevation,altitude,alt,elv,height,höhe"),
-        (),
-        _phrases("v p"),
-        (),
-        _phrases("accuracy,error"),
+        "elevation,altitude,alt,elv,height,höhe",
         _LENGTH,
+        better="v p",
+        never="accuracy,error",
     ),
-    "latitude": Quantity(
-        "latitude", _phrases("latitude,lat"), (), (), (), _phrases(_NO_PLACE), _DEGREES
-    ),
-    "longitude": Quantity(
-        "longitude", _phrases("longitude,long,lon,lng"), (), (), (), _phrases(_NO_PLACE), _DEGREES
-    ),
-    "ambient": Quantity(
+    "latitude": _quantity("latitude", "latitude,lat", _DEGREES, never=_NO_PLACE),
+    "longitude": _quantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
+    "ambient": _quantity(
         "ambient_c",
-        _phrases("ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp"),
-        (),
-        _phrases("temperature,temp,air"),
-        (),
-        _phrases("pressure,humidity,light"),
+        "ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp",
         _TEMPERATURE,
+        better="temperature,temp,air",
+        never="pressure,humidity,light",
     ),
-    "heating": Quantity(
+    "heating": _quantity(
         "heating_w",
-        _phrases("heating,heater,htr,heizung"),
-        _phrases("power,pwr,leistung,w,kw"),
-        (),
-        _phrases("est"),
-        _phrases("can,no,on," + _NO_POWER),
+        "heating,heater,htr,heizung",
         _POWER,
+        needs="power,pwr,leistung,w,kw",
+        worse="est",
+        never="can,no,on," + _NO_POWER,
     ),
-    "aircon": Quantity(
+    "aircon": _quantity(
         "aircon_w",
-        _phrases("aircon,airconditioning,air conditioning,a c,ac,climate"),
-        _phrases("power,pwr,leistung,w,kw"),
-        (),
-        _phrases("est"),
-        _phrases("charger,motor,charge,heater,heating,htr," + _NO_POWER),
+        "aircon,airconditioning,air conditioning,a c,ac,climate",
         _POWER,
+        needs="power,pwr,leistung,w,kw",
+        worse="est",
+        never="charger,motor,charge,heater,heating,htr," + _NO_POWER,
     ),
-    "auxiliary": Quantity(
+    "auxiliary": _quantity(
         "auxiliary_w",
-        _phrases("aux,auxiliary"),
-        _phrases("power,pwr,w,kw"),
-        (),
-        (),
-        _phrases(_NO_POWER + ",battery,bat"),
+        "aux,auxiliary",
         _POWER,
+        needs="power,pwr,w,kw",
+        never=_NO_POWER + ",battery,bat",
     ),
-    "charge": Quantity(
+    "charge": _quantity(
         "soc_pct",
-        _phrases("soc,stateofcharge,state of charge,battery level,ladezustand"),
-        (),
-        _phrases("battery,displayed,display,hv"),
-        _phrases("usable"),
-        _phrases("min,max,target,limit,health,cell"),
+        "soc,stateofcharge,state of charge,battery level,ladezustand",
         _PERCENT,
+        better="battery,displayed,display,hv",
+        worse="usable",
+        never="min,max,target,limit,health,cell",
     ),
-    "motor_torque": Quantity(
+    "motor_torque": _quantity(
         "motor_torque_nm",
-        _phrases("motor torque,motortorque,inverter torque"),
-        (),
-        (),
-        (),
-        _phrases("request,requested,target,limit,max,min"),
+        "motor torque,motortorque,inverter torque",
         _units(nm=1.0),
+        never="request,requested,target,limit,max,min",
     ),
-    "motor_speed": Quantity(
+    "motor_speed": _quantity(
         "motor_speed_rad_s",
-        _phrases("motor speed,motorspeed,motor rpm"),
-        (),
-        (),
-        (),
-        _phrases("request,requested,target,limit,max,min,vehicle"),
+        "motor speed,motorspeed,motor rpm",
         {"rad/s": Unit(1.0), "rpm": Unit(math.pi / 30), "1/min": Unit(math.pi / 30)},
+        never="request,requested,target,limit,max,min,vehicle",
     ),
-    "odometer": Quantity(
+    "odometer": _quantity(
         "odometer_km",
-        _phrases("odo,odometer,kilometerstand,v p odometer"),
-        (),
-        (),
-        (),
-        _phrases("temperature,since"),
+        "odo,odometer,kilometerstand,v p odometer",
         _DISTANCE,
+        never="temperature,since",
     ),
 }
 PLACES = ("latitude", "longitude")  # only shown: one in another unit ends no file, it is left out

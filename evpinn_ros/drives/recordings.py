@@ -7,7 +7,7 @@ from pathlib import Path
 
 from evpinn_ros.bags.can_frames import BAG_SUFFIXES
 from evpinn_ros.can.logs import LOG_SUFFIXES
-from evpinn_ros.drives.formats import TABLE_SUFFIXES
+from evpinn_ros.drives.formats import TABLE_SUFFIXES, suffix_of
 
 TABLES = tuple(suffix for suffix in TABLE_SUFFIXES if suffix != ".txt")  # most are a read-me
 
@@ -24,7 +24,7 @@ def recordings(path: Path) -> Iterator[Path]:
     for inner in path.iterdir():
         if inner.is_dir():
             yield from recordings(inner)
-        elif _suffix(inner) in (*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLES):
+        elif suffix_of(inner) in (*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLES):
             yield inner
 
 
@@ -40,8 +40,3 @@ def is_bag_folder(path: Path) -> bool:
         return True
     names = (each.name for each in path.iterdir() if each.suffix in BAG_SUFFIXES)
     return any(name.startswith(f"{path.name}_") for name in names)
-
-
-def _suffix(path: Path) -> str:
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    return "".join(suffixes[:-1][-1:] if suffixes[-1:] == [".gz"] else suffixes[-1:])

@@ -26,6 +26,11 @@ MOST = 1e12  # of anything in SI; beyond, products would be infinite
 
 FloatArray = NDArray[np.float64]
 NAN = math.nan
+COLUMNS = (
+    *("speed", "voltage", "current", "power", "charge"),
+    *("elevation", "latitude", "longitude", "ambient"),
+    *("heating", "aircon", "auxiliary", "motor_torque", "motor_speed"),
+)
 
 
 class RowReadings:
@@ -48,17 +53,12 @@ class RowReadings:
         self._battery = {"voltage", "current", "power", "charge"} & {r.quantity for r in rules}
 
     def readings(
-        self,
-        stamps: NDArray[np.int64],
-        values: Mapping[str, FloatArray],
-        rows: NDArray[np.intp],
+        self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
     ) -> Iterator[Reading]:
         """The readings of some rows.
 
-        Args:
-            stamps: of all rows of the batch, ns; shape (n,).
-            values: SI, NaN where there is none; shape (n,) each.
-            rows: those to take, in order of time.
+        `stamps`, ns, and `values`, SI, NaN where there is none, are those of all rows of the
+        batch, shape (n,); `rows` are those to take, in order of time.
         """
         empty = np.full(rows.size, NAN)
 
@@ -68,32 +68,9 @@ class RowReadings:
 
         self._limit(values)
         self._is_sorted = self._sorted(stamps[rows])
-        table = zip(
-            stamps[rows].tolist(),
-            *(
-                column(name)
-                for name in (
-                    "speed",
-                    "voltage",
-                    "current",
-                    "power",
-                    "charge",
-                    "elevation",
-                    "latitude",
-                    "longitude",
-                    "ambient",
-                    "heating",
-                    "aircon",
-                    "auxiliary",
-                    "motor_torque",
-                    "motor_speed",
-                )
-            ),
-            strict=True,
-        )
-        for row in table:
-            stamp, speed, volt, amp, power, charge, *place = row[:9]
-            warm, heat, cool, aux, torque, turning = row[9:]
+        table = zip(stamps[rows].tolist(), *map(column, COLUMNS), strict=True)
+        for stamp, speed, volt, amp, power, charge, *rest in table:
+            *place, warm, heat, cool, aux, torque, turning = rest
             found: list[Reading] = []
             if speed == speed and self._is_new("speed", stamp):
                 found.append(SpeedReading(stamp, speed))

@@ -11,7 +11,7 @@ import zipfile
 
 import polars as pl
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, one_line
 from evpinn_ros.drives.text_table import MOST_COLUMNS, Row
 
 MOST_EMPTY = 1000  # rows in a row that hold nothing: the sheet is over
@@ -139,7 +139,7 @@ class ParquetTable:
         try:
             schema = pl.read_parquet_schema(path)
         except (OSError, pl.exceptions.PolarsError) as error:
-            raise InputError(f"{path}: {_line(error)}") from error
+            raise InputError(f"{path}: {one_line(error)[:200]}") from error
         # Nested columns hold no signal; a Parquet of ours or of pandas has none.
         self._columns = [name for name, kind in schema.items() if not kind.is_nested()]
         if len(self._columns) > MOST_COLUMNS:
@@ -160,13 +160,9 @@ class ParquetTable:
             try:
                 part = frame.slice(start, ROWS_AT_ONCE).collect()
             except (OSError, pl.exceptions.PolarsError) as error:
-                raise InputError(f"{self.path}: {_line(error)}") from error
+                raise InputError(f"{self.path}: {one_line(error)[:200]}") from error
             for number, row in enumerate(part.iter_rows(), start + 1):
                 yield number, ["" if cell is None else cell for cell in row]
             if part.height < ROWS_AT_ONCE:
                 return
             start += part.height
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

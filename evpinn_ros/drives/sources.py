@@ -30,15 +30,10 @@ FRAME_COLUMN = "arbitration_id"  # tells a CAN log's CSV from a drive's
 
 
 class Source(Protocol):
-    """A recorded drive.
+    """A recorded drive."""
 
-    Attributes:
-        path: where it lies.
-        dropped: what was not used, by reason; complete once the readings are exhausted.
-    """
-
-    path: Path
-    dropped: Counter[str]
+    path: Path  # where it lies
+    dropped: Counter[str]  # what was not used, by reason; complete once the readings are exhausted
 
     @property
     def problem(self) -> str | None:
@@ -73,7 +68,6 @@ class CanLogSource:
     """A CAN log, or the raw frames of a bag, decoded by a profile."""
 
     def __init__(self, log: CanLog, bridge: CanBridge) -> None:
-        """Decode an open log by a fresh bridge."""
         self.path = log.path
         self.dropped: Counter[str] = Counter()
         self._log, self._bridge = log, bridge
@@ -134,30 +128,24 @@ def open_source(
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
+    log: CanLog
     if is_bag(path):
-        return _open_bag(path, vehicle, can_profile, trust_profile, mounting)
-    if is_drive_table(path):
+        # Recorded topics of ours; raw frames when asked by a profile, or if they are all there is.
+        if can_profile is None or not holds_frames(path):
+            try:
+                return BagSource(path, mounting)
+            except InputError:
+                if not holds_frames(path):
+                    raise
+        log = BagFrames(path)
+    elif is_drive_table(path):
         return open_drive(path, vehicle.nominal_voltage, columns)
-    if suffix_of(path) in LOG_SUFFIXES:
-        return CanLogSource(LogFile(path), _bridge(path, vehicle, can_profile, trust_profile))
-    raise InputError(f"{path}: neither a bag, a CAN log ({', '.join(LOG_SUFFIXES)}) nor a table")
-
-
-def _open_bag(
-    path: Path,
-    vehicle: Vehicle,
-    can_profile: str | None,
-    trust_profile: bool,
-    mounting: Rotation | None,
-) -> Source:
-    """Recorded topics of ours; raw frames when asked by a profile, or if all there is."""
-    if can_profile is None or not holds_frames(path):
-        try:
-            return BagSource(path, mounting)
-        except InputError:
-            if not holds_frames(path):
-                raise
-    return CanLogSource(BagFrames(path), _bridge(path, vehicle, can_profile, trust_profile))
+    elif suffix_of(path) in LOG_SUFFIXES:
+        log = LogFile(path)
+    else:
+        known = ", ".join(LOG_SUFFIXES)
+        raise InputError(f"{path}: neither a bag, a CAN log ({known}) nor a table")
+    return CanLogSource(log, _bridge(path, vehicle, can_profile, trust_profile))
 
 
 def _bridge(

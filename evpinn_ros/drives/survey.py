@@ -35,17 +35,11 @@ class Table(Protocol):
 
 @dataclass(slots=True)
 class Head:
-    """The header of a table.
+    """The header of a table."""
 
-    Attributes:
-        names: of the columns.
-        row: its number; data begin below it.
-        comments: the lines before it.
-    """
-
-    names: list[str]
-    row: int
-    comments: list[str] = field(default_factory=list)
+    names: list[str]  # of the columns
+    row: int  # its number; data begin below it
+    comments: list[str] = field(default_factory=list)  # the lines before it
 
 
 def find_head(table: Table) -> Head:
@@ -113,17 +107,11 @@ def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
 
 @dataclass(slots=True)
 class Survey:
-    """Survey of a table.
+    """Survey of a table."""
 
-    Attributes:
-        cells: of each wanted column, in the order of the file, thinned evenly.
-        widths: how many rows have so many cells.
-        width: of the header.
-    """
-
-    cells: dict[int, list[str]]
-    widths: Counter[int]
-    width: int
+    cells: dict[int, list[str]]  # of each wanted column, in the order of the file, thinned evenly
+    widths: Counter[int]  # how many rows have so many cells
+    width: int  # of the header
 
     def is_whole(self, width: int) -> bool:
         """True if a row of so many cells is one of this table and not torn."""
@@ -142,12 +130,8 @@ def look_through(
 ) -> Survey:
     """Keep the cells of the wanted columns, every k-th row of a long table.
 
-    Args:
-        table: to read.
-        head: of it.
-        wanted: places of columns.
-        early: called after some rows; it may raise, so that a bomb is not read to its end.
-        limit: of rows to look at, `MOST_ROWS` when None.
+    `early` is called after some rows; it may raise, so that a bomb is not read to its end. `limit`
+    is how many rows are looked at, `MOST_ROWS` when None.
     """
     widths: Counter[int] = Counter()
     kept: list[tuple[str, ...]] = []

@@ -59,19 +59,12 @@ class TableDrive:
     """
 
     def __init__(
-        self,
-        table: Table,
-        path: Path,
-        nominal_voltage: float,
-        chosen: Sequence[str] = (),
+        self, table: Table, path: Path, nominal_voltage: float, chosen: Sequence[str] = ()
     ) -> None:
         """Look through the table.
 
-        Args:
-            table: its rows.
-            path: for messages, and a date in its name.
-            nominal_voltage: V, taken where a row has power alone.
-            chosen: columns that are given, see `column.columns_by_name`.
+        The path is for messages, and a date in its name. Power alone becomes current at
+        `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`.
 
         Raises:
             InputError: empty, columns are missing, a choice is wrong or a unit is not known.
@@ -110,7 +103,8 @@ class TableDrive:
         self._survey = survey
         self._styles = _styles(survey)
         self.clock = self._chosen_clock(found, survey)
-        self._newest_first = self._is_newest_first()
+        stamps = self.clock.stamps([survey.cells[place] for place in self.clock.columns])
+        self._newest_first = is_newest_first(stamps[stamps != NONE])
         if self._newest_first:
             for cells in survey.cells.values():
                 cells.reverse()
@@ -208,8 +202,7 @@ class TableDrive:
     def series(self, names: Sequence[str]) -> dict[str, Signal]:
         """Columns that are no readings of ours, as they are: for benchmarks and a closer look.
 
-        Args:
-            names: of columns, those that are not there are left out.
+        Names that are not there are left out.
 
         Returns:
             times, s since 1970, and numbers by name, NaN where there is none.
@@ -263,10 +256,6 @@ class TableDrive:
                 f"--column {rule.quantity}=NAME takes another column"
             )
 
-    def _is_newest_first(self) -> bool:
-        stamps = self.clock.stamps([self._survey.cells[place] for place in self.clock.columns])
-        return is_newest_first(stamps[stamps != NONE])
-
     def _ruled(self, found: Sequence[Column], own: bool) -> tuple[Column, ...]:
         """The columns with units and signs, in the order of the file."""
         clock = self.clock
@@ -275,10 +264,9 @@ class TableDrive:
         given = any(column.quantity == "time" and column.why == "as given" for column in found)
         named = time.name == QUANTITIES["time"].column
         if not named:
-            unit = clock.unit or clock.kind
-            time = time.measured_in(
-                unit, _plain(clock.unit), "as given" if given else clock.why or "by its cells"
-            )
+            meant = QUANTITIES["time"].units.get(clock.unit, Unit(1.0))
+            why = "as given" if given else clock.why or "by its cells"
+            time = time.measured_in(clock.unit or clock.kind, meant, why)
         used = {column.quantity: column for column in found if column.quantity != "time"}
         if not own:
             stamps = clock.stamps([self._survey.cells[place] for place in clock.columns])
@@ -315,10 +303,6 @@ class TableDrive:
         if started is not None and clock.kind == "number":
             return started - first, "log"
         return DRIVE_START_NS, ""
-
-
-def _plain(text: str) -> Unit:
-    return QUANTITIES["time"].units.get(text, Unit(1.0))
 
 
 def _batched(rows: Iterator[tuple[int, list[str]]]) -> Iterator[Batch]:

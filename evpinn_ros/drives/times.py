@@ -69,31 +69,18 @@ _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s")
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Reader of the cells of the time columns.
+    """Reader of the cells of the time columns."""
 
-    Attributes:
-        columns: of the table, one, or two where date and time are apart.
-        kind: `number`, `date` or `time of day`.
-        formats: of polars, one for a date or a time of day.
-        unit: of numbers.
-        zoned: the cells name a zone or are seconds since 1970, so the stamps are UTC.
-        why: this was chosen, for people.
-        backwards: steps back in what was looked at.
-        twelve: hours are counted to twelve.
-        style: of numbers.
-        daily: numbers begin anew at midnight.
-    """
-
-    columns: tuple[int, ...]
-    kind: str
-    formats: str = ""
-    unit: str = "s"
-    zoned: bool = False
-    why: str = ""
-    backwards: int = 0
-    twelve: bool = False
-    style: Style = POINT
-    daily: bool = False
+    columns: tuple[int, ...]  # of the table, one, or two where date and time are apart
+    kind: str  # `number`, `date` or `time of day`
+    formats: str = ""  # of polars, one for a date or a time of day
+    unit: str = "s"  # of numbers
+    zoned: bool = False  # the cells name a zone or are seconds since 1970, so the stamps are UTC
+    why: str = ""  # this was chosen, for people
+    backwards: int = 0  # steps back in what was looked at
+    twelve: bool = False  # hours are counted to twelve
+    style: Style = POINT  # of numbers
+    daily: bool = False  # numbers begin anew at midnight
 
     @property
     def unwrapped(self) -> Unwrapped | None:
@@ -110,8 +97,7 @@ class Clock:
     def stamps(self, cells: Sequence[Sequence[str]]) -> NDArray[np.int64]:
         """Times of the rows, ns since 1970, midnight or the start; `NONE` where there is none.
 
-        Args:
-            cells: of each of `columns`, n each.
+        `cells` are n of each of `columns`.
         """
         if self.kind == "number":
             values = to_floats(cells[0], self.style)
@@ -202,30 +188,22 @@ def clock_of_numbers(
         return Clock(
             (column,), "number", "", name, True, "since 1970, by its size", backwards, style=style
         )
-    if unit is not None:
-        return Clock(
-            (column,),
-            "number",
-            unit=unit,
-            why="by its name",
-            backwards=backwards,
-            style=style,
-            daily=_begins_anew(known, DAY_NS / _NS[unit]),
-        )
+    name, why = (
+        unit or _unit_of_steps(steps),
+        "by its name" if unit else "by the step between rows",
+    )
+    daily = _begins_anew(known, DAY_NS / _NS[name])
+    return Clock(
+        (column,), "number", "", name, why=why, backwards=backwards, style=style, daily=daily
+    )
+
+
+def _unit_of_steps(steps: NDArray[np.float64]) -> str:
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
-    name = "s"
-    if step > SLOWEST_STEP:
-        name = "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
-    return Clock(
-        (column,),
-        "number",
-        unit=name,
-        why="by the step between rows",
-        backwards=backwards,
-        style=style,
-        daily=_begins_anew(known, DAY_NS / _NS[name]),
-    )
+    if step <= SLOWEST_STEP:
+        return "s"
+    return "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
 
 
 def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
@@ -350,10 +328,8 @@ def start_of_comments(comments: Sequence[str]) -> int | None:
 def date_of_name(stem: str, first_ns: int, *, certain: bool) -> int | None:
     """Midnight of the date in a file's name, ns; None without one, or where its clock differs.
 
-    Args:
-        stem: of the file, as `2023-11-19_12-40-45` of Car Scanner.
-        first_ns: the first time in the file.
-        certain: whether that is a time of day; otherwise the name must have the same one.
+    `first_ns` is the first time in the file, and `certain` says that it is a time of day;
+    otherwise the name must have the same one.
     """
     match = re.search(
         r"(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?:[ T_-]+([0-2]\d)[-_.:]?([0-5]\d))?", stem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +18,8 @@ MOST_BYTES = 256 << 20  # 4 x 128 units have 0.4 MB, a hundred steps of an optim
 def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]) -> None:
     """Write a state so that a crash leaves the old file or the new one whole.
 
-    Args:
-        path: of the file, ending in `.npz`.
-        settings: what the state belongs to; `load_checkpoint` asks for it again.
-        state: named tensors.
+    The path ends in `.npz`; `settings` is what the state belongs to, and `load_checkpoint` asks
+    for it again.
 
     Raises:
         InputError: it cannot be written.
@@ -34,6 +32,28 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
             np.savez(file, settings=np.array(settings), names=names, **arrays)  # type: ignore[arg-type]
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def adam_state(adam: torch.optim.Adam, weights: Iterable[torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Adam's moments of some weights, by names that `load_adam_state` knows."""
+    return {
+        f"adam_{index}_{name}": value.detach().clone()
+        for index, weight in enumerate(weights)
+        for name, value in adam.state[weight].items()
+    }
+
+
+def load_adam_state(
+    adam: torch.optim.Adam, weights: Iterable[torch.Tensor], state: Mapping[str, torch.Tensor]
+) -> None:
+    """Give Adam the moments of an `adam_state` among others."""
+    for index, weight in enumerate(weights):
+        prefix = f"adam_{index}_"
+        adam.state[weight] = {
+            name.removeprefix(prefix): value.clone().to(weight.device)
+            for name, value in state.items()
+            if name.startswith(prefix)
+        }
 
 
 def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None:

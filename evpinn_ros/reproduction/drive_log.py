@@ -28,19 +28,12 @@ MOST_UNEXPLAINED = 0.5  # share of the variance of power
 
 
 class DriveLog(NamedTuple):
-    """Aligned samples of a drive, float64, shape (n,) each.
+    """Aligned samples of a drive, float64, shape (n,) each."""
 
-    Attributes:
-        time: s since the first sample.
-        speed: m/s.
-        acceleration: m/s^2, from a local quadratic.
-        power: battery power, V times I (eq. 11), W.
-    """
-
-    time: np.ndarray
-    speed: np.ndarray
-    acceleration: np.ndarray
-    power: np.ndarray
+    time: np.ndarray  # s since the first sample
+    speed: np.ndarray  # m/s
+    acceleration: np.ndarray  # m/s^2, from a local quadratic
+    power: np.ndarray  # battery power, V times I (eq. 11), W
 
     def part(self, rows: np.ndarray) -> DriveLog:
         """The samples at these indices or under this mask."""
@@ -48,17 +41,11 @@ class DriveLog(NamedTuple):
 
 
 class ReadLog(NamedTuple):
-    """A log as it was read.
+    """A log as it was read."""
 
-    Attributes:
-        drive: its samples.
-        delay: of speed behind power, s, taken out.
-        dropped: what was not used, by reason.
-    """
-
-    drive: DriveLog
-    delay: float
-    dropped: Mapping[str, int]
+    drive: DriveLog  # its samples
+    delay: float  # of speed behind power, s, taken out
+    dropped: Mapping[str, int]  # what was not used, by reason
 
 
 def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None) -> ReadLog:

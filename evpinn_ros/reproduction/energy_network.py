@@ -35,6 +35,7 @@ from torch import Tensor, nn
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.rknn import ARGUMENTS, HIDDEN, energy_step, slopes
+from evpinn_ros.reproduction.checkpoint import adam_state, load_adam_state
 from evpinn_ros.reproduction.published import EnergyRow
 
 # For Fig. 8, 50 per decade as far as whole numbers go; the epochs of the table are among them.
@@ -48,25 +49,15 @@ SETTLED = 1e-9  # mean steps: a roll-out that moves by less is done
 
 
 class StepData(NamedTuple):
-    """Steps between neighbouring samples of power, float64, shape (n,) each.
+    """Steps between neighbouring samples of power, float64, shape (n,) each."""
 
-    Attributes:
-        time: t, s.
-        power: P(t), W.
-        power_mid: P(t + dt/2), W.
-        power_next: P(t + dt), W.
-        dt: s.
-        energy: E(t), J, integrated since the first sample.
-        step_energy: E(t + dt) - E(t), J.
-    """
-
-    time: np.ndarray
-    power: np.ndarray
-    power_mid: np.ndarray
-    power_next: np.ndarray
-    dt: np.ndarray
-    energy: np.ndarray
-    step_energy: np.ndarray
+    time: np.ndarray  # t, s
+    power: np.ndarray  # P(t), W
+    power_mid: np.ndarray  # P(t + dt/2), W
+    power_next: np.ndarray  # P(t + dt), W
+    dt: np.ndarray  # s
+    energy: np.ndarray  # E(t), J, integrated since the first sample
+    step_energy: np.ndarray  # E(t + dt) - E(t), J
 
 
 def step_data(
@@ -76,10 +67,8 @@ def step_data(
 
     Steps longer than `MAX_GAP`, not forward in time or not finite are left out.
 
-    Args:
-        time: shape (n,), s.
-        power: shape (n,), W.
-        power_mid: shape (n - 1,), W, in the middle of each step; None for linear.
+    Time, s, and power, W, have shape (n,); `power_mid`, W in the middle of each step, shape (n -
+    1,), None for linear.
 
     Raises:
         InputError: fewer than `MIN_STEPS` steps are left, or their energy is zero throughout.
@@ -194,7 +183,7 @@ class EnergyTraining:
     def __init__(self, data: StepData, *, seed: int, device: str = "cpu") -> None:
         """Untrained networks on a device of torch; the seed draws their weights and the split."""
         self.losses: list[EnergyRow] = []
-        self._epoch, self._seed = 0, seed
+        self._epoch = 0
         self._units = _Units(float(data.dt.mean()), float((data.step_energy**2).mean() ** 0.5))
         steps = self._units.scaled(data, torch.float32)
         with torch.random.fork_rng(devices=[]):  # the caller's random numbers stay as they were
@@ -217,9 +206,7 @@ class EnergyTraining:
     def run_to(self, epoch: int, on_epoch: Callable[[int, float], None] | None = None) -> None:
         """Train on eq. 30 until this many epochs in all are done.
 
-        Args:
-            epoch: the last to do.
-            on_epoch: called with each epoch and the RKNN's training loss, both as in the table.
+        `on_epoch` is called with each epoch and the RKNN's training loss, both as in the table.
 
         Raises:
             InputError: a loss is no longer finite; the epochs before stay counted.
@@ -246,10 +233,7 @@ class EnergyTraining:
         state["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 5)
         for name, value in self._networks.state_dict().items():
             state[f"networks_{name}"] = value.clone()
-        for index, moments in self._adam.state_dict()["state"].items():
-            for name, value in moments.items():
-                state[f"adam_{index}_{name}"] = value.clone()
-        return state
+        return state | adam_state(self._adam, self._networks.parameters())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a `state` of the same data and seed."""
@@ -257,13 +241,7 @@ class EnergyTraining:
         self.losses = [EnergyRow(int(row[0]), *row[1:]) for row in state["losses"].tolist()]
         own = self._networks.state_dict()
         self._networks.load_state_dict({name: state[f"networks_{name}"] for name in own})
-        for index, weight in enumerate(self._networks.parameters()):
-            prefix = f"adam_{index}_"
-            self._adam.state[weight] = {
-                name.removeprefix(prefix): value.clone().to(weight.device)
-                for name, value in state.items()
-                if name.startswith(prefix)
-            }
+        load_adam_state(self._adam, self._networks.parameters(), state)
 
     @torch.no_grad()
     def integrate(

@@ -61,23 +61,14 @@ OnProgress = Callable[[str, int, int, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Settings of a run.
+    """Settings of a run."""
 
-    Attributes:
-        optimizer: of the power network.
-        epochs: of the power network.
-        energy_epochs: of the energy networks.
-        seed: of split, networks and batches.
-        device: `cpu` or `cuda`.
-        form: reading of eq. 21.
-    """
-
-    optimizer: OptimizerName
-    epochs: int
-    energy_epochs: int
-    seed: int = 0
-    device: str = "cpu"
-    form: RegenForm = RegenForm.RECOVERY
+    optimizer: OptimizerName  # of the power network
+    epochs: int  # of the power network
+    energy_epochs: int  # of the energy networks
+    seed: int = 0  # of split, networks and batches
+    device: str = "cpu"  # `cpu` or `cuda`
+    form: RegenForm = RegenForm.RECOVERY  # reading of eq. 21
 
 
 class Scored(NamedTuple):
@@ -89,19 +80,12 @@ class Scored(NamedTuple):
 
 
 class EnergyCurves(NamedTuple):
-    """Energy since the first sample, J, shape (n,) each.
+    """Energy since the first sample, J, shape (n,) each."""
 
-    Attributes:
-        measured: exact quadrature of the measured power.
-        predicted: exact quadrature of the network's power.
-        rknn: the Runge-Kutta network of the paper, rolled out over the measured power.
-        dnn: the plain network, likewise.
-    """
-
-    measured: np.ndarray
-    predicted: np.ndarray
-    rknn: np.ndarray
-    dnn: np.ndarray
+    measured: np.ndarray  # exact quadrature of the measured power
+    predicted: np.ndarray  # exact quadrature of the network's power
+    rknn: np.ndarray  # the Runge-Kutta network of the paper, rolled out over the measured power
+    dnn: np.ndarray  # the plain network, likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +123,6 @@ class Experiment:
     """Runs the trainings of one drive, keeping each in a folder."""
 
     def __init__(self, log: DriveLog, vehicle: Vehicle, settings: Settings, folder: Path) -> None:
-        """Nothing is run or read yet."""
         self._log, self._vehicle, self._settings = log, vehicle.as_published, settings
         self._folder = folder
 

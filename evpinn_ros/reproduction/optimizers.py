@@ -22,12 +22,8 @@ import torch
 
 from evpinn_ros.estimation.gauss_newton import gauss_newton_step
 from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
-from evpinn_ros.estimation.paper import (
-    LEARNED,
-    NETWORK_RATE,
-    PARAMETER_RATE,
-    PHYSICS_LOSS,
-)
+from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PARAMETER_RATE, PHYSICS_LOSS
+from evpinn_ros.reproduction.checkpoint import adam_state, load_adam_state
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import InputForm, Problem
 
@@ -134,30 +130,20 @@ class Adam:
     def state(self) -> dict[str, torch.Tensor]:
         """Weights, z and Adam's moments."""
         state = {"weights": self.network.vector(), "log_scale": self.log_scale.detach().clone()}
-        for index, tensor in enumerate(self.trained()):
-            for name, value in self._adam.state[tensor].items():
-                state[f"adam_{index}_{name}"] = value.detach().clone()
-        return state
+        return state | adam_state(self._adam, self.trained())
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
         self.network.load_vector(state["weights"].to(self.problem.device))
         with torch.no_grad():
             self.log_scale.copy_(state["log_scale"])
-        for index, tensor in enumerate(self.trained()):
-            prefix = f"adam_{index}_"
-            self._adam.state[tensor] = {
-                name.removeprefix(prefix): value.clone()
-                for name, value in state.items()
-                if name.startswith(prefix)
-            }
+        load_adam_state(self._adam, self.trained(), state)
 
 
 class AdamThenLbfgs(Adam):
     """`ADAM_EPOCHS_BEFORE_LBFGS` epochs of Adam, then L-BFGS with a line search."""
 
     def __init__(self, problem: Problem, seed: int) -> None:
-        """As `Adam`."""
         super().__init__(problem, seed)
         self._epoch = 0
         self._lbfgs = torch.optim.LBFGS(

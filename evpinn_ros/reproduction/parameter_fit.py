@@ -27,17 +27,11 @@ LONGEST_STEP = 0.5  # of z: a Gauss-Newton step further than this leaves where i
 
 
 class ParameterFit(NamedTuple):
-    """Logarithms z of the parameters over their initial values.
+    """Logarithms z of the parameters over their initial values."""
 
-    Attributes:
-        log_scale: z, shape (5,), in the order of `estimation.paper.LEARNED`.
-        covariance: of z, shape (5, 5).
-        converged: False when the iterations did not settle.
-    """
-
-    log_scale: torch.Tensor
-    covariance: np.ndarray
-    converged: bool
+    log_scale: torch.Tensor  # z, shape (5,), in the order of `estimation.paper.LEARNED`
+    covariance: np.ndarray  # of z, shape (5, 5)
+    converged: bool  # False when the iterations did not settle
 
 
 def prior_std(vehicle: Vehicle) -> np.ndarray:
@@ -47,18 +41,12 @@ def prior_std(vehicle: Vehicle) -> np.ndarray:
 
 
 def fit_parameters(
-    problem: Problem,
-    samples: Samples,
-    power: torch.Tensor,
-    start: torch.Tensor | None = None,
+    problem: Problem, samples: Samples, power: torch.Tensor, start: torch.Tensor | None = None
 ) -> ParameterFit:
     """Gauss-Newton on z.
 
-    Args:
-        problem: the drive and the reading of eq. 21.
-        samples: where `power` holds.
-        power: normalised, shape (n,): measured, or what a network says.
-        start: z to begin at, the initial values if None.
+    `power`, normalised, shape (n,), is measured or what a network says at the samples; `start` is
+    the z to begin at, the initial values if None.
     """
     log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
     if start is not None:

@@ -25,7 +25,7 @@ from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.published import Losses
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, Parameters
-from evpinn_ros.vehicle.physics import RegenForm, auxiliary_power, battery_power
+from evpinn_ros.vehicle.physics import RegenForm, auxiliary_power
 
 VALIDATION_SHARE = 0.2
 
@@ -161,15 +161,8 @@ class Problem:
 
     def physics(self, motion: PhysicsInputs, log_scale: torch.Tensor) -> torch.Tensor:
         """Normalised P_physics of eq. 21 and 23, shape (n,)."""
-        power = battery_power(
-            motion.speed,
-            motion.acceleration,
-            self.parameters(log_scale),
-            area=self.vehicle.frontal_area,
-            air_density=self.vehicle.air_density,
-            form=self.form,
-            beta=self.vehicle.beta,
-        )
+        parameters = self.parameters(log_scale)
+        power = self.vehicle.power(motion.speed, motion.acceleration, parameters, self.form)
         normalised: torch.Tensor = (power - self.scale.middle) / self.scale.half_range
         return normalised
 

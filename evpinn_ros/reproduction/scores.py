@@ -18,7 +18,7 @@ from evpinn_ros.reproduction.parameter_fit import fit_parameters, prior_std
 from evpinn_ros.reproduction.problem import PowerScale, Problem
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
-from evpinn_ros.vehicle.physics import RegenForm, battery_power
+from evpinn_ros.vehicle.physics import RegenForm
 
 GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
 KNOWN_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
@@ -37,21 +37,13 @@ WHEEL_POWER_COMBINATIONS = {
 
 
 class PowerScore(NamedTuple):
-    """A predicted power against the measured one.
+    """A predicted power against the measured one."""
 
-    Attributes:
-        rmse_w: W.
-        mae_w: W.
-        r2: 1 for perfect, 0 for the mean; None when the measured power is constant.
-        data_loss: mean square of the error in the units of Tables II and III.
-        energy_error_percent: of the sum over these samples; None when that sum is zero.
-    """
-
-    rmse_w: float
-    mae_w: float
-    r2: float | None
-    data_loss: float
-    energy_error_percent: float | None
+    rmse_w: float  # W
+    mae_w: float  # W
+    r2: float | None  # 1 for perfect, 0 for the mean; None when the measured power is constant
+    data_loss: float  # mean square of the error in the units of Tables II and III
+    energy_error_percent: float | None  # of the sum over these samples; None when that sum is zero
 
 
 def power_score(predicted: np.ndarray, measured: np.ndarray, scale: PowerScale) -> PowerScore:
@@ -81,16 +73,7 @@ def physics_power(
     log: DriveLog, vehicle: Vehicle, parameters: Parameters, form: RegenForm
 ) -> np.ndarray:
     """Battery power of eq. 21, W, shape (n,)."""
-    power = battery_power(
-        log.speed,
-        log.acceleration,
-        parameters,
-        area=vehicle.frontal_area,
-        air_density=vehicle.air_density,
-        form=form,
-        beta=vehicle.beta,
-    )
-    return np.asarray(power)
+    return np.asarray(vehicle.power(log.speed, log.acceleration, parameters, form))
 
 
 def least_squares_power(problem: Problem) -> tuple[np.ndarray, Parameters]:
@@ -136,23 +119,14 @@ def drift_included(
 
 
 class TableFiveRow(NamedTuple):
-    """One parameter as in Table V, with what the paper leaves out.
+    """One parameter as in Table V, with what the paper leaves out."""
 
-    Attributes:
-        name: of the parameter.
-        initial: guess of eq. 24, 25.
-        value: found.
-        std: 1-sigma from the curvature of the physics loss and the priors.
-        prior_share: variance left of the prior's: 0 all data, 1 all prior.
-        determined: whether the data tell it.
-    """
-
-    name: str
-    initial: float
-    value: float
-    std: float
-    prior_share: float
-    determined: bool
+    name: str  # of the parameter
+    initial: float  # guess of eq. 24, 25
+    value: float  # found
+    std: float  # 1-sigma from the curvature of the physics loss and the priors
+    prior_share: float  # variance left of the prior's: 0 all data, 1 all prior
+    determined: bool  # whether the data tell it
 
 
 def parameter_rows(

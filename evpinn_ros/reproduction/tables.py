@@ -13,7 +13,6 @@ from evpinn_ros.reproduction.published import (
     POWER_LOSSES,
     PREDICTED,
     Losses,
-    LossRow,
 )
 from evpinn_ros.reproduction.scores import TableFiveRow, combinations
 from evpinn_ros.vehicle.files import load_vehicle
@@ -69,8 +68,8 @@ def power_loss_table(outcome: Outcome) -> ResultTable:
     rows = []
     for epoch in epochs:
         both = measured.get(epoch), published.get(epoch)
-        rows.append([f"{epoch} T", *(cell for row in both for cell in _training(row))])
-        rows.append([f"{epoch} V", *(cell for row in both for cell in _validation(row))])
+        rows.append([f"{epoch} T", *(x for row in both for x in _losses(row and row.training))])
+        rows.append([f"{epoch} V", *(x for row in both for x in _losses(row and row.validation))])
     number = "III" if key == "tesla_model_s" else "II"
     columns = ["epoch", *Losses._fields, *(f"paper: {name}" for name in Losses._fields)]
     note = (
@@ -217,14 +216,6 @@ def energy_table(outcome: Outcome) -> ResultTable:
         "The network's power was trained on 80 % of this very drive. dE/dt = P knows no E, so RK4 "
         "is Simpson's rule and no network can beat it.",
     )
-
-
-def _training(row: LossRow | None) -> list[str]:
-    return _losses(None if row is None else row.training)
-
-
-def _validation(row: LossRow | None) -> list[str]:
-    return _losses(None if row is None else row.validation)
 
 
 def _losses(losses: Losses | None) -> list[str]:

@@ -26,33 +26,19 @@ CELL_RESISTANCE = 0.09  # ohm of a 350 V pack; grows with the square of the volt
 
 @dataclass(frozen=True, slots=True)
 class Car:
-    """One car, with everything about it.
+    """One car, with everything about it."""
 
-    Attributes:
-        mass: with everyone and everything in it, kg.
-        c_rr: coefficient of rolling resistance near standstill.
-        c_d: coefficient of drag.
-        frontal_area: m^2.
-        air_density: of the day, kg/m^3.
-        rotating_mass_factor: effective over static mass when accelerating.
-        mean_auxiliary: mean of the auxiliary load over a drive, W.
-        drivetrain: inverter, motor and gear.
-        brakes: motor and friction brakes.
-        battery: the pack.
-        torque_gain: torque that the inverter reports over the true one, for it is an estimate.
-    """
-
-    mass: float
-    c_rr: float
-    c_d: float
-    frontal_area: float
-    air_density: float
-    rotating_mass_factor: float
-    mean_auxiliary: float
-    drivetrain: Drivetrain
-    brakes: Brakes
-    battery: Battery
-    torque_gain: float
+    mass: float  # with everyone and everything in it, kg
+    c_rr: float  # coefficient of rolling resistance near standstill
+    c_d: float  # coefficient of drag
+    frontal_area: float  # m^2
+    air_density: float  # of the day, kg/m^3
+    rotating_mass_factor: float  # effective over static mass when accelerating
+    mean_auxiliary: float  # mean of the auxiliary load over a drive, W
+    drivetrain: Drivetrain  # inverter, motor and gear
+    brakes: Brakes  # motor and friction brakes
+    battery: Battery  # the pack
+    torque_gain: float  # torque that the inverter reports over the true one, for it is an estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,38 +48,23 @@ class Trace:
     Power is positive drawn from the battery. Two balances hold in every interval:
     `power = wheel_power + friction_power + no_load_loss + load_loss + auxiliary` and
     `wheel_power = drag_power + rolling_power + m v (g sin(grade) + factor a)`.
-
-    Attributes:
-        motion: time, speed, acceleration, elevation and grade.
-        head_wind: m/s.
-        wheel_power: W at the wheels, motor and friction brakes together; negative when braking.
-        drag_power: W lost to the air (negative when the wind pushes).
-        rolling_power: W lost in the tyres.
-        friction_power: W turned to heat in the friction brakes, >= 0.
-        no_load_loss: W turned to heat in the drivetrain because it turns, >= 0.
-        load_loss: W turned to heat in the drivetrain because of torque, >= 0.
-        auxiliary: W of auxiliary load.
-        power: W at the battery's terminals, voltage times current.
-        voltage: V at the terminals.
-        current: A, positive while discharging.
-        open_circuit: V.
-        state_of_charge: 0..1.
     """
 
-    motion: IntervalMotion
-    head_wind: np.ndarray
+    motion: IntervalMotion  # time, speed, acceleration, elevation and grade
+    head_wind: np.ndarray  # m/s
+    # W at the wheels, motor and friction brakes together; negative when braking
     wheel_power: np.ndarray
-    drag_power: np.ndarray
-    rolling_power: np.ndarray
-    friction_power: np.ndarray
-    no_load_loss: np.ndarray
-    load_loss: np.ndarray
-    auxiliary: np.ndarray
-    power: np.ndarray
-    voltage: np.ndarray
-    current: np.ndarray
-    open_circuit: np.ndarray
-    state_of_charge: np.ndarray
+    drag_power: np.ndarray  # W lost to the air (negative when the wind pushes)
+    rolling_power: np.ndarray  # W lost in the tyres
+    friction_power: np.ndarray  # W turned to heat in the friction brakes, >= 0
+    no_load_loss: np.ndarray  # W turned to heat in the drivetrain because it turns, >= 0
+    load_loss: np.ndarray  # W turned to heat in the drivetrain because of torque, >= 0
+    auxiliary: np.ndarray  # W of auxiliary load
+    power: np.ndarray  # W at the battery's terminals, voltage times current
+    voltage: np.ndarray  # V at the terminals
+    current: np.ndarray  # A, positive while discharging
+    open_circuit: np.ndarray  # V
+    state_of_charge: np.ndarray  # 0..1
 
 
 def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
@@ -149,10 +120,7 @@ def drive_car(car: Car, motion: IntervalMotion, around: Surroundings) -> Trace:
         load_loss=load_loss,
         auxiliary=auxiliary,
         power=power,
-        voltage=battery.voltage,
-        current=battery.current,
-        open_circuit=battery.open_circuit,
-        state_of_charge=battery.state_of_charge,
+        **battery._asdict(),
     )
 
 

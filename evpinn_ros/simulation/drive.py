@@ -62,20 +62,13 @@ class IntervalMotion:
 
     Mid-interval values make the sums over intervals exact: m v a adds up to the kinetic energy
     gained, m g slope v to the potential energy.
-
-    Attributes:
-        time: s from the start.
-        speed: m/s, never negative.
-        acceleration: m/s^2.
-        elevation: m above the start.
-        grade: rad, positive uphill.
     """
 
-    time: np.ndarray
-    speed: np.ndarray
-    acceleration: np.ndarray
-    elevation: np.ndarray
-    grade: np.ndarray
+    time: np.ndarray  # s from the start
+    speed: np.ndarray  # m/s, never negative
+    acceleration: np.ndarray  # m/s^2
+    elevation: np.ndarray  # m above the start
+    grade: np.ndarray  # rad, positive uphill
 
 
 def motion_on(road: HillyRoad, speed: np.ndarray) -> IntervalMotion:

@@ -58,8 +58,5 @@ def drive_equation_car(
         load_loss=power - wheel - parameters.p_aux,
         auxiliary=np.full_like(speed, parameters.p_aux),
         power=power,
-        voltage=battery.voltage,
-        current=battery.current,
-        open_circuit=battery.open_circuit,
-        state_of_charge=battery.state_of_charge,
+        **battery._asdict(),
     )

@@ -11,11 +11,6 @@ def slow_noise(time: np.ndarray, memory: float, rng: np.random.Generator) -> np.
 
     Independent normal values every `memory` seconds, joined by a cubic spline.
 
-    Args:
-        time: shape (n,), s from the start.
-        memory: s after which the function has forgotten where it was.
-        rng: source of the normal values.
-
     Returns:
         Shape (n,).
     """

@@ -28,11 +28,8 @@ def write(
 ) -> None:
     """Write a drive as the bag `folder` with `truth.yaml` in it, whole or not at all.
 
-    Args:
-        drive: what to write.
-        folder: of the new bag.
-        can_log: a candump log to write too, from which the bag's readings were decoded.
-        progress: takes the seconds of the drive that are in the bag.
+    `can_log` is a candump log to write too, from which the bag's readings were decoded; `progress`
+    takes the seconds of the drive that are in the bag.
 
     Raises:
         InputError: a file cannot be written.

@@ -22,17 +22,11 @@ STANDSTILL = 0.2  # m/s, below this the drivetrain fades out
 
 @dataclass(frozen=True, slots=True)
 class Drivetrain:
-    """Inverter, motor and single-speed gear as a map of loss over torque and speed.
+    """Inverter, motor and single-speed gear as a map of loss over torque and speed."""
 
-    Attributes:
-        load_scale: multiplies the losses that come with torque, 1.
-        wheel_radius: m.
-        gear_ratio: motor turns per wheel turn.
-    """
-
-    load_scale: float = 1.0
-    wheel_radius: float = 0.335
-    gear_ratio: float = 9.0
+    load_scale: float = 1.0  # multiplies the losses that come with torque, 1
+    wheel_radius: float = 0.335  # m
+    gear_ratio: float = 9.0  # motor turns per wheel turn
 
     def no_load_loss(self, speed: np.ndarray) -> np.ndarray:
         """Heat of merely turning, W, at `speed`, m/s; zero at standstill. Elementwise."""
@@ -63,21 +57,14 @@ class Drivetrain:
 
 @dataclass(frozen=True, slots=True)
 class Brakes:
-    """Sharing of a demand to brake between the motor and the friction brakes.
+    """Sharing of a demand to brake between the motor and the friction brakes."""
 
-    Attributes:
-        motor_share: share of the demand offered to the motor, 0..1; the limits come after.
-        max_power: W at the wheels that the motor may recover.
-        max_deceleration: m/s^2 that the motor may make of the car's mass.
-        fade_start: m/s, below this the friction brakes begin to take over.
-        fade_end: m/s, below this they do all.
-    """
-
+    # share of the demand offered to the motor, 0..1; the limits come after
     motor_share: float = 1.0
-    max_power: float = 75e3
-    max_deceleration: float = 1.8
-    fade_start: float = 3.0
-    fade_end: float = 1.2
+    max_power: float = 75e3  # W at the wheels that the motor may recover
+    max_deceleration: float = 1.8  # m/s^2 that the motor may make of the car's mass
+    fade_start: float = 3.0  # m/s, below this the friction brakes begin to take over
+    fade_end: float = 1.2  # m/s, below this they do all
 
     def motor_force(self, demand: np.ndarray, speed: np.ndarray, mass: float) -> np.ndarray:
         """Braking force of the motor, N, for a demanded force, N, both >= 0, shape (n,)."""
@@ -97,19 +84,12 @@ class Terminals(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """Open-circuit voltage that falls with the charge, behind a resistance.
+    """Open-circuit voltage that falls with the charge, behind a resistance."""
 
-    Attributes:
-        nominal_voltage: V, open-circuit at half charge.
-        resistance: ohm.
-        capacity: J between empty and full.
-        start: state of charge at the start, 0..1.
-    """
-
-    nominal_voltage: float
-    resistance: float
-    capacity: float
-    start: float
+    nominal_voltage: float  # V, open-circuit at half charge
+    resistance: float  # ohm
+    capacity: float  # J between empty and full
+    start: float  # state of charge at the start, 0..1
 
     def deliver(self, power: np.ndarray, step: float) -> Terminals:
         """Deliver `power`, W at the terminals, shape (n,), for `step` s each.

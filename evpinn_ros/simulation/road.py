@@ -15,17 +15,11 @@ MAX_RMS_GRADE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class HillyRoad:
-    """Sum of sinusoidal hills, elevation zero at the start.
+    """Sum of sinusoidal hills, elevation zero at the start."""
 
-    Attributes:
-        wave_number: shape (HILLS,), rad/m.
-        slope: shape (HILLS,), amplitude of the slope of each hill, 1.
-        phase: shape (HILLS,), rad.
-    """
-
-    wave_number: np.ndarray
-    slope: np.ndarray
-    phase: np.ndarray
+    wave_number: np.ndarray  # shape (HILLS,), rad/m
+    slope: np.ndarray  # shape (HILLS,), amplitude of the slope of each hill, 1
+    phase: np.ndarray  # shape (HILLS,), rad
 
     def elevation(self, distance: np.ndarray) -> np.ndarray:
         """Elevation above the start, m, at distances along the road of shape (n,), m."""

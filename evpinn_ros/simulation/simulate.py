@@ -33,28 +33,18 @@ RMS_GRADE = 0.005
 
 @dataclass(frozen=True, slots=True)
 class SimulatedDrive:
-    """One drive.
+    """One drive."""
 
-    Attributes:
-        vehicle: the vehicle file's model, which is all an estimator may know.
-        kind: where it was driven.
-        seed: of everything drawn by chance.
-        frames: what reached the CAN log, in order of time.
-        readings: what the decoder made of the frames, and the optional sensors, in order of time.
-        car: the car that was driven; give it to `simulate` to drive it again.
-        trace: every true signal at 100 Hz.
-        truth: the true parameters, as `truth` defines them.
-        equation: the form of eq. 21 that the car obeys, None for a car with a map of losses.
-    """
-
-    vehicle: Vehicle
-    kind: DriveKind
-    seed: int
-    frames: tuple[CanFrame, ...]
+    vehicle: Vehicle  # the vehicle file's model, which is all an estimator may know
+    kind: DriveKind  # where it was driven
+    seed: int  # of everything drawn by chance
+    frames: tuple[CanFrame, ...]  # what reached the CAN log, in order of time
+    # what the decoder made of the frames, and the optional sensors, in order of time
     readings: tuple[Reading, ...]
-    car: Car
-    trace: Trace
-    truth: Truth
+    car: Car  # the car that was driven; give it to `simulate` to drive it again
+    trace: Trace  # every true signal at 100 Hz
+    truth: Truth  # the true parameters, as `truth` defines them
+    # the form of eq. 21 that the car obeys, None for a car with a map of losses
     equation: RegenForm | None = None
 
     @property

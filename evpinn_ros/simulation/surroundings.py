@@ -27,17 +27,14 @@ class Surroundings:
 def draw_surroundings(time: np.ndarray, rng: np.random.Generator) -> Surroundings:
     """Wind and auxiliary loads at evenly spaced times, s, of shape (n,)."""
     wind = WIND_SPREAD * slow_noise(time, WIND_MEMORY, rng)
-    load = _base_load(time, rng) + _compressor(time, rng) + _heater(time, rng)
+    steady = 1.0 + 0.02 * slow_noise(time, 2.0, rng)
+    load = steady + _compressor(time, rng) + _heater(time, rng)
     return Surroundings(wind, load / load.mean())
 
 
 def ambient_celsius(air_density: float) -> float:
     """Temperature, degrees Celsius, of dry air of this density, kg/m^3, at sea level."""
     return PRESSURE / (GAS_CONSTANT * air_density) - FREEZING
-
-
-def _base_load(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return 1.0 + 0.02 * slow_noise(time, 2.0, rng)
 
 
 def _compressor(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -13,8 +13,7 @@ TRUTH_FILE = "truth.yaml"
 def read_truth(path: Path) -> Parameters | None:
     """True parameters beside a simulated drive, None for a real one.
 
-    Args:
-        path: of the bag's folder.
+    The path is that of the bag's folder.
 
     Raises:
         InputError: there is a `truth.yaml`, but a wrong one.

@@ -66,21 +66,13 @@ class RoadLoad(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CertifiedCar:
-    """One model, with the road load of each of its tyres and batteries.
+    """One model, with the road load of each of its tyres and batteries."""
 
-    Attributes:
-        name: for people, with the model year.
-        can_profile: for its bus, if any is known.
-        loads: at least one.
-        udds: at the wall, Wh/km; NaN where it is not known.
-        highway: likewise.
-    """
-
-    name: str
-    can_profile: str | None
-    loads: tuple[RoadLoad, ...]
-    udds: float
-    highway: float
+    name: str  # for people, with the model year
+    can_profile: str | None  # for its bus, if any is known
+    loads: tuple[RoadLoad, ...]  # at least one
+    udds: float  # at the wall, Wh/km; NaN where it is not known
+    highway: float  # likewise
 
     @property
     def priors(self) -> Mapping[str, Prior]:

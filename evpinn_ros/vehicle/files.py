@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from itertools import combinations
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
+from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 
 class Constant(NamedTuple):
@@ -49,38 +50,25 @@ LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has n
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """One car model: what is known of it, and the prior of every parameter to be learned.
+    """One car model: what is known of it, and the prior of every parameter to be learned."""
 
-    Attributes:
-        key: short name, the file's stem.
-        name: name for people.
-        can_profile: for its bus: a name in `config/can/`, the path of a file, or None.
-        frontal_area: m^2.
-        air_density: kg/m^3, used while no temperature is known.
-        beta: deceleration threshold of regeneration, m/s^2 (eq. 20).
-        nominal_voltage: V, used when a log holds power alone.
-        rotating_mass_factor: effective over static mass when accelerating (wheels, rotor).
-        battery_capacity: usable energy, J, NaN if unknown.
-        motor_ratio: rad that the motor turns per m of road, NaN if unknown; used where a bus
-            tells its torque and not its speed.
-        priors: one `Prior` for each of `PARAMETER_NAMES`.
-        correlations: of two of them, in their order; 0 where a pair is not given.
-        paper_start: what the EV-PINN paper starts from, likewise (eq. 24, 25); empty: `priors`.
-    """
-
-    key: str
-    name: str
-    can_profile: str | None
-    frontal_area: float
-    air_density: float
-    beta: float
-    nominal_voltage: float
-    rotating_mass_factor: float
-    battery_capacity: float
+    key: str  # short name, the file's stem
+    name: str  # name for people
+    can_profile: str | None  # for its bus: a name in `config/can/`, the path of a file, or None
+    frontal_area: float  # m^2
+    air_density: float  # kg/m^3, used while no temperature is known
+    beta: float  # deceleration threshold of regeneration, m/s^2 (eq. 20)
+    nominal_voltage: float  # V, used when a log holds power alone
+    rotating_mass_factor: float  # effective over static mass when accelerating (wheels, rotor)
+    battery_capacity: float  # usable energy, J, NaN if unknown
+    # rad that the motor turns per m of road, NaN if unknown; used where a bus tells its torque and
+    # not its speed
     motor_ratio: float
-    priors: Mapping[str, Prior]
+    priors: Mapping[str, Prior]  # one `Prior` for each of `PARAMETER_NAMES`
     nominal_speed: float = math.nan
+    # of two of them, in their order; 0 where a pair is not given
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    # what the EV-PINN paper starts from, likewise (eq. 24, 25); empty: `priors`
     paper_start: Mapping[str, Prior] = field(default_factory=dict)
 
     @property
@@ -99,6 +87,28 @@ class Vehicle:
     def correlation(self) -> np.ndarray:
         """Of all parameters, in the order of `PARAMETER_NAMES`, shape (6, 6)."""
         return _matrix(self.correlations)
+
+    def power(
+        self,
+        speed: Any,
+        acceleration: Any,
+        parameters: Parameters,
+        form: RegenForm,
+        *,
+        air_density: Any = None,
+        grade: Any = 0.0,
+    ) -> Any:
+        """Battery power of the car with these parameters, W (see `battery_power`)."""
+        return battery_power(
+            speed,
+            acceleration,
+            parameters,
+            area=self.frontal_area,
+            air_density=self.air_density if air_density is None else air_density,
+            form=form,
+            beta=self.beta,
+            grade=grade,
+        )
 
 
 def vehicle_names() -> list[str]:

@@ -14,21 +14,13 @@ from evpinn_ros.vehicle.physics import drag_force, grade_force, inertia_force, r
 
 
 class Identifiable(NamedTuple):
-    """The combinations that data determine; floats, arrays or tensors alike.
+    """The combinations that data determine; floats, arrays or tensors alike."""
 
-    Attributes:
-        mass_over_eta: m / eta, kg.
-        drag_area_over_eta: A C_d / eta, m^2.
-        c_rr: coefficient of rolling resistance.
-        regeneration: eta mu, share of the braking energy counted at the battery, 0..1.
-        p_aux: auxiliary power, W.
-    """
-
-    mass_over_eta: Any
-    drag_area_over_eta: Any
-    c_rr: Any
-    regeneration: Any
-    p_aux: Any
+    mass_over_eta: Any  # m / eta, kg
+    drag_area_over_eta: Any  # A C_d / eta, m^2
+    c_rr: Any  # coefficient of rolling resistance
+    regeneration: Any  # eta mu, share of the braking energy counted at the battery, 0..1
+    p_aux: Any  # auxiliary power, W
 
 
 IDENTIFIABLE_NAMES = Identifiable._fields
@@ -45,25 +37,6 @@ def identifiable(parameters: Parameters, area: float) -> Identifiable:
     )
 
 
-def traction_power(
-    speed: Any,
-    acceleration: Any,
-    combined: Identifiable,
-    *,
-    air_density: Any,
-    grade: Any = 0.0,
-    rotating_mass_factor: float = 1.0,
-) -> Any:
-    """Wheel power over eta: W / eta of `physics.battery_power`, W, before regeneration."""
-    mass = combined.mass_over_eta
-    force = (
-        drag_force(speed, combined.drag_area_over_eta, air_density)
-        + grade_force(mass, grade)
-        + inertia_force(mass * rotating_mass_factor, acceleration)
-    )
-    return speed * force + abs(speed) * rolling_force(mass, combined.c_rr, grade)
-
-
 def combined_power(
     speed: Any,
     acceleration: Any,
@@ -78,13 +51,13 @@ def combined_power(
     Equals `physics.battery_power` of any parameters with these combinations, up to the inertia
     of rotating parts, which scales the acceleration term here.
     """
-    traction = traction_power(
-        speed,
-        acceleration,
-        combined,
-        air_density=air_density,
-        grade=grade,
-        rotating_mass_factor=rotating_mass_factor,
+    mass = combined.mass_over_eta
+    force = (
+        drag_force(speed, combined.drag_area_over_eta, air_density)
+        + grade_force(mass, grade)
+        + inertia_force(mass * rotating_mass_factor, acceleration)
     )
+    # W / eta of `battery_power`: power at the wheels as the battery gives it
+    traction = speed * force + abs(speed) * rolling_force(mass, combined.c_rr, grade)
     driving = traction * (traction > 0)
     return driving + (traction - driving) * combined.regeneration + combined.p_aux

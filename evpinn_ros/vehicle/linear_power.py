@@ -47,33 +47,18 @@ def turning(speed: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearPower:
-    """A car; see the module's text.
+    """A car; see the module's text."""
 
-    Attributes:
-        drag_area: m^2; with the next two it tells driving from braking, by the sign of the power
-            at the wheels.
-        rolling_mass: mass times c_rr, kg.
-        mass: kg.
-        rotating_mass_factor: effective over static mass when accelerating.
-        standing_noise: 1-sigma of the power around the model at standstill, W.
-        moving_noise: likewise while moving, over speed, N; both together as squares.
-        drift_std: W, 1-sigma of the auxiliary power around its mean.
-        drift_time: s within which that forgets itself.
-        slope_force: N at the battery, 1-sigma of unknown slopes and wind.
-        slope_length: m within which these change.
-        mean: coefficients, shape (len(FEATURES),), W per unit of the feature.
-        directions: of what is not known of them, shape (k, len(FEATURES)).
-    """
-
+    # m^2; with the next two it tells driving from braking, by the sign of the power at the wheels
     drag_area: float
-    rolling_mass: float
-    mass: float
-    rotating_mass_factor: float
-    standing_noise: float
-    moving_noise: float
-    drift_std: float
-    drift_time: float
-    slope_force: float
-    slope_length: float
-    mean: np.ndarray
-    directions: np.ndarray
+    rolling_mass: float  # mass times c_rr, kg
+    mass: float  # kg
+    rotating_mass_factor: float  # effective over static mass when accelerating
+    standing_noise: float  # 1-sigma of the power around the model at standstill, W
+    moving_noise: float  # likewise while moving, over speed, N; both together as squares
+    drift_std: float  # W, 1-sigma of the auxiliary power around its mean
+    drift_time: float  # s within which that forgets itself
+    slope_force: float  # N at the battery, 1-sigma of unknown slopes and wind
+    slope_length: float  # m within which these change
+    mean: np.ndarray  # coefficients, shape (len(FEATURES),), W per unit of the feature
+    directions: np.ndarray  # of what is not known of them, shape (k, len(FEATURES))

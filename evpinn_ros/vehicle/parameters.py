@@ -10,23 +10,15 @@ PARAMETER_NAMES = ("eta", "mu", "mass", "c_rr", "c_d", "p_aux")
 
 
 class Parameters(NamedTuple):
-    """One value of each parameter; floats, arrays or tensors alike.
+    """One value of each parameter; floats, arrays or tensors alike."""
 
-    Attributes:
-        eta: motor efficiency, battery to wheel, 0..1.
-        mu: regeneration efficiency, wheel to battery, 0..1 (see `RegenForm` for the paper's use).
-        mass: vehicle mass, kg.
-        c_rr: coefficient of rolling resistance.
-        c_d: coefficient of aerodynamic drag.
-        p_aux: auxiliary power, W.
-    """
-
-    eta: Any
+    eta: Any  # motor efficiency, battery to wheel, 0..1
+    # regeneration efficiency, wheel to battery, 0..1 (see `RegenForm` for the paper's use)
     mu: Any
-    mass: Any
-    c_rr: Any
-    c_d: Any
-    p_aux: Any
+    mass: Any  # vehicle mass, kg
+    c_rr: Any  # coefficient of rolling resistance
+    c_d: Any  # coefficient of aerodynamic drag
+    p_aux: Any  # auxiliary power, W
 
 
 class Limits(NamedTuple):

@@ -126,9 +126,7 @@ def battery_power(
 def auxiliary_power(speed: np.ndarray, power: np.ndarray) -> float:
     """P_aux as the paper finds it: median battery power, W, while the car stands (section III.C).
 
-    Args:
-        speed: shape (n,), m/s.
-        power: shape (n,), W.
+    Speed, m/s, and power have shape (n,).
 
     Returns:
         The median, or NaN when the car never stood.

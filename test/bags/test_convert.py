@@ -12,18 +12,8 @@ from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
-from evpinn_ros.signals.readings import (
-    AltitudeReading,
-    AuxiliaryReading,
-    BatteryReading,
-    GradeReading,
-    MotorReading,
-    PressureReading,
-    Reading,
-    SpeedReading,
-    TemperatureReading,
-    WindReading,
-)
+from evpinn_ros.signals import readings as kinds
+from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.topics.messages import scalar, speed_message
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
@@ -33,14 +23,14 @@ STAMPS = st.integers(START, START + 10**10)
 READINGS = st.one_of(
     st.builds(SpeedReading, STAMPS, NUMBERS),
     st.builds(BatteryReading, STAMPS, NUMBERS, NUMBERS | st.just(math.nan)),
-    st.builds(GradeReading, STAMPS, st.floats(-0.5, 0.5)),
-    st.builds(AltitudeReading, STAMPS, NUMBERS),
-    st.builds(AltitudeReading, STAMPS, NUMBERS, st.floats(1, 90), st.floats(-180, 180)),
-    st.builds(TemperatureReading, STAMPS, NUMBERS),
-    st.builds(PressureReading, STAMPS, NUMBERS),
-    st.builds(WindReading, STAMPS, NUMBERS),
-    st.builds(AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
-    st.builds(MotorReading, STAMPS, NUMBERS, NUMBERS | st.just(math.nan)),
+    st.builds(kinds.GradeReading, STAMPS, st.floats(-0.5, 0.5)),
+    st.builds(kinds.AltitudeReading, STAMPS, NUMBERS),
+    st.builds(kinds.AltitudeReading, STAMPS, NUMBERS, st.floats(1, 90), st.floats(-180, 180)),
+    st.builds(kinds.TemperatureReading, STAMPS, NUMBERS),
+    st.builds(kinds.PressureReading, STAMPS, NUMBERS),
+    st.builds(kinds.WindReading, STAMPS, NUMBERS),
+    st.builds(kinds.AuxiliaryReading, STAMPS, NUMBERS, NUMBERS),
+    st.builds(kinds.MotorReading, STAMPS, NUMBERS, NUMBERS | st.just(math.nan)),
 )
 
 

@@ -6,30 +6,16 @@ import struct
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 import pytest
 
-from benchmarks.recovery import STORAGES, messages_of, write_bag
+from benchmarks.recovery import STORAGES, chunks_of, messages_of
 from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.common.errors import InputError
 
 START = 1_700_000_000_000_000_000
-
-
-def chunks_of(path: Path) -> list:
-    with path.open("rb") as file:
-        return make_reader(file).get_summary().chunk_indexes
-
-
-@pytest.fixture(scope="module")
-def wholes(tmp_path_factory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("whole")
-    for storage in STORAGES:
-        write_bag(folder / f"{storage}.mcap", storage, 120_000, random.Random(7))
-    return {storage: folder / f"{storage}.mcap" for storage in STORAGES}
 
 
 def messages_in(path: Path) -> list[tuple[str, int, bytes]]:

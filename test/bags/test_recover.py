@@ -3,7 +3,6 @@
 import errno
 import os
 from pathlib import Path
-import random
 import resource
 import struct
 import subprocess
@@ -19,7 +18,7 @@ from typer.testing import CliRunner
 import yaml
 import zstandard
 
-from benchmarks.recovery import FAULTS, STORAGES, campaign, messages_of, write_bag
+from benchmarks.recovery import FAULTS, STORAGES, campaign, chunks_of, messages_of
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message
@@ -31,19 +30,6 @@ from evpinn_ros.topics.messages import scalar
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000
 CHUNK_HEAD = 9 + 32 + 4 + 8  # bytes of a chunk before its packed records, with a name of 4
-
-
-def chunks_of(path: Path) -> list:
-    with path.open("rb") as file:
-        return make_reader(file).get_summary().chunk_indexes
-
-
-@pytest.fixture(scope="module")
-def wholes(tmp_path_factory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("whole")
-    for storage in STORAGES:
-        write_bag(folder / f"{storage}.mcap", storage, 120_000, random.Random(7))
-    return {storage: folder / f"{storage}.mcap" for storage in STORAGES}
 
 
 def saved(folder: Path, data: bytes):

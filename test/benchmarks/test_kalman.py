@@ -27,12 +27,7 @@ def test_prior_is_that_of_the_vehicle_file(vehicle):
     method = FiveStateFilter(vehicle)
     initial = identifiable(vehicle.initial, vehicle.frontal_area)
     assert method.mean[[0, 2, 3, 4]] == pytest.approx(
-        [
-            initial.drag_area_over_eta,
-            initial.mass_over_eta,
-            initial.regeneration,
-            initial.p_aux,
-        ]
+        [initial.drag_area_over_eta, initial.mass_over_eta, initial.regeneration, initial.p_aux]
     )
     # k_m = m / eta: 120 kg of 1930 kg and 0.06 of 0.9 together.
     share = np.hypot(120 / 1930, 0.06 / 0.9)

@@ -100,10 +100,7 @@ def drive_answer(kmh):
 
 
 def kona(unit, pack, drive=lambda: [drive_answer(90)]):
-    return (
-        unit(PACK.address, {PACK.payload: pack}),
-        unit(DRIVE.address, {DRIVE.payload: drive}),
-    )
+    return (unit(PACK.address, {PACK.payload: pack}), unit(DRIVE.address, {DRIVE.payload: drive}))
 
 
 def test_a_kona_on_the_bus(channel, unit):

@@ -73,11 +73,7 @@ def test_a_raw_value_may_be_hexadecimal(tmp_path):
 
 
 def test_source_is_required(broken):
-    text = broken(
-        'source: "SAE J1979, service 01, identifier 0D"\n',
-        "",
-        "obd2_speed",
-    )
+    text = broken('source: "SAE J1979, service 01, identifier 0D"\n', "", "obd2_speed")
     assert "'source' is missing" in text
 
 

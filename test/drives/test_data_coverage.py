@@ -37,10 +37,7 @@ def test_spans_need_speed_and_battery_without_long_gaps():
     speeds = [t for t in tenths if not 20 < t < 25]
     batteries = [t for t in tenths if t < 60]
     found = data_coverage(drive(speeds, batteries))
-    assert seconds(found) == [
-        (0.0, 20.0),
-        pytest.approx((25.0, 59.9)),
-    ]
+    assert seconds(found) == [(0.0, 20.0), pytest.approx((25.0, 59.9))]
     assert found.moving == pytest.approx(54.9) and found.voltage == 400.0
     assert found.flows["speed"].gaps == 1
     assert found.flows["speed"].longest_gap == pytest.approx(5.0)

@@ -9,15 +9,8 @@ import pytest
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
-from evpinn_ros.signals.readings import (
-    DRIVE_START_NS,
-    AltitudeReading,
-    AuxiliaryReading,
-    BatteryReading,
-    MotorReading,
-    SpeedReading,
-    TemperatureReading,
-)
+from evpinn_ros.signals import readings as kinds
+from evpinn_ros.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 NOMINAL = 350.0
@@ -40,10 +33,10 @@ def test_all_columns(tmp_path):
     expected = [
         SpeedReading(stamp, 10.0),
         BatteryReading(stamp, 400.0, -50.0, 0.8),
-        AltitudeReading(stamp, 570.0, 48.1, 11.5),
-        TemperatureReading(stamp, -3.0),
-        AuxiliaryReading(stamp, 1500.0, 250.0),
-        MotorReading(stamp, -20.0, 270.0),
+        kinds.AltitudeReading(stamp, 570.0, 48.1, 11.5),
+        kinds.TemperatureReading(stamp, -3.0),
+        kinds.AuxiliaryReading(stamp, 1500.0, 250.0),
+        kinds.MotorReading(stamp, -20.0, 270.0),
     ]
     assert list(map(repr, drive.readings())) == list(map(repr, expected))  # NaN is not equal NaN
     assert drive.ignored == ("x",) and not drive.dropped
@@ -52,8 +45,8 @@ def test_all_columns(tmp_path):
 def test_a_torque_needs_no_motor_speed_and_a_speed_alone_is_no_reading(tmp_path):
     header = "t_s,speed_mps,power_w,motor_torque_nm,motor_speed_rad_s\n"
     drive = drive_of(tmp_path, header + "0,1,400,50,\n1,1,400,,300\n")
-    (motor,) = (r for r in drive.readings() if isinstance(r, MotorReading))
-    assert repr(motor) == repr(MotorReading(START, 50.0))
+    (motor,) = (r for r in drive.readings() if isinstance(r, kinds.MotorReading))
+    assert repr(motor) == repr(kinds.MotorReading(START, 50.0))
 
 
 def batteries(drive: TableDrive) -> list[tuple[float, float]]:

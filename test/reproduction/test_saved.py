@@ -93,13 +93,7 @@ def test_an_impossible_eta_slides_back_without_changing_power(form: RegenForm) -
     speed, acceleration = np.array([5.0, 20.0, 30.0]), np.array([1.0, -1.0, 0.0])
     powers = [
         battery_power(
-            speed,
-            acceleration,
-            parameters,
-            area=2.2,
-            air_density=1.2,
-            form=form,
-            beta=-0.045,
+            speed, acceleration, parameters, area=2.2, air_density=1.2, form=form, beta=-0.045
         )
         for parameters in (found, slid)
     ]

@@ -3,7 +3,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.vehicle.identifiable import combined_power, identifiable, traction_power
+from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
@@ -67,11 +67,11 @@ def test_combined_power_is_battery_power(moment, car):
 
 def test_rotating_parts_scale_the_inertia_alone():
     combined = identifiable(Parameters(0.8, 0.6, 1600.0, 0.01, 0.24, 500.0), 2.0)
-    plain = traction_power(10.0, 1.5, combined, air_density=1.2)
-    turning = traction_power(10.0, 1.5, combined, air_density=1.2, rotating_mass_factor=1.03)
+    plain = combined_power(10.0, 1.5, combined, air_density=1.2)
+    turning = combined_power(10.0, 1.5, combined, air_density=1.2, rotating_mass_factor=1.03)
     assert turning - plain == pytest.approx(0.03 * 2000.0 * 1.5 * 10.0)
-    steady = traction_power(10.0, 0.0, combined, air_density=1.2, rotating_mass_factor=1.03)
-    assert steady == traction_power(10.0, 0.0, combined, air_density=1.2)
+    steady = combined_power(10.0, 0.0, combined, air_density=1.2, rotating_mass_factor=1.03)
+    assert steady == combined_power(10.0, 0.0, combined, air_density=1.2)
 
 
 def test_arrays_are_taken_elementwise():

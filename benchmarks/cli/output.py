@@ -1,0 +1,54 @@
+"""Output that the commands of `evpinn bench` have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from evpinn_ros.cli.console import write_json
+from evpinn_ros.common.plain_table import PlainTable
+
+TABLE_WIDTH = 140  # characters; in narrower tables numbers would be broken
+
+
+def number(value: float | None, form: str) -> str:
+    """A number in this format, a dash where it is not known."""
+    return "-" if value is None else format(value, form)
+
+
+def names_in(text: str) -> list[str]:
+    """The names in a list with commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+@contextmanager
+def json_at_the_end(path: Path | None, found: Callable[[], Any]) -> Iterator[None]:
+    """Write what was found so far, also where Ctrl-C or an error ends the block."""
+    try:
+        yield
+    finally:
+        if path is not None:
+            write_json(path, found())
+
+
+def table_of(
+    title: str, rows: Iterable[Any], columns: Sequence[tuple[str, str]], left: int = 1
+) -> PlainTable:
+    """A table with a row for each object.
+
+    Args:
+        title: above it.
+        rows: the objects, or tuples of several.
+        columns: header of each, and the format of its cells: `{0}` is the object, or the first
+            of the tuple.
+        left: how many of the columns are texts, aligned left.
+    """
+    table = PlainTable(title=title)
+    for place, (header, _) in enumerate(columns):
+        table.add_column(header, justify="left" if place < left else "right")
+    for row in rows:
+        objects = row if type(row) is tuple else (row,)
+        table.add_row(*(cell.format(*objects) for _, cell in columns))
+    return table
