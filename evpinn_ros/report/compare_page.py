@@ -7,10 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 import numpy as np
 
-from evpinn_ros.common.fsync import replaced
 from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.replay.breakdown_text import name_of
 from evpinn_ros.replay.comparison import Comparison
@@ -23,9 +21,8 @@ from evpinn_ros.replay.comparison_text import (
     trip_rows,
 )
 from evpinn_ros.replay.over_distance import over_distance
-from evpinn_ros.report.html import BROWSER
+from evpinn_ros.report.html import write_page
 
-TEMPLATES = Path(__file__).with_name("templates")
 POINTS = 400  # of a curve: more than a narrow page has pixels
 MOST_TICKS = 6
 CURVES = {
@@ -46,13 +43,11 @@ def write_comparison(path: Path, found: Comparison, command: str) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    templates = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined
-    )
     parts = found.parts()
-    page = templates.get_template("compare.html.j2").render(
+    write_page(
+        path,
+        "compare.html.j2",
         title=f"{' and '.join(found.names)} compared",
-        style=(BROWSER / "page.css").read_text(encoding="utf-8"),
         command=command,
         unit=UNIT,
         names=found.names,
@@ -66,9 +61,6 @@ def write_comparison(path: Path, found: Comparison, command: str) -> None:
         ],
         curves=_curves(found),
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as draft:
-        draft.write_bytes(page.encode("utf-8", "replace"))  # a path may hold what is no text
 
 
 def _bars(names: Sequence[str], parts: Sequence[Breakdown]) -> list[dict[str, Any]]:
