@@ -45,7 +45,9 @@ def test_a_cycle_at_constant_speed_costs_its_road_load(tmp_path):
     start, speed = vehicle.initial, 20.0
     drag = 0.5 * AIR_DENSITY * start.c_d * vehicle.frontal_area * speed**2
     force = start.mass * 9.80665 * start.c_rr + drag
-    losses = 150.0 + 200.0 * (force / start.mass) ** 2  # turning, and by force
+    losses = (
+        150.0 * (0.5 + 0.5 * speed / 10.0) + 200.0 * (force / start.mass) ** 2
+    )  # turning, and by force
     power = force * speed / start.eta + start.p_aux + losses
     expected = power / speed / 3.6 / (1.0 - CHARGING_LOSS)
     for each in vehicles.cycle_energies(tmp_path, car, vehicle):

@@ -232,7 +232,7 @@ def test_check_params_checks_the_profile_of_a_vehicle_file_too(evpinn, tmp_path)
     ("old", "new", "reason"),
     [
         ("", "", None),
-        ("signal: Current", "signal: Curent", "no signal 'Curent'; nearest are Current"),
+        ("signal: Current", "signal: Curent", "no signal 'Curent'; did you mean Current"),
         (", positive_means: charge", "", "'positive_means' is missing"),
         ("dbc: nissan_leaf.dbc\n", "", "'dbc' is missing"),
         ("counter: Counter", "counter: Speed", "'Speed' and 'Speed' overlap in 'WheelSpeed'"),

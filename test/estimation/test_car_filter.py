@@ -22,6 +22,7 @@ from evpinn_ros.estimation.car_state import (
     State,
 )
 from evpinn_ros.estimation.gaussian import matern
+from evpinn_ros.estimation.interval_noise import battery_variance
 from evpinn_ros.estimation.weak_form import spent
 from evpinn_ros.simulation.drive import DriveKind
 
@@ -64,7 +65,8 @@ class World:
                 self.state[None], one.steps, one.conditions, self.car.warmth, self.car.constants
             )
             self.car._seconds += one.duration
-            whole = CarFilter._noise(self.car, replace(one, sampling_variance=0.0), drawn)
+            known = replace(one, sampling_variance=0.0)
+            whole = battery_variance(known, drawn, self.car._scale)
             energy = drawn.energy[0] + math.sqrt(whole[0]) * self.rng.standard_normal()
             found.append(replace(one, energy=float(energy), sampling_variance=0.0))
         return found
