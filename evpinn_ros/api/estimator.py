@@ -12,11 +12,11 @@ import pandas as pd
 
 from evpinn_ros.api import frames
 from evpinn_ros.api.plan import known_model
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.replay.breakdown_text import breakdown_metrics
-from evpinn_ros.replay.car import CarReplay
+from evpinn_ros.replay.car import CarReplay, mode_of
 from evpinn_ros.replay.run import ReplayOptions
 from evpinn_ros.replay.scoring import parameter_metrics
 from evpinn_ros.signals.readings import (
@@ -82,12 +82,12 @@ class Estimator:
             state: file that `save` or a replay wrote; not read where it is not there.
 
         Raises:
-            InputError: no such vehicle, or the state is not of it.
+            InputError: no such vehicle or mode, or the state is not of it.
         """
         path = None if state is None else Path(state)
-        car = CarReplay(vehicle, ReplayOptions(), mode=Mode(mode), state=path)
+        car = CarReplay(vehicle, ReplayOptions(), mode=mode_of(mode), state=path)
         self.vehicle, self._car, self._chain = car.vehicle, car, car.chain
-        self._mode = Mode(mode)
+        self._mode = mode_of(mode)
 
     def add(
         self,
@@ -119,7 +119,12 @@ class Estimator:
 
         Returns:
             The prediction of this moment; None without a speed, and where the time went back.
+
+        Raises:
+            InputError: the time is no number.
         """
+        if not math.isfinite(t_s):
+            raise InputError(f"t_s is {t_s}; a time is a number")
         stamp_ns = round(t_s * NANOSECONDS)
         battery = BatteryReading(stamp_ns, voltage_v, -current_a, soc_pct / 100)
         loads = AuxiliaryReading(stamp_ns, *(0.0 if x != x else x for x in (heating_w, aircon_w)))

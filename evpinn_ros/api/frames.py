@@ -25,7 +25,8 @@ def power(drive: Drive) -> pd.DataFrame:
     )
     time = both.index.to_numpy()
     measured, known = measured_at(drive, time)
-    both.insert(0, "speed_mps", np.interp(time, *drive.speed.T))
+    rising = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")]
+    both.insert(0, "speed_mps", np.interp(time, *rising.T))
     both.insert(1, "measured_w", np.where(known, measured, np.nan))
     return both
 

@@ -14,8 +14,11 @@ from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, combined_model, vehicle_model
 from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.signals.road import MAX_WIND
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
+
+AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 
 
 class KnownCar(Protocol):
@@ -47,8 +50,8 @@ def forecast(
         ['distance_m', 'speed_mps', 'elevation_m', 'power_w', 'energy_j', 'sigma_j']
 
     Args:
-        plan: columns `t_s`, s, and `speed_mps`, m/s; `distance_m`, else as the speeds make it;
-            `elevation_m`, else a flat road.
+        plan: columns `t_s` (or the index), s, and `speed_mps`, m/s; `distance_m`, else as the
+            speeds make it; `elevation_m`, else a flat road.
         car: a vehicle, by name or file, of which nothing was learned yet; or the `Result` or
             `Estimator` that learned it.
         air_density: kg/m^3, the vehicle's if not given.
@@ -68,6 +71,8 @@ def forecast(
         vehicle, model = car.vehicle, car.model
     trip = plan if isinstance(plan, Plan) else _trip(plan)
     density = vehicle.air_density if air_density is None else air_density
+    if not (AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1] and abs(head_wind) <= MAX_WIND):
+        raise InputError(f"no air: {density:g} kg/m^3, {head_wind:g} m/s of wind")
     found = forecast_plan(trip, model, density, head_wind)
     columns = {
         "distance_m": trip.distance,
@@ -81,11 +86,18 @@ def forecast(
 
 
 def _trip(plan: pd.DataFrame | Mapping[str, Any]) -> Plan:
+    if isinstance(plan, pd.DataFrame) and plan.index.name == "t_s":
+        plan = plan.reset_index()
     missing = [name for name in ("t_s", "speed_mps") if name not in plan]
     if missing:
         raise InputError(f"the plan has no column {' and '.join(missing)}")
     names = ("t_s", "speed_mps", "distance_m", "elevation_m")
-    given = {name: np.asarray(plan[name], dtype=float) for name in names if name in plan}
+    try:
+        given = {
+            name: np.atleast_1d(np.asarray(plan[name], float)) for name in names if name in plan
+        }
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the plan holds what is no number: {error}") from error
     time, speed = given["t_s"], given["speed_mps"]
     if "distance_m" not in given and time.shape == speed.shape:
         legs = np.diff(time) * (speed[1:] + speed[:-1]) / 2

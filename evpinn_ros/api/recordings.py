@@ -7,8 +7,7 @@ import os
 from pathlib import Path
 
 from evpinn_ros.api.result import Result
-from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.replay.car import CarReplay
+from evpinn_ros.replay.car import CarReplay, mode_of
 from evpinn_ros.replay.run import WARM_UP, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -52,12 +51,11 @@ def replay(
 
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
-        ValueError: there is no such mode.
     """
     car = CarReplay(
         vehicle,
         ReplayOptions(withhold_battery_after, warm_up, None, start, duration),
-        mode=None if mode is None else Mode(mode),
+        mode=None if mode is None else mode_of(mode),
         params=None if params is None else Path(params),
         state=None if state is None else Path(state),
     )

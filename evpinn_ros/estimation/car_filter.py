@@ -173,10 +173,7 @@ class CarFilter(Saveable[SavedFilter]):
         found = self._spent(interval)
         noise = battery_variance(interval, found, self._scale)
         if math.isnan(interval.energy):
-            weight = GRAVITY * np.exp(
-                self.state.mean[:, State.MASS] - self.state.mean[:, State.ETA]
-            )
-            self._accumulate(found, noise + weight**2 * self.hills.unseen(interval))
+            self._accumulate(found, noise + self._weight**2 * self.hills.unseen(interval))
             return None
         self.state = replace_states(self.state, {State.ENERGY: 0.0})
         weights = self.weights

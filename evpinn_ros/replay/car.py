@@ -108,6 +108,18 @@ class CarReplay:
         write_state(path, self.chain.estimator.export())
 
 
+def mode_of(name: str) -> Mode:
+    """Mode of this name.
+
+    Raises:
+        InputError: there is none.
+    """
+    try:
+        return Mode(name)
+    except ValueError:
+        raise InputError(f"no mode '{name}'; known are {', '.join(Mode)}") from None
+
+
 def _restore(chain: Chain, state: Path | None) -> None:
     """Go on from what was learned on earlier drives, where the file is there.
 

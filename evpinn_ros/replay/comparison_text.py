@@ -14,7 +14,7 @@ from evpinn_ros.estimation.breakdown import (
 from evpinn_ros.estimation.energy_parts import WHOLE, Part
 from evpinn_ros.replay.breakdown_text import MEANINGS, name_of
 from evpinn_ros.replay.comparison import Comparison
-from evpinn_ros.replay.over_distance import driven
+from evpinn_ros.replay.driven import travelled
 
 UNIT = "kWh/100 km"
 SURE = 2.0  # sigmas of a difference that is more than chance
@@ -53,13 +53,13 @@ def trip_rows(found: Comparison) -> Rows:
     """Length, time and mean speed of each drive, and how much of it is compared."""
     columns = []
     for drive, parts in zip(found.drives, found.parts(), strict=True):
-        km = driven(drive)[1][-1] / 1000
-        hours = drive.duration / 3600
+        steps = travelled(drive)
+        km, hours = float(steps.distance.sum()) / 1000, float(steps.seconds.sum()) / 3600
         columns.append(
             (
                 f"{km:.1f} km",
-                f"{60 * hours:.0f} min",
-                f"{km / hours:.0f} km/h",
+                f"{drive.duration / 60:.0f} min",
+                f"{km / hours:.0f} km/h" if hours else "-",
                 f"{parts.distance / 1000:.1f} km",
             )
         )
@@ -73,6 +73,9 @@ def sentences(found: Comparison) -> Iterator[str]:
     for name, difference in zip(found.names[1:], found.differences(), strict=True):
         total = difference.total().kwh
         share = f" ({100 * total / base:+.0f} %)" if base > 0.0 else ""
+        if round(total, 2) == 0.0:
+            yield f"{name} took as much per 100 km as {found.names[0]}."
+            continue
         more = "more" if total > 0.0 else "less"
         yield f"{name} took {abs(total):.2f} {UNIT} {more} than {found.names[0]}{share}."
         yield _explained(difference)
@@ -83,7 +86,9 @@ def _explained(difference: Breakdown) -> str:
     parts = {group: difference.of(*group) for group in common_groups([difference])}
     sure = {g: each for g, each in parts.items() if abs(each.kwh) > SURE * each.sigma_kwh > 0.0}
     if not sure:
-        return "No part of it is more than 2 sigma: what differs, these drives do not show."
+        return (
+            "No single part differs by more than 2 sigma: which it was, these drives do not show."
+        )
     largest = sorted(sure, key=lambda group: -abs(sure[group].kwh))
     listed = "; ".join(
         f"{name_of(group)} {per_100_km(sure[group], DISTANCE, signed=True)}" for group in largest

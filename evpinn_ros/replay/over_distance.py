@@ -29,11 +29,12 @@ class Course(NamedTuple):
     height: np.ndarray
 
 
-def driven(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Time, s, and distance until then, m, of each speed; shape (n,) each."""
+def distance_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Time, s, and distance until then, m, of each speed, none across gaps; shape (n,) each."""
     time, speed = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")].T
-    steps = np.diff(time) * (np.abs(speed[1:]) + np.abs(speed[:-1])) / 2.0
-    return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(steps)))
+    steps = np.diff(time)
+    used = steps * (np.abs(speed[1:]) + np.abs(speed[:-1])) / 2.0 * (steps <= longest_step(time))
+    return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))
 
 
 def measured_energy_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
@@ -46,17 +47,18 @@ def measured_energy_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 def over_distance(drive: Drive, points: int) -> Course:
     """The course of a drive at `points` even distances."""
-    time, metres = driven(drive)
+    time, metres = distance_until(drive)
     at = np.linspace(0.0, metres[-1], points)
     moments = np.interp(at, metres, time)
     speed = np.full(points, np.nan)
     speed[1:] = np.diff(at) / np.maximum(np.diff(moments), 1e-3) * KMH
     energy = _at(moments, *measured_energy_until(drive)) / JOULES_PER_KWH
-    return Course(at / KM, energy, speed, _at(moments, *drive.altitude.T))
+    height = _at(moments, *drive.altitude.T, left=np.nan, right=np.nan)
+    return Course(at / KM, energy, speed, height)
 
 
-def _at(moments: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _at(moments: np.ndarray, time: np.ndarray, values: np.ndarray, **ends: float) -> np.ndarray:
     if not len(time):
         return np.full(len(moments), np.nan)
     order = np.argsort(time, kind="stable")
-    return np.asarray(np.interp(moments, time[order], values[order]))
+    return np.asarray(np.interp(moments, time[order], values[order], **ends))

@@ -7,8 +7,8 @@ from typing import Any
 
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, LEAST_DISTANCE, UNEXPLAINED
 from evpinn_ros.replay.breakdown_text import shown
+from evpinn_ros.replay.driven import travelled
 from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.over_distance import driven
 from evpinn_ros.replay.tables import signed_percent, watts
 
 DRIVES_COLUMNS = (
@@ -41,7 +41,7 @@ def drives_rows(drives: Sequence[tuple[str, Drive, Mapping[str, Any]]]) -> list[
 
 def _figures(drive: Drive, found: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Kilometres, minutes, kWh, and kWh/100 km: of what was measured, where that is known."""
-    metres = float(driven(drive)[1][-1])
+    metres = float(travelled(drive).distance.sum())
     energy, parts = found["energy"], found["breakdown"]["measured"]
     joules = energy["predicted_j"] if energy["measured_j"] is None else energy["measured_j"]
     consumption = parts["kwh_per_100km"]

@@ -59,6 +59,11 @@ class ReplayOptions:
     start: float = 0.0
     duration: float | None = None
 
+    def __post_init__(self) -> None:
+        times = (self.withhold_battery_after, self.warm_up, self.rate, self.start, self.duration)
+        if not all(each is None or 0.0 <= each < math.inf for each in times):
+            raise InputError("times of a replay are s from 0 on, and its rate is above 0")
+
 
 @dataclass(frozen=True, slots=True)
 class Replayed:

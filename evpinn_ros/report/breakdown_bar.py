@@ -6,8 +6,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.estimation.breakdown import UNEXPLAINED
 from evpinn_ros.replay.breakdown_text import (
     COLUMNS,
+    MEANINGS,
+    NAMES,
     breakdown_lines,
     breakdown_notes,
     breakdown_rows,
@@ -17,12 +20,14 @@ from evpinn_ros.replay.breakdown_text import (
 
 WIDTH = 1000.0  # of the picture
 TINY = 1e-9  # kWh
+COLOURED = (*NAMES, UNEXPLAINED)
 
 
 class Box(NamedTuple):
     """A part that took energy, in units of the picture: the box, and its whisker at the end."""
 
     words: str
+    colour: int  # of its first part, the same on every page
     begin: float
     width: float
     end: float
@@ -55,5 +60,10 @@ def _boxes(parts: list[tuple[str, Any]], scale: float, digits: int) -> Iterator[
         end, sigma = begin + kwh * scale, sigma_kwh * scale
         ends = (begin, end - begin, end, max(end - sigma, 0.0), min(end + sigma, WIDTH))
         words = f"{name} {kwh:.{digits}f} ± {sigma_kwh:.{digits}f} kWh"
-        yield Box(words, *(round(each, 1) for each in ends))
+        yield Box(words, _colour(name), *(round(each, 1) for each in ends))
         begin = end
+
+
+def _colour(name: str) -> int:
+    """Number of the first part of what has this name."""
+    return next(i for i, part in enumerate(COLOURED) if name.startswith(MEANINGS[part]))

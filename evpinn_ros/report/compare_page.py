@@ -76,11 +76,11 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown]) -> list[dict[str, An
             "name": name,
             "boxes": [
                 {
-                    "colour": colour,
+                    "colour": int(group[0]),
                     "width": round(100.0 * each.kwh / one.distance / longest, 2),
                     "words": f"{name_of(group)} {per_100_km(each, one.distance)}",
                 }
-                for colour, (group, each) in enumerate(zip(groups, amounts, strict=True))
+                for group, each in zip(groups, amounts, strict=True)
                 if each.kwh > 0.0
             ],
         }
@@ -92,8 +92,8 @@ def _whiskers(difference: Breakdown) -> list[dict[str, Any]]:
     """A bar with its 1-sigma for each part, in percent of the width; zero is at `zero`."""
     rows = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
     rows = [row for row in rows if row[1].kwh or row[1].sigma_kwh]
-    low = min(0.0, *(each.kwh - each.sigma_kwh for _, each in rows))
-    high = max(0.0, *(each.kwh + each.sigma_kwh for _, each in rows))
+    low = min([0.0, *(each.kwh - each.sigma_kwh for _, each in rows)])
+    high = max([0.0, *(each.kwh + each.sigma_kwh for _, each in rows)])
 
     def at(kwh: float) -> float:
         return round(100.0 * (kwh - low) / (high - low), 2)

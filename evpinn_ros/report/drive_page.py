@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.replay.driven import Steps, measured_steps, travelled
 from evpinn_ros.replay.events import drive_events
 from evpinn_ros.replay.forecasts import forecast_outcomes
 from evpinn_ros.replay.history import Drive
@@ -27,7 +28,6 @@ from evpinn_ros.report.breakdown_bar import breakdown_values
 from evpinn_ros.report.drive_energy import running_totals, speed_energy_chart
 from evpinn_ros.report.drive_knowledge import knowledge
 from evpinn_ros.report.drive_tiles import clock, drive_tiles
-from evpinn_ros.report.driven import Steps, measured_steps, travelled
 from evpinn_ros.report.html import write_page
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.vehicle.files import Vehicle

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from datetime import timedelta
 
 from evpinn_ros.common.units import JOULES_PER_KWH, Units
+from evpinn_ros.replay.driven import Steps
 from evpinn_ros.replay.history import Drive
-from evpinn_ros.report.driven import Steps
 
 LEAST_DISTANCE = 500.0  # m before energy over distance says something
 NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along
@@ -25,7 +25,8 @@ def drive_tiles(
         yield value, f"{unit}{part}"
     if len(measured.energy):
         yield f"{energy / JOULES_PER_KWH:.3g} kWh", "from the battery"
-    mean = far / drive.duration * units.speeds if drive.duration else 0.0
+    seconds = float(travelled.seconds.sum())
+    mean = far / seconds * units.speeds if seconds else 0.0
     yield _distance(far, units), f"in {clock(drive.duration)}, {mean:.0f} {units.speed} on average"
     if len(drive.charge):
         begin, end = 100 * drive.charge[0, 1], 100 * drive.charge[-1, 1]

@@ -50,25 +50,38 @@ LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has n
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """One car model: what is known of it, and the prior of every parameter to be learned."""
+    """One car model: what is known of it, and the prior of every parameter to be learned.
 
-    key: str  # short name, the file's stem
-    name: str  # name for people
-    can_profile: str | None  # for its bus: a name in `config/can/`, the path of a file, or None
-    frontal_area: float  # m^2
-    air_density: float  # kg/m^3, used while no temperature is known
-    beta: float  # deceleration threshold of regeneration, m/s^2 (eq. 20)
-    nominal_voltage: float  # V, used when a log holds power alone
-    rotating_mass_factor: float  # effective over static mass when accelerating (wheels, rotor)
-    battery_capacity: float  # usable energy, J, NaN if unknown
-    # rad that the motor turns per m of road, NaN if unknown; used where a bus tells its torque and
-    # not its speed
+    Attributes:
+        key: short name, the file's stem.
+        name: name for people.
+        can_profile: for its bus: a name in `config/can/`, the path of a file, or None.
+        frontal_area: m^2.
+        air_density: kg/m^3, used while no temperature is known.
+        beta: deceleration threshold of regeneration, m/s^2 (eq. 20).
+        nominal_voltage: V, used when a log holds power alone.
+        rotating_mass_factor: effective over static mass when accelerating (wheels, rotor).
+        battery_capacity: usable energy, J, NaN if unknown.
+        motor_ratio: rad that the motor turns per m of road, NaN if unknown; used where a bus
+            tells its torque and not its speed.
+        priors: one `Prior` for each of `PARAMETER_NAMES`.
+        correlations: of two of them, in their order; 0 where a pair is not given.
+        paper_start: what the EV-PINN paper starts from, likewise (eq. 24, 25); empty: `priors`.
+    """
+
+    key: str
+    name: str
+    can_profile: str | None
+    frontal_area: float
+    air_density: float
+    beta: float
+    nominal_voltage: float
+    rotating_mass_factor: float
+    battery_capacity: float
     motor_ratio: float
-    priors: Mapping[str, Prior]  # one `Prior` for each of `PARAMETER_NAMES`
+    priors: Mapping[str, Prior]
     nominal_speed: float = math.nan
-    # of two of them, in their order; 0 where a pair is not given
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    # what the EV-PINN paper starts from, likewise (eq. 24, 25); empty: `priors`
     paper_start: Mapping[str, Prior] = field(default_factory=dict)
 
     @property

@@ -171,6 +171,29 @@ def test_a_wrong_plan_is_refused_with_the_reason(trip, reason):
         ev.forecast(trip)
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: ev.Estimator(mode="none"),
+        lambda: ev.Estimator().add(float("nan"), 10.0),
+        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": ["a", "b"]}),
+        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, air_density=-1.2),
+        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, head_wind=np.inf),
+        lambda: ev.replay(ROOT / "bags" / "urban", warm_up=float("nan")),
+        lambda: ev.replay(ROOT / "bags" / "urban", mode="none"),
+    ],
+)
+def test_every_error_of_input_is_an_input_error(call):
+    with pytest.raises(ev.InputError):
+        call()
+
+
+def test_a_plan_may_have_its_time_as_the_index(result):
+    table = pd.DataFrame({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]})
+    found = ev.forecast(table.set_index("t_s"), result)
+    assert found.equals(ev.forecast(table, result)) and found.equals(ev.forecast(found, result))
+
+
 def test_a_learner_without_a_linear_model_answers_by_its_parameters(result):
     car, final = result.vehicle, result.replayed.drive.final
     by_parameters = plan.known_model(None, final, car).linear

@@ -12,7 +12,8 @@ import pytest
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.replay.comparison import Comparison, compare, short_names
 from evpinn_ros.replay.comparison_text import part_rows, sentences, trip_rows
-from evpinn_ros.replay.over_distance import driven, over_distance
+from evpinn_ros.replay.driven import travelled
+from evpinn_ros.replay.over_distance import distance_until, over_distance
 from evpinn_ros.report.compare_page import MOST_TICKS, ticks, write_comparison
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test.replay.test_replay import Recorded
@@ -92,7 +93,7 @@ def test_names_are_as_short_as_they_can_be():
 def test_curves_end_where_the_drive_does(winter):
     drive = winter.drives[0]
     course = over_distance(drive, 200)
-    assert course.distance[-1] == pytest.approx(driven(drive)[1][-1] / 1000)
+    assert course.distance[-1] == pytest.approx(distance_until(drive)[1][-1] / 1000)
     assert np.isnan(course.height).all()  # no altitude was recorded
     assert np.nanmax(course.speed) <= 3.6 * drive.speed[:, 1].max() * 1.01
     whole = winter.parts()[0].total().kwh
@@ -114,3 +115,15 @@ def test_the_page_loads_and_runs_nothing_and_escapes_names(winter, tmp_path):
     assert "default-src 'none'" in unescape(text) and not re.search(r"(src|href)=", text)
     assert text.count("<polyline") == 2 * 2  # energy and speed of both drives, no height
     assert "other standing load" in text and "&lt;a&gt; b" in text
+
+
+def test_no_distance_is_driven_across_a_gap(winter):
+    """An hour without a reading at 30 m/s is no hundred kilometres."""
+    drive = winter.drives[0]
+    metres = distance_until(drive)[1]
+    late = drive.speed.copy()
+    late[len(late) // 2 :, 0] += 3600.0
+    far = distance_until(replace(drive, speed=late))[1]
+    step = metres[len(late) // 2] - metres[len(late) // 2 - 1]
+    assert far[-1] == pytest.approx(metres[-1] - step)
+    assert travelled(drive).distance.sum() == pytest.approx(metres[-1])

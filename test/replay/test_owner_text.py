@@ -9,7 +9,7 @@ import pytest
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.over_distance import driven
+from evpinn_ros.replay.over_distance import distance_until
 from evpinn_ros.replay.owner_text import DRIVES_COLUMNS, drives_rows, owner_line
 from evpinn_ros.replay.run import Replayed, ReplayOptions, replay
 from evpinn_ros.signals.readings import SpeedReading
@@ -28,7 +28,7 @@ def town(vehicle, readings) -> Replayed:
 
 
 def test_the_line_holds_what_was_measured(town):
-    km = driven(town.drive)[1][-1] / 1000
+    km = distance_until(town.drive)[1][-1] / 1000
     kwh = town.metrics["energy"]["measured_j"] / 3.6e6
     line = owner_line(town.drive, town.metrics)
     assert line.startswith(f"{km:.1f} km in 2 min: {kwh:.2f} kWh from the battery, ")

@@ -10,8 +10,8 @@ from matplotlib.image import imread
 import numpy as np
 import pytest
 
+from evpinn_ros.replay.driven import Steps, measured_steps, travelled
 from evpinn_ros.report.drive_page import write_drives
-from evpinn_ros.report.driven import Steps, measured_steps, travelled
 
 INKED = """Array.from(document.querySelectorAll('canvas'), canvas => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height)

@@ -391,7 +391,6 @@
         `${number(far / seconds * 3600 / units.metres, 0)} ${units.speed}`,
         measured > 0 && `${number(joules / 3.6e6, 3)} kWh`,
         measured >= 50 && consumption(joules, measured),
-        measured > 0 && `${number(joules / seconds / 1e3, 1)} kW on average`,
         low != null && `${signed(high - low, 0)} ${units.height}`,
         from != null && `charge ${number(from, 1)} to ${number(to, 1)} %`,
       ];
