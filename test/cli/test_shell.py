@@ -183,7 +183,8 @@ def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProc
 
 
 def has_data(folder: Path) -> bool:
-    return any(path.stat().st_size > 50_000 for path in folder.glob("*.mcap"))
+    """Half a minute of a drive, and more than one chunk, is in the bag."""
+    return any(path.stat().st_size > 200_000 for path in folder.glob("*.mcap"))
 
 
 def read_bag(folder: Path) -> int:
