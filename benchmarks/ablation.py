@@ -43,7 +43,7 @@ VARIANTS = (
     Variant("whole"),
     Variant("one scale of road and load", ONE_SCALE),
     Variant("no unseen slope", NO_SLOPE),
-    Variant("no long hills", {constant("LongHills"): lambda: _NoHills(0.0)}),
+    Variant("no long hills", {constant("LongHills"): lambda _: _NoHills(0.0)}),
     Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
     Variant("no wandering load", {constant("LOADS"): (NOTHING,)}),
     Variant("no outliers", {constant("OUTLIER"): 1e3}),

@@ -57,7 +57,7 @@ from evpinn_ros.estimation.interval_noise import (
     lost_variance,
     motor_variance,
 )
-from evpinn_ros.estimation.long_hills import BLOCKS_KEPT, PRIOR_BLOCKS, LongHills
+from evpinn_ros.estimation.long_hills import BLOCKS_KEPT, GROWTH, PRIOR_BLOCKS, LongHills
 from evpinn_ros.estimation.passage import ROAD, passage
 from evpinn_ros.estimation.weak_form import Constants, Spent, Warmth, motor_energy, spent
 from evpinn_ros.signals.interval import Interval
@@ -126,7 +126,7 @@ class CarFilter(Saveable[SavedFilter]):
         self._drives = PRIOR_DRIVES
         self.intervals = 0
         self.parts: PartSums | None = PartSums.none(count)
-        self.hills = LongHills()
+        self.hills = LongHills(GROWTH)
         self._seconds = 0.0  # of this drive
         self.state = replace_states(self.state, self._drive_variance)
         self._begin_road(height_known=False)

@@ -27,7 +27,7 @@ class LongHills:
         climb: in it, m.
     """
 
-    growth: float = GROWTH
+    growth: float
     blocks: float = PRIOR_BLOCKS
     distance: float = 0.0
     climb: float = 0.0

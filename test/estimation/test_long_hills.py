@@ -20,7 +20,7 @@ def climbing(one: Interval, slope: float, *, known: bool = True) -> Interval:
 
 
 def taught(intervals, slope: float, *, known: bool = True) -> LongHills:
-    hills = LongHills()
+    hills = LongHills(GROWTH)
     for seed in range(2):
         for one in intervals((DriveKind.HIGHWAY, 600.0, seed)):
             hills = hills.after(climbing(one, slope, known=known))
@@ -35,15 +35,15 @@ def test_a_road_that_climbs_teaches_how_far_roads_stray(intervals):
 
 
 def test_without_a_height_nothing_is_learned(intervals):
-    assert taught(intervals, 0.04, known=False) == LongHills()
+    assert taught(intervals, 0.04, known=False) == LongHills(GROWTH)
 
 
 def test_a_gap_of_heights_breaks_the_stretch(intervals):
     """Kilometres of which every tenth interval has no height never are one stretch."""
-    hills = LongHills()
+    hills = LongHills(GROWTH)
     for number, one in enumerate(intervals((DriveKind.URBAN, 600.0, 1))):
         hills = hills.after(climbing(one, 0.04, known=number % 10 > 0))
-    assert (hills.growth, hills.blocks) == (GROWTH, LongHills().blocks)
+    assert (hills.growth, hills.blocks) == (GROWTH, LongHills(GROWTH).blocks)
 
 
 def test_a_dropout_on_a_road_of_unknown_height_is_less_sure_in_hills(vehicle, intervals):
