@@ -81,7 +81,7 @@ bags: $(INSTALLED)
 
 # What the bundled bags give: show what is different from the record, and write it down.
 golden: $(INSTALLED)
-	@$(BIN)/python test/replay/golden.py --renew
+	@$(BIN)/python test/replays/golden.py --renew
 
 # The pictures of the documents and the reference pages, from code; that of the report needs Chromium.
 docs: demo

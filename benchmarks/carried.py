@@ -16,8 +16,8 @@ from benchmarks.online import Predictions
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import Clock, InlineWorker
-from evpinn_ros.replay.history import History
-from evpinn_ros.replay.scoring import drive_scores
+from evpinn_ros.replays.history import History
+from evpinn_ros.replays.scoring import drive_scores
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.vehicle.files import Vehicle
 

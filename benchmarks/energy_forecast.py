@@ -21,7 +21,7 @@ from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import Clock, InlineWorker
-from evpinn_ros.replay.forecasts import drive_plan
+from evpinn_ros.replays.forecasts import drive_plan
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,

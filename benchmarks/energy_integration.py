@@ -29,7 +29,7 @@ from evpinn_ros.energy.uncertainty import PRIOR_SHARE
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import Clock, InlineWorker
-from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind
 from evpinn_ros.simulation.simulate import simulate

@@ -18,7 +18,7 @@ from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.estimation.learner import gate
 from evpinn_ros.estimation.worker import Clock, InlineWorker
-from evpinn_ros.replay.history import Columns, Drive, History, PowerSeries
+from evpinn_ros.replays.history import Columns, Drive, History, PowerSeries
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.signals.sample import MeasuredSample, NewestSample, SmoothedSample, StreamEvent
 from evpinn_ros.signals.stream import SampleStream, StreamSettings

@@ -10,8 +10,8 @@ import math
 from typing import Any, TypeAlias
 
 from benchmarks.online import RANDOM_SPLIT, Run
-from evpinn_ros.replay.history import Drive, PowerSeries
-from evpinn_ros.replay.scoring import Span, baseline_scores, drive_scores, scored, worst_window
+from evpinn_ros.replays.history import Drive, PowerSeries
+from evpinn_ros.replays.scoring import Span, baseline_scores, drive_scores, scored, worst_window
 
 Score: TypeAlias = dict[str, Any]
 

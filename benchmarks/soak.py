@@ -14,7 +14,7 @@ import numpy as np
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import Clock, InlineWorker
-from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate

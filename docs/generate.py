@@ -18,7 +18,7 @@ import typer
 
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli.main import app
-from evpinn_ros.replay.metric_table import METRICS
+from evpinn_ros.replays.metric_table import METRICS
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 from evpinn_ros.vehicle.certified import certified_cars

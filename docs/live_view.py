@@ -24,7 +24,7 @@ from evpinn_ros.live.screen import screen
 from evpinn_ros.live.state import WATCHED, LiveState
 from evpinn_ros.nodes.diagnosis import Health
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
-from evpinn_ros.replay.chain import Chain, ChainOutput
+from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
 from evpinn_ros.topics.estimates import (

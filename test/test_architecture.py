@@ -23,7 +23,7 @@ LAYERS = [
     {"bags"},
     {"drives"},
     {"simulation"},
-    {"replay"},
+    {"replays"},
     {"reproduction", "fleet"},
     {"report"},
     {"api"},  # what Python may rely on

@@ -20,7 +20,7 @@ from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.replay.run import PROGRESS_STEP, WARM_UP, has_battery
+from evpinn_ros.replays.run import PROGRESS_STEP, WARM_UP, has_battery
 from evpinn_ros.vehicle.files import load_vehicle
 
 HEADERS = (

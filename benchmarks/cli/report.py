@@ -18,8 +18,8 @@ from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.run import ReplayOptions, replay
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.vehicle.files import load_vehicle
 

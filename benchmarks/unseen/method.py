@@ -15,7 +15,7 @@ from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import BatteryReading, Reading
 from evpinn_ros.vehicle.files import Vehicle
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from evpinn_ros.replay.forecasts import forecast_outcomes
-from evpinn_ros.replay.history import Drive, PowerSeries
-from evpinn_ros.replay.scoring import longest_step, measured_at
+from evpinn_ros.replays.forecasts import forecast_outcomes
+from evpinn_ros.replays.history import Drive, PowerSeries
+from evpinn_ros.replays.scoring import longest_step, measured_at
 
 TIME = "t_s"
 PARAMETER_COLUMNS = ("value", "std", "prior_share", "lower", "upper", "state")

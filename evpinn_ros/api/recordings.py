@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 
 from evpinn_ros.api.result import Result
-from evpinn_ros.replay.car import CarReplay, mode_of
-from evpinn_ros.replay.run import WARM_UP, ReplayOptions
+from evpinn_ros.replays.car import CarReplay, mode_of
+from evpinn_ros.replays.run import WARM_UP, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from evpinn_ros.api import frames
 from evpinn_ros.api.plan import known_model
 from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.replay.run import Replayed, ReplayOptions
+from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 

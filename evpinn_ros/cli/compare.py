@@ -17,9 +17,9 @@ from evpinn_ros.cli.table_columns import explain_columns
 from evpinn_ros.cli.tables import columns_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.replay.comparison import Comparison
-from evpinn_ros.replay.comparison import compare as compare_drives
-from evpinn_ros.replay.comparison_text import UNIT, part_rows, sentences, trip_rows
+from evpinn_ros.replays.comparison import Comparison
+from evpinn_ros.replays.comparison import compare as compare_drives
+from evpinn_ros.replays.comparison_text import UNIT, part_rows, sentences, trip_rows
 from evpinn_ros.report.compare_page import write_comparison
 from evpinn_ros.vehicle.files import load_vehicle
 

@@ -19,10 +19,10 @@ from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import live_table, score_table
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.replay.recorded import recorded_drive
-from evpinn_ros.replay.run import WARM_UP
-from evpinn_ros.replay.scoring import drive_scores
-from evpinn_ros.replay.tables import energy_lines
+from evpinn_ros.replays.recorded import recorded_drive
+from evpinn_ros.replays.run import WARM_UP
+from evpinn_ros.replays.scoring import drive_scores
+from evpinn_ros.replays.tables import energy_lines
 from evpinn_ros.report.figure import drive_figure, save_figure
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.simulation.truth_file import read_truth

@@ -25,17 +25,17 @@ from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
-from evpinn_ros.replay.breakdown_text import breakdown_lines
-from evpinn_ros.replay.car import CarReplay
-from evpinn_ros.replay.owner_text import owner_line
-from evpinn_ros.replay.run import (
+from evpinn_ros.replays.breakdown_text import breakdown_lines
+from evpinn_ros.replays.car import CarReplay
+from evpinn_ros.replays.owner_text import owner_line
+from evpinn_ros.replays.run import (
     WARM_UP,
     Replayed,
     ReplayOptions,
     has_battery,
     output_folders,
 )
-from evpinn_ros.replay.tables import energy_lines
+from evpinn_ros.replays.tables import energy_lines
 from evpinn_ros.simulation.truth_file import read_truth
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.replay.breakdown_text import COLUMNS, breakdown_rows
-from evpinn_ros.replay.comparison import short_names
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.owner_text import DRIVES_COLUMNS, drives_rows
-from evpinn_ros.replay.parameter_text import MEANINGS, number
-from evpinn_ros.replay.run import WARM_UP
-from evpinn_ros.replay.tables import (
+from evpinn_ros.replays.breakdown_text import COLUMNS, breakdown_rows
+from evpinn_ros.replays.comparison import short_names
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.owner_text import DRIVES_COLUMNS, drives_rows
+from evpinn_ros.replays.parameter_text import MEANINGS, number
+from evpinn_ros.replays.run import WARM_UP
+from evpinn_ros.replays.tables import (
     SCORE_COLUMNS,
     parameter_columns,
     parameter_rows,

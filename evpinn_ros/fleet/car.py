@@ -31,8 +31,8 @@ from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.fleet.manifest import CarDrives
 from evpinn_ros.fleet.row import drive_row, failed_row
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.run import ReplayOptions, replay
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.vehicle.files import Vehicle
 
 STATE_FILE, RESULT_FILE = "state.json", "result.json"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from evpinn_ros.estimation.estimate import Trust
-from evpinn_ros.replay.run import Replayed
+from evpinn_ros.replays.run import Replayed
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 NUMBERS = (

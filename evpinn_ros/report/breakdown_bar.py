@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import UNEXPLAINED
-from evpinn_ros.replay.breakdown_text import (
+from evpinn_ros.replays.breakdown_text import (
     COLUMNS,
     MEANINGS,
     NAMES,

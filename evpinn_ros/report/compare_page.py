@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.replay.breakdown_text import name_of
-from evpinn_ros.replay.comparison import Comparison
-from evpinn_ros.replay.comparison_text import (
+from evpinn_ros.replays.breakdown_text import name_of
+from evpinn_ros.replays.comparison import Comparison
+from evpinn_ros.replays.comparison_text import (
     UNIT,
     common_groups,
     part_rows,
@@ -20,7 +20,7 @@ from evpinn_ros.replay.comparison_text import (
     sentences,
     trip_rows,
 )
-from evpinn_ros.replay.over_distance import over_distance
+from evpinn_ros.replays.over_distance import over_distance
 from evpinn_ros.report.html import write_page
 
 POINTS = 400  # of a curve: more than a narrow page has pixels

@@ -12,8 +12,8 @@ from evpinn_ros.energy.power_model import (
     vehicle_model,
 )
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replay.driven import Steps
-from evpinn_ros.replay.history import Drive
+from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.history import Drive
 from evpinn_ros.report.drive_charts import JOULES_PER_WH, Chart
 from evpinn_ros.report.thinning import packed
 from evpinn_ros.vehicle.files import Vehicle

@@ -9,7 +9,7 @@ import numpy as np
 
 from evpinn_ros.common.units import Units
 from evpinn_ros.energy.power_model import prior_identifiable
-from evpinn_ros.replay.history import Drive
+from evpinn_ros.replays.history import Drive
 from evpinn_ros.report.drive_maps import FAST, SLOW
 from evpinn_ros.vehicle.files import Vehicle
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.units import Units
-from evpinn_ros.replay.driven import Steps
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import Span, longest_step, measured_at, scored
+from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.scoring import Span, longest_step, measured_at, scored
 from evpinn_ros.report.thinning import packed
 
 KILO = 1000.0

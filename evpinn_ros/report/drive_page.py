@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from evpinn_ros.common.units import METRIC, Units
-from evpinn_ros.replay.driven import Steps, measured_steps, travelled
-from evpinn_ros.replay.events import drive_events
-from evpinn_ros.replay.forecasts import forecast_outcomes
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import Span, baseline_scores
-from evpinn_ros.replay.tables import (
+from evpinn_ros.replays.driven import Steps, measured_steps, travelled
+from evpinn_ros.replays.events import drive_events
+from evpinn_ros.replays.forecasts import forecast_outcomes
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.scoring import Span, baseline_scores
+from evpinn_ros.replays.tables import (
     SCORE_COLUMNS,
     energy_lines,
     parameter_columns,

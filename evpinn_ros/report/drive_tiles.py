@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from datetime import timedelta
 
 from evpinn_ros.common.units import JOULES_PER_KWH, Units
-from evpinn_ros.replay.driven import Steps
-from evpinn_ros.replay.history import Drive
+from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.history import Drive
 
 LEAST_DISTANCE = 500.0  # m before energy over distance says something
 NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along

@@ -11,8 +11,8 @@ import numpy as np
 
 from evpinn_ros.common.fsync import replaced
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import longest_step
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.scoring import longest_step
 from evpinn_ros.vehicle.parameters import Parameters
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from evpinn_ros.common.units import METRIC, Units
-from evpinn_ros.replay.run import Replayed, ReplayOptions
+from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle

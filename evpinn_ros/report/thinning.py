@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.replay.scoring import longest_step
+from evpinn_ros.replays.scoring import longest_step
 
 LEVELS = 65534  # that two bytes tell apart, beside "no value"
 NO_VALUE = -32768

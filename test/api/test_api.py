@@ -19,7 +19,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.energy import Profiles
 from evpinn_ros.energy import forecast as forecast_profiles
 from evpinn_ros.estimation.state_file import read_state
-import evpinn_ros.replay.run  # from here on the room `replay` is an attribute of the package
+import evpinn_ros.replays.run  # from here on the room `replay` is an attribute of the package
 
 ROOT = Path(__file__).parents[2]
 URBAN, CAR = ROOT / "bags" / "urban", "tesla_model_3_lr"
@@ -216,11 +216,6 @@ def test_what_is_declared_is_there_and_documented():
         assert inspect.getdoc(getattr(evpinn_ros.api, name))
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = ev.nothing
-
-
-def test_replay_is_a_function_although_a_room_has_its_name():
-    assert ev.replay is evpinn_ros.replay and evpinn_ros.replay.run
-    assert inspect.signature(ev.replay) == inspect.signature(recordings.replay)
 
 
 def test_importing_the_package_is_cheap(loads_without):

@@ -14,9 +14,9 @@ from benchmarks.online import METHODS, OnlineBenchmark, Run
 from benchmarks.scores import log_scores
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.history import History
-from evpinn_ros.replay.scoring import drive_scores
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.history import History
+from evpinn_ros.replays.scoring import drive_scores
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 

@@ -14,7 +14,7 @@ from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.contents import contents
 from evpinn_ros.drives.data_coverage import ReadingFlow, data_coverage
-from evpinn_ros.replay.run import span
+from evpinn_ros.replays.run import span
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 ROOT = Path(__file__).parents[2]

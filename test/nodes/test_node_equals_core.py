@@ -13,7 +13,7 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.time_jump import DEFAULT_RULE, JumpPolicy, JumpRule
 from evpinn_ros.topics.estimates import energy_messages, output_messages

@@ -20,7 +20,7 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.readings import to_reading

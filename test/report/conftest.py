@@ -19,9 +19,9 @@ from evpinn_ros.bags.types import new_message
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.live.state import LiveState
-from evpinn_ros.replay import history
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.run import ReplayOptions, replay
+from evpinn_ros.replays import history
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.report.drive_page import ReportedDrive
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind

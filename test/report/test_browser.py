@@ -10,7 +10,7 @@ from matplotlib.image import imread
 import numpy as np
 import pytest
 
-from evpinn_ros.replay.driven import Steps, measured_steps, travelled
+from evpinn_ros.replays.driven import Steps, measured_steps, travelled
 from evpinn_ros.report.drive_page import write_drives
 
 INKED = """Array.from(document.querySelectorAll('canvas'), canvas => {

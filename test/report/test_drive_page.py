@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import METRIC, US
-from evpinn_ros.replay.breakdown_text import PAPER, breakdown_metrics, shown
-from evpinn_ros.replay.driven import measured_steps
-from evpinn_ros.replay.history import PowerSeries
+from evpinn_ros.replays.breakdown_text import PAPER, breakdown_metrics, shown
+from evpinn_ros.replays.driven import measured_steps
+from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.report.html import BROWSER, UPLOT
 from evpinn_ros.report.thinning import LEVELS, NO_VALUE

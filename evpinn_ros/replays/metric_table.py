@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
+from evpinn_ros.replays.scoring import MAX_MEASURED_STEP
 
 
 class Metric(NamedTuple):

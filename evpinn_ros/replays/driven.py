@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import known_at, longest_step
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.scoring import known_at, longest_step
 
 
 class Steps(NamedTuple):

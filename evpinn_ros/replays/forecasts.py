@@ -11,8 +11,8 @@ from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replay.history import Drive, KnownModel
-from evpinn_ros.replay.scoring import MAX_MEASURED_STEP, Span, measured_energy
+from evpinn_ros.replays.history import Drive, KnownModel
+from evpinn_ros.replays.scoring import MAX_MEASURED_STEP, Span, measured_energy
 
 PLAN_STEP = 1.0  # s between points of a plan
 ELEVATION_STEP = 5.0  # m

@@ -16,9 +16,9 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.events import EventKind, drive_events
-from evpinn_ros.replay.run import ReplayOptions, output_folders, replay
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.events import EventKind, drive_events
+from evpinn_ros.replays.run import ReplayOptions, output_folders, replay
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
 from evpinn_ros.topics import topic_of

@@ -14,8 +14,8 @@ from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.run import Progress, Replayed, ReplayOptions, replay
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule

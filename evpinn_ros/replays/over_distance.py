@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.scoring import longest_step
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.scoring import longest_step
 
 KMH, KM = 3.6, 1000.0
 

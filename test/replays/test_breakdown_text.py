@@ -6,7 +6,7 @@ import pytest
 from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
 from evpinn_ros.estimation.energy_parts import COUNT, Part
-from evpinn_ros.replay.breakdown_text import (
+from evpinn_ros.replays.breakdown_text import (
     NAMES,
     NOTHING,
     PAPER,

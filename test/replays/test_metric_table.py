@@ -7,9 +7,9 @@ import time
 
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.metric_table import METRICS
-from evpinn_ros.replay.run import ReplayOptions, replay
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.metric_table import METRICS
+from evpinn_ros.replays.run import ReplayOptions, replay
 
 ANY_NAME = {
     "parameters": "<name>",

@@ -20,9 +20,9 @@ from evpinn_ros.drives.sources import Source
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.replay.chain import Chain, ChainOutput
-from evpinn_ros.replay.history import Drive, History
-from evpinn_ros.replay.scoring import metrics
+from evpinn_ros.replays.chain import Chain, ChainOutput
+from evpinn_ros.replays.history import Drive, History
+from evpinn_ros.replays.scoring import metrics
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.topics import NAMESPACE

@@ -15,10 +15,10 @@ from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, Breakdown, Breakdown
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.breakdown_text import NOTHING, breakdown_metrics
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.run import Progress, ReplayOptions, replay
+from evpinn_ros.replays.breakdown_text import NOTHING, breakdown_metrics
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.run import Progress, ReplayOptions, replay
 from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
 from evpinn_ros.vehicle.files import Vehicle
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.replay.comparison import Comparison, compare, short_names
-from evpinn_ros.replay.comparison_text import part_rows, sentences, trip_rows
-from evpinn_ros.replay.driven import travelled
-from evpinn_ros.replay.over_distance import distance_until, over_distance
+from evpinn_ros.replays.comparison import Comparison, compare, short_names
+from evpinn_ros.replays.comparison_text import part_rows, sentences, trip_rows
+from evpinn_ros.replays.driven import travelled
+from evpinn_ros.replays.over_distance import distance_until, over_distance
 from evpinn_ros.report.compare_page import MOST_TICKS, ticks, write_comparison
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from test.replay.test_replay import Recorded
+from test.replays.test_replay import Recorded
 
 LOAD = 3000.0  # W more in the second drive
 

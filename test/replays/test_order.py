@@ -9,11 +9,11 @@ from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.run import span
+from evpinn_ros.replays.run import span
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.signals.stream import StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
-from test.replay.conftest import URBAN
+from test.replays.conftest import URBAN
 
 SECONDS = 180.0  # of the bag
 MARGIN = 0.011  # s: stamps within a hundredth are of one moment

@@ -12,9 +12,9 @@ from evpinn_ros.estimation.breakdown import (
     Breakdown,
 )
 from evpinn_ros.estimation.energy_parts import WHOLE, Part
-from evpinn_ros.replay.breakdown_text import MEANINGS, name_of
-from evpinn_ros.replay.comparison import Comparison
-from evpinn_ros.replay.driven import travelled
+from evpinn_ros.replays.breakdown_text import MEANINGS, name_of
+from evpinn_ros.replays.comparison import Comparison
+from evpinn_ros.replays.driven import travelled
 
 UNIT = "kWh/100 km"
 SURE = 2.0  # sigmas of a difference that is more than chance

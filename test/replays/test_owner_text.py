@@ -8,12 +8,12 @@ import pytest
 
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.over_distance import distance_until
-from evpinn_ros.replay.owner_text import DRIVES_COLUMNS, drives_rows, owner_line
-from evpinn_ros.replay.run import Replayed, ReplayOptions, replay
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.over_distance import distance_until
+from evpinn_ros.replays.owner_text import DRIVES_COLUMNS, drives_rows, owner_line
+from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.signals.readings import SpeedReading
-from test.replay.test_replay import Recorded
+from test.replays.test_replay import Recorded
 
 
 def replayed(vehicle, readings) -> Replayed:

@@ -9,10 +9,10 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.recorded import recorded_drive
-from evpinn_ros.replay.run import ReplayOptions, replay
-from evpinn_ros.replay.scoring import drive_scores
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.recorded import recorded_drive
+from evpinn_ros.replays.run import ReplayOptions, replay
+from evpinn_ros.replays.scoring import drive_scores
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.output import write
 from evpinn_ros.simulation.simulate import simulate

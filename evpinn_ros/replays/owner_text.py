@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, LEAST_DISTANCE, UNEXPLAINED
-from evpinn_ros.replay.breakdown_text import shown
-from evpinn_ros.replay.driven import travelled
-from evpinn_ros.replay.history import Drive
-from evpinn_ros.replay.tables import signed_percent, watts
+from evpinn_ros.replays.breakdown_text import shown
+from evpinn_ros.replays.driven import travelled
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.tables import signed_percent, watts
 
 DRIVES_COLUMNS = (
     *("drive", "km", "min", "kWh", "kWh/100 km"),

@@ -9,10 +9,10 @@ import pytest
 
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
-from evpinn_ros.replay.forecasts import drive_plan, forecast_outcomes
-from evpinn_ros.replay.history import MODEL_STEP, History, KnownModel
-from evpinn_ros.replay.scoring import Span, energy_score
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.forecasts import drive_plan, forecast_outcomes
+from evpinn_ros.replays.history import MODEL_STEP, History, KnownModel
+from evpinn_ros.replays.scoring import Span, energy_score
 
 
 @pytest.fixture(scope="module")

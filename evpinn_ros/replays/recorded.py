@@ -7,7 +7,7 @@ from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.replay.history import Drive, History
+from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.topics import Topic, topic_of
 from evpinn_ros.topics.estimates import POWER_KINDS, read_energy, read_parameters, read_power
 from evpinn_ros.topics.messages import BadMessage

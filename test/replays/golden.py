@@ -22,7 +22,7 @@ from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.replay.chain import Chain
+from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
 from evpinn_ros.vehicle.files import load_vehicle

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN
-from evpinn_ros.replay.history import Detection, Drive
-from evpinn_ros.replay.scoring import MAX_MEASURED_STEP
+from evpinn_ros.replays.history import Detection, Drive
+from evpinn_ros.replays.scoring import MAX_MEASURED_STEP
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 from evpinn_ros.signals.time_jump import DEFAULT_RULE

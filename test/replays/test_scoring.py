@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.replay.history import Drive, PowerSeries
-from evpinn_ros.replay.scoring import (
+from evpinn_ros.replays.history import Drive, PowerSeries
+from evpinn_ros.replays.scoring import (
     Span,
     baseline_scores,
     energy_score,

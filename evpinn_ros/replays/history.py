@@ -14,7 +14,7 @@ from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.replay.chain import ChainOutput
+from evpinn_ros.replays.chain import ChainOutput
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,

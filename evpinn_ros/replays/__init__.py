@@ -1,0 +1,1 @@
+"""Recorded drives through the chain, and their scores."""
