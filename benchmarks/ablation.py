@@ -14,7 +14,6 @@ NOTHING = 1e-6
 
 ONE_SCALE = {
     constant("FORCES"): (0.002,),
-    constant("LOADS"): (150.0,),
     constant("SLOPES"): (0.008,) * 3,
     constant("HEIGHT_ERRORS"): (1.5,) * 3,
 }
@@ -41,13 +40,13 @@ def _without(*states: State) -> dict[Place, tuple[float, float]]:
 
 VARIANTS = (
     Variant("whole"),
-    Variant("one scale of road and load", ONE_SCALE),
+    Variant("one scale of the road", ONE_SCALE),
     Variant("no unseen slope", NO_SLOPE),
     Variant("no long hills", {constant("LongHills"): lambda _: _NoHills(0.0)}),
     Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
-    Variant("no wandering load", {constant("LOADS"): (NOTHING,)}),
+    Variant("no wandering load", {constant("LOAD_STD"): NOTHING}),
     Variant("no outliers", {constant("OUTLIER"): 1e3}),
-    Variant("noise not scaled", {constant("SCALE_RANGE"): (1.0, 1.0)}),
+    Variant("noise not scaled", {constant("MOST_SCALE"): 1.0}),
     Variant(
         "no offsets of a drive",
         {Place("DRIVE_STD", state): NOTHING for state in (State.ROLL_DRIVE, State.AUX_DRIVE)},

@@ -1,8 +1,8 @@
 """The car, learned from intervals: a bank of extended Kalman filters in the weak form.
 
 All hypotheses hold the same states (`car_state`). They differ in what no car knows beforehand: how
-hilly and windy its roads are and how much its auxiliary load wanders. Each is weighted by how well
-it predicted the intervals so far (their evidence), so the widths of all intervals are learned.
+hilly and windy its roads are. Each is weighted by how well it predicted the intervals so far
+(their evidence), so the widths of all intervals are learned.
 
 Slope that no sensor reports is the derivative of a height that stays bounded: a Matern-3/2
 process along the road (Rasmussen and Williams, 2006, eq. 4.17), so it has no mean and does not
@@ -64,17 +64,18 @@ from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED
 
-# What the hypotheses are about: 1-sigma of the unseen slope, the unseen force over the weight, and
-# the wandering load in W; and in place of the slope, of a measured height's error in m.
-SLOPES, FORCES, LOADS = (0.002, 0.008, 0.03), (0.0007, 0.002, 0.006), (60.0, 300.0)
+# What the hypotheses are about: 1-sigma of the unseen slope and of the unseen force over the
+# weight; and in place of the slope, of a measured height's error in m.
+SLOPES, FORCES = (0.002, 0.008, 0.03), (0.0007, 0.002, 0.006)
 HEIGHT_ERRORS = (0.3, 1.5, 6.0)
 SLOPE_LENGTH, HEIGHT_ERROR_LENGTH = 600.0, 100.0  # m of road
 FORCE_LENGTH = 1500.0  # m of road
-LOAD_TIME = 300.0  # s
+# More would take what belongs to car and drive, and be forgotten with the road.
+LOAD_STD, LOAD_TIME = 100.0, 300.0  # W of the wandering load, s
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
-SCALE_RANGE = (0.05, 50.0)
+LEAST_SCALE, MOST_SCALE = 0.05, 50.0
 OUTLIER = 2.5  # sigmas
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
 
@@ -93,7 +94,7 @@ class SavedFilter:
     mean: Annotated[np.ndarray, Range(-MOST, MOST)]
     covariance: Annotated[np.ndarray, Range(-(MOST**2), MOST**2)]
     evidence: Annotated[np.ndarray, Range(-MOST_SUM, MOST_SUM)]
-    scale: Annotated[np.ndarray, Range(*SCALE_RANGE)]
+    scale: Annotated[np.ndarray, Range(LEAST_SCALE, MOST_SCALE)]
     drive_variance: Annotated[np.ndarray, Range(0.0, 1e8)]
     drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)]
     intervals: Annotated[int, Range(0, 10**12)]
@@ -116,7 +117,7 @@ class CarFilter(Saveable[SavedFilter]):
         """Start at the priors of a vehicle file."""
         self._constants = Constants.of(vehicle)
         self.prior = prior_of(vehicle)
-        self._hypotheses = np.array(list(product(range(3), FORCES, LOADS)))
+        self._hypotheses = np.array(list(product(range(3), FORCES)))
         count = len(self._hypotheses)
         one = self.prior.mean, self.prior.covariance
         self.state = Gaussian(*(np.repeat(each[None], count, axis=0) for each in one))
@@ -244,13 +245,8 @@ class CarFilter(Saveable[SavedFilter]):
     @property
     def hilliness(self) -> float:
         """1-sigma of the unseen force over the weight, slopes and winds together."""
-        slopes, forces, _ = self._scales()
+        slopes, forces = self._scales()
         return math.sqrt(float(self.weights @ (slopes**2 + forces**2)))
-
-    @property
-    def load_std(self) -> float:
-        """1-sigma of the wandering load, W."""
-        return math.sqrt(float(self.weights @ self._scales()[2] ** 2))
 
     def force_noise(self) -> float:
         """1-sigma of what no state explains while moving, N, over `NOISE_TIME`."""
@@ -289,12 +285,12 @@ class CarFilter(Saveable[SavedFilter]):
 
     def _begin_road(self, height_known: bool) -> None:
         self._height_known = height_known
-        slopes, forces, loads = self._scales()
+        slopes, forces = self._scales()
         rate = math.sqrt(3.0) / self._slope_length
         self.state = replace_states(
             self.state,
             {
-                State.AUX: loads**2,
+                State.AUX: LOAD_STD**2,
                 State.FORCE: forces**2,
                 State.HEIGHT: (slopes / rate) ** 2,
                 State.SLOPE: slopes**2,
@@ -309,14 +305,14 @@ class CarFilter(Saveable[SavedFilter]):
     def _slope_length(self) -> float:
         return HEIGHT_ERROR_LENGTH if self._height_known else SLOPE_LENGTH
 
-    def _scales(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """1-sigma of slope, force and load of each hypothesis, shape (K,) each."""
-        level, forces, loads = self._hypotheses.T
+    def _scales(self) -> tuple[np.ndarray, np.ndarray]:
+        """1-sigma of slope and force of each hypothesis, shape (K,) each."""
+        level, forces = self._hypotheses.T
         if self._height_known:
             slopes = np.array(HEIGHT_ERRORS) * math.sqrt(3.0) / HEIGHT_ERROR_LENGTH
         else:
             slopes = np.array(SLOPES)
-        return slopes[level.astype(int)], forces, loads
+        return slopes[level.astype(int)], forces
 
     def _pass(self, interval: Interval) -> None:
         """Let time and road pass: fast states forget themselves, height gives the climb."""
@@ -325,9 +321,9 @@ class CarFilter(Saveable[SavedFilter]):
         distance, duration = abs(interval.distance), interval.duration
         self._seconds += duration
         self.hills = self.hills.after(interval)
-        slopes, forces, loads = self._scales()
-        kept = {
-            State.AUX: (math.exp(-duration / LOAD_TIME), loads),
+        slopes, forces = self._scales()
+        kept: dict[State, tuple[float, float | np.ndarray]] = {
+            State.AUX: (math.exp(-duration / LOAD_TIME), LOAD_STD),
             State.FORCE: (math.exp(-distance / FORCE_LENGTH), forces),
         }
         rate = math.sqrt(3.0) / self._slope_length
@@ -338,7 +334,7 @@ class CarFilter(Saveable[SavedFilter]):
     def _change_height(self, height_known: bool) -> None:
         """Height came or went: what is unseen of the road is of another kind."""
         self._height_known = height_known
-        slopes, _, _ = self._scales()
+        slopes, _ = self._scales()
         rate = math.sqrt(3.0) / self._slope_length
         road = {State.HEIGHT: (slopes / rate) ** 2, State.SLOPE: slopes**2, State.CLIMB: 0.0}
         self.state = replace_states(self.state, road)
@@ -394,4 +390,4 @@ class CarFilter(Saveable[SavedFilter]):
         evidence = self._evidence * (1.0 - 1.0 / EVIDENCE_KEPT) + likelihood
         self._evidence = evidence - evidence.max()
         growth = np.exp((np.minimum(square, OUTLIER**2) - 1.0) / SCALE_INTERVALS)
-        self._scale = np.clip(self._scale * growth, *SCALE_RANGE)
+        self._scale = np.clip(self._scale * growth, LEAST_SCALE, MOST_SCALE)

@@ -16,7 +16,7 @@ def passage(
     rate: float,
     distance: float,
     slopes: np.ndarray,
-    kept: Mapping[State, tuple[float, np.ndarray]],
+    kept: Mapping[State, tuple[float, float | np.ndarray]],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Transition of the states, shape (SIZE, SIZE), and the noise it adds, (K, SIZE, SIZE).
 
@@ -24,7 +24,7 @@ def passage(
         rate: at which the road forgets itself, 1/m.
         distance: m.
         slopes: 1-sigma of the unseen slope of each hypothesis, shape (K,).
-        kept: how much is left of a load or force, and its 1-sigma, shape (K,).
+        kept: how much is left of a load or force, and its 1-sigma, one or of shape (K,).
     """
     road, wandered = matern(rate, distance)
     transition = np.eye(SIZE)

@@ -10,6 +10,7 @@ import pytest
 
 from evpinn_ros.estimation.car_filter import (
     FORCE_LENGTH,
+    LOAD_STD,
     LOAD_TIME,
     CarFilter,
 )
@@ -44,12 +45,12 @@ class World:
 
     def measured(self, intervals) -> list:
         """The intervals with the energy that this car draws on this road."""
-        slopes, forces, loads = (scale[self.which] for scale in self.car._scales())
+        slopes, forces = (scale[self.which] for scale in self.car._scales())
         rate = math.sqrt(3.0) / self.car._slope_length
         found = []
         for one in intervals:
             for state, scale, keep in (
-                (State.AUX, loads, math.exp(-one.duration / LOAD_TIME)),
+                (State.AUX, LOAD_STD, math.exp(-one.duration / LOAD_TIME)),
                 (State.FORCE, forces, math.exp(-one.distance / FORCE_LENGTH)),
             ):
                 fresh = scale * math.sqrt(1.0 - keep**2) * self.rng.standard_normal()
