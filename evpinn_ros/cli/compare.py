@@ -12,16 +12,24 @@ import typer
 
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
-from evpinn_ros.cli.options import CanProfileOption, JsonOption, VehicleOption
+from evpinn_ros.cli.options import (
+    CanProfileOption,
+    ColumnOption,
+    JsonOption,
+    ParamsOption,
+    StartOption,
+    TrustProfileOption,
+    VehicleOption,
+)
 from evpinn_ros.cli.table_columns import explain_columns
 from evpinn_ros.cli.tables import columns_table
-from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.drives.sources import open_source
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives
 from evpinn_ros.replays.comparison_text import UNIT, part_rows, sentences, trip_rows
+from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.report.compare_page import write_comparison
-from evpinn_ros.vehicle.files import load_vehicle
 
 
 def compare(
@@ -36,14 +44,14 @@ def compare(
     state: Annotated[
         Path | None, typer.Option(help="What was learned before, of evpinn replay --state.")
     ] = None,
+    start: StartOption = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=0.0, help="Compare this much of each drive, s.")
     ] = None,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
-    ] = None,
+    params: ParamsOption = None,
+    column: ColumnOption = None,
     can_profile: CanProfileOption = None,
+    trust_profile: TrustProfileOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Compare drives of one car: where the energy of each went, and what explains the difference.
@@ -55,17 +63,19 @@ def compare(
     """
     if len(drives) < 2:
         raise typer.BadParameter("two drives or more", param_hint="DRIVES...")
-    limit_blas_threads()
-    car = load_vehicle(vehicle)
-    options = partial(open_source, vehicle=car, can_profile=can_profile, columns=column or ())
-    sources = [options(path) for path in drives]
+    if state is not None and not state.exists():
+        raise InputError(f"{state}: no such file")
+    options = ReplayOptions(start=start, duration=duration)
+    car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
+    open_drive = partial(
+        car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()
+    )
+    sources = [open_drive(path) for path in drives]
     for source in sources:
         explain_columns(source)
     found = compare_drives(
-        sources,
         car,
-        state=state,
-        duration=duration,
+        sources,
         progress=lambda one: progress_bar(
             one.path.name, total=duration or stated_seconds(one.path)
         ),

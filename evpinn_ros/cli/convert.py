@@ -15,7 +15,7 @@ from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
-from evpinn_ros.cli.options import CanProfileOption, complete_vehicle
+from evpinn_ros.cli.options import CanProfileOption, TrustProfileOption, complete_vehicle
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import QUANTITIES
@@ -38,9 +38,7 @@ def convert(
         ),
     ] = "generic",
     can_profile: CanProfileOption = None,
-    trust_profile: Annotated[
-        bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
-    ] = False,
+    trust_profile: TrustProfileOption = False,
     column: Annotated[
         list[str] | None,
         typer.Option(

@@ -13,6 +13,7 @@ import typer
 
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
+from evpinn_ros.cli.options import ColumnOption
 from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
@@ -25,10 +26,7 @@ MOST_SPANS = 10  # on the terminal; --json has them all
 
 def info(
     inputs: Annotated[list[Path], typer.Argument(help="Bags, CAN logs or tables (CSV, xlsx...).")],
-    column: Annotated[
-        list[str] | None,
-        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
-    ] = None,
+    column: ColumnOption = None,
     as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
     """Show what recordings hold, and which part of them the estimator can use.

@@ -40,6 +40,17 @@ CanProfileOption = Annotated[
     str | None,
     typer.Option(help="CAN profile, if not the vehicle's own.", autocompletion=complete_profile),
 ]
+TrustProfileOption = Annotated[
+    bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
+]
+ParamsOption = Annotated[
+    Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
+]
+ColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
+]
+StartOption = Annotated[float, typer.Option(min=0.0, help="Leave out what is before, s.")]
 Elm327Option = Annotated[
     str | None,
     typer.Option(

@@ -17,7 +17,15 @@ from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
-from evpinn_ros.cli.options import CanProfileOption, MetricsOption, VehicleOption
+from evpinn_ros.cli.options import (
+    CanProfileOption,
+    ColumnOption,
+    MetricsOption,
+    ParamsOption,
+    StartOption,
+    TrustProfileOption,
+    VehicleOption,
+)
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
 from evpinn_ros.common.errors import InputError
@@ -49,9 +57,7 @@ def replay(
         PaperOptimizer | None,
         typer.Option(help="Of mode paper; as published if not given."),
     ] = None,
-    params: Annotated[
-        Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
-    ] = None,
+    params: ParamsOption = None,
     out: Annotated[
         Path | None,
         typer.Option(help="New bag for inputs and outputs; for several inputs a folder of bags."),
@@ -73,21 +79,16 @@ def replay(
     rate: Annotated[
         float | None, typer.Option(min=0.01, help="Of real time; as fast as it can if not given.")
     ] = None,
-    start: Annotated[float, typer.Option(min=0.0, help="Leave out what is before, s.")] = 0.0,
+    start: StartOption = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=0.0, help="Stop after this much of each input, s.")
     ] = None,
     loop: Annotated[
         int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
     ] = 1,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
-    ] = None,
+    column: ColumnOption = None,
     can_profile: CanProfileOption = None,
-    trust_profile: Annotated[
-        bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
-    ] = False,
+    trust_profile: TrustProfileOption = False,
 ) -> None:
     """Replay recorded drives through the chain, and score every prediction.
 

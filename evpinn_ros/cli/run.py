@@ -20,6 +20,8 @@ from evpinn_ros.cli.options import (
     CanProfileOption,
     Elm327Option,
     OriginOption,
+    ParamsOption,
+    TrustProfileOption,
     VehicleOption,
     elm327_bus,
 )
@@ -73,9 +75,7 @@ def run(
         ),
     ] = None,
     can_profile: CanProfileOption = None,
-    trust_profile: Annotated[
-        bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
-    ] = False,
+    trust_profile: TrustProfileOption = False,
     poll: Annotated[
         bool,
         typer.Option(
@@ -98,9 +98,7 @@ def run(
     split_time: Annotated[
         float | None, typer.Option(min=1.0, help="Go on in another file after this time, s.")
     ] = None,
-    params: Annotated[
-        Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
-    ] = None,
+    params: ParamsOption = None,
     state: Annotated[
         Path | None, typer.Option(help="Where what was learned is kept between drives.")
     ] = None,

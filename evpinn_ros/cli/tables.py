@@ -8,7 +8,7 @@ from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.replays.breakdown_text import COLUMNS, breakdown_rows
-from evpinn_ros.replays.comparison import short_names
+from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.owner_text import DRIVES_COLUMNS, drives_rows
 from evpinn_ros.replays.parameter_text import MEANINGS, number

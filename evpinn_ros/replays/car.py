@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 import time
 
@@ -16,6 +17,7 @@ from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
+from evpinn_ros.signals.time_jump import JumpPolicy
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
@@ -41,8 +43,12 @@ class CarReplay:
         optimizer: PaperOptimizer | None = None,
         params: Path | None = None,
         state: Path | None = None,
+        keep_drives: bool = False,
     ) -> None:
         """Begin at the vehicle's priors, or at a state where its file is there.
+
+        With `keep_drives` the breakdown of each drive stays, to be compared, and time that jumps
+        back does not reset what was learned.
 
         Raises:
             InputError: no such vehicle, a file is wrong, or the state is not of this car and mode.
@@ -54,7 +60,9 @@ class CarReplay:
         self.done: list[Replayed] = []
         values = _parameters(params, mode, optimizer)
         self._mounting = imu_mounting(values)
-        settings = estimator_settings(values)
+        if keep_drives:
+            values["time_jump_policy"] = JumpPolicy.HOLD.value
+        settings = replace(estimator_settings(values), keep_drives=keep_drives)
         self._mode = settings.mode
         self.chain = Chain(
             self.vehicle, settings, InlineWorker(time.perf_counter), jump_rule(values)

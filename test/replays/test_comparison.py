@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.replays.comparison import Comparison, compare, short_names
+from evpinn_ros.replays.car import CarReplay
+from evpinn_ros.replays.comparison import Comparison, compare
 from evpinn_ros.replays.comparison_text import part_rows, sentences, trip_rows
+from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.over_distance import distance_until, over_distance
+from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.report.compare_page import MOST_TICKS, ticks, write_comparison
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test.replays.test_replay import Recorded
@@ -30,9 +33,10 @@ def heated(readings, watts: float):
             yield each
 
 
-def compared(vehicle, *drives) -> Comparison:
+def compared(vehicle, *drives, **given) -> Comparison:
+    car = CarReplay(vehicle, ReplayOptions(), keep_drives=True, **given)
     sources = [Recorded(list(one), Path(f"drive{i}")) for i, one in enumerate(drives)]
-    return compare(sources, vehicle, progress=lambda _: nullcontext(lambda _: None))
+    return compare(car, sources, progress=lambda _: nullcontext(lambda _: None))
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +88,17 @@ def test_a_drive_without_battery_is_refused_by_name(vehicle, readings):
         compared(vehicle, readings, speeds)
 
 
+def test_parameters_of_the_nodes_hold_here_too(vehicle, readings, tmp_path):
+    file = tmp_path / "p.yaml"
+    file.write_text("estimator: {ros__parameters: {mode: paper}}")
+    with pytest.raises(InputError, match="nothing to compare: mode paper"):
+        compared(vehicle, readings, params=file)
+    file.write_text("estimator: {ros__parameters: {time_jump_policy: reset}}")
+    again = [*readings, *readings]  # starts over, which must not forget the drive before
+    one, two = compared(vehicle, readings, again, params=file).parts()
+    assert two.distance == pytest.approx(2 * one.distance, rel=0.05)
+
+
 def test_names_are_as_short_as_they_can_be():
     assert short_names([Path("a/x"), Path("b/y")]) == ("x", "y")
     assert short_names([Path("a/x"), Path("b/x")]) == ("a/x", "b/x")
@@ -114,6 +129,8 @@ def test_the_page_loads_and_runs_nothing_and_escapes_names(winter, tmp_path):
     assert "<script" not in text and "&lt;script&gt;" in text
     assert "default-src 'none'" in unescape(text) and not re.search(r"(src|href)=", text)
     assert text.count("<polyline") == 2 * 2  # energy and speed of both drives, no height
+    assert "+-" not in text and text.count("±") > 20
+    assert [f'<polyline class="drive{i}"' in text for i in range(3)] == [True, True, False]
     assert "other standing load" in text and "&lt;a&gt; b" in text
 
 
