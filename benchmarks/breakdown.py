@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
-from evpinn_ros.estimation.breakdown import DISTANCE, JOULES_PER_KWH, Breakdown
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
 from evpinn_ros.estimation.energy_parts import WHOLE, Part
 from evpinn_ros.estimation.pinn import LearnedCar
 from evpinn_ros.signals.interval import Interval

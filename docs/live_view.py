@@ -3,11 +3,9 @@
 Run: python docs/live_view.py (`make docs` does)
 """
 
-from collections.abc import Iterator
 import io
 from pathlib import Path
 import time
-from typing import Any
 
 from rich.console import Console
 from rich.terminal_theme import MONOKAI
@@ -16,22 +14,18 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.live.screen import screen
 from evpinn_ros.live.state import WATCHED, LiveState
 from evpinn_ros.nodes.diagnosis import Health
 from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
-from evpinn_ros.replays.chain import Chain, ChainOutput
+from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, Topic, topic_of
+from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, topic_of
 from evpinn_ros.topics.estimates import (
     breakdown_messages,
-    energy_messages,
     output_messages,
-    summary_messages,
 )
 from evpinn_ros.topics.messages import diagnostics
 from evpinn_ros.topics.readings import to_reading
@@ -55,15 +49,6 @@ FRAME = """<svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg
 """
 
 
-def as_messages(output: ChainOutput) -> Iterator[tuple[Topic, Any]]:
-    """Messages that the nodes publish of one output of the chain."""
-    if isinstance(output, EnergyState):
-        return energy_messages(new_message, output)
-    if isinstance(output, AccountSummary):
-        return summary_messages(new_message, output)
-    return output_messages(new_message, output)
-
-
 def drive(state: LiveState) -> float:
     """Let the view hear the drive; gives the time at its end, s."""
     chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(time.perf_counter))
@@ -76,7 +61,7 @@ def drive(state: LiveState) -> float:
                 continue
             state.take(topic, record.message, now)
             for output in chain.add_reading(to_reading(topic.type_name, record.message)):
-                for shown, message in as_messages(output):
+                for shown, message in output_messages(new_message, output):
                     if shown in WATCHED:
                         state.take(shown, message, now)
     now = begin + SECONDS

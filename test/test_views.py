@@ -20,9 +20,7 @@ from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trus
 from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
 from evpinn_ros.topics.estimates import (
     breakdown_messages,
-    energy_messages,
     output_messages,
-    summary_messages,
 )
 from evpinn_ros.vehicle.files import vehicle_names
 from evpinn_ros.vehicle.identifiable import Identifiable
@@ -74,8 +72,8 @@ def vector_names() -> dict[Topic, list[str]]:
     account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
     messages = [
         *output_messages(new_message, found),
-        *energy_messages(new_message, state),
-        *summary_messages(new_message, account.summary()),
+        *output_messages(new_message, state),
+        *output_messages(new_message, account.summary()),
     ]
     names = {t: m.name for t, m in messages if t.type_name == topics.NAMED_VECTOR_TYPE}
     powers = (topics.POWER_MEASURED, topics.POWER_PREDICTED, topics.POWER_SMOOTHED)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive, PowerSeries
-from evpinn_ros.replays.scoring import longest_step, measured_at
+from evpinn_ros.replays.scoring import measured_at, running_total
 
 TIME = "t_s"
 PARAMETER_COLUMNS = ("value", "std", "prior_share", "lower", "upper", "state")
@@ -25,8 +26,7 @@ def power(drive: Drive) -> pd.DataFrame:
     )
     time = both.index.to_numpy()
     measured, known = measured_at(drive, time)
-    rising = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")]
-    both.insert(0, "speed_mps", np.interp(time, *rising.T))
+    both.insert(0, "speed_mps", np.interp(time, *rising(drive.speed).T))
     both.insert(1, "measured_w", np.where(known, measured, np.nan))
     return both
 
@@ -53,11 +53,8 @@ def _measured_energy(measured: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Integral of measured power up to some times, J; NaN before the first and after the last."""
     if len(measured) < 2:
         return np.full(len(time), np.nan)
-    at, watts = measured.T
-    step = np.diff(at)
-    step[step > longest_step(at)] = 0.0
-    total = np.concatenate(([0.0], np.cumsum(step * (watts[1:] + watts[:-1]) / 2)))
-    found: np.ndarray = np.interp(time, at, total, left=np.nan, right=np.nan)
+    total = running_total(*measured.T)
+    found: np.ndarray = np.interp(time, measured[:, 0], total, left=np.nan, right=np.nan)
     return found
 
 

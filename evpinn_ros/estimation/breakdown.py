@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.car_state import SIZE, State
 from evpinn_ros.estimation.energy_parts import COUNT, WHOLE, Part, parts
 from evpinn_ros.estimation.gaussian import Gaussian, Innovation, mixture
@@ -28,7 +29,6 @@ FAST = slice(State.AUX, State.ENERGY)  # states that pass
 NOW = slice(-COUNT, None)  # the sums of the drive that goes on
 LOST = [Part.BRAKES, Part.DRIVETRAIN, Part.REGAINED]  # what noise of losses is of
 UNEXPLAINED, REGAINED = "unexplained", "regained"
-JOULES_PER_KWH = 3.6e6
 # Hills longer than the filter's own look like tyres. A road whose slope wanders gains height by
 # the root of its length; this much of it, for long hills are less steep.
 LONG_HILLS, HILL_LENGTH = 0.15, 600.0

@@ -35,10 +35,9 @@ from evpinn_ros.signals.time_jump import StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.cdr import CdrError
 from evpinn_ros.topics.estimates import (
-    energy_messages,
+    output_messages,
     read_identifiable,
     read_power,
-    summary_messages,
 )
 from evpinn_ros.topics.messages import BadMessage, Level, battery_message
 from evpinn_ros.topics.model import read_model
@@ -157,10 +156,10 @@ class EnergyNode(StatefulNode):
         if not self.account.add_predicted(*power, found.energy_sigma):
             return
         self.forecaster.set_sigma(found.sigma)
-        self.publish(energy_messages(new_message, self.account.state))
+        self.publish(output_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
-            self.publish(summary_messages(new_message, summary))
+            self.publish(output_messages(new_message, summary))
 
     def _on_identifiable(self, message: Any) -> None:
         values, sigmas = read_identifiable(message)

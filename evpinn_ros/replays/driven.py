@@ -34,14 +34,14 @@ class Steps(NamedTuple):
 
 def travelled(drive: Drive) -> Steps:
     """Steps between readings of the speed."""
-    rows = _rising(drive.speed)
+    rows = rising(drive.speed)
     return _steps(rows, np.zeros(len(rows)), np.ones(len(rows), dtype=bool))
 
 
 def measured_steps(drive: Drive) -> Steps:
     """Steps between readings of the battery over which speed is known too."""
     time, power = drive.measured.T
-    speed, known = known_at(_rising(drive.speed), time)
+    speed, known = known_at(rising(drive.speed), time)
     return _steps(np.column_stack((time, speed)), power, known)
 
 
@@ -56,6 +56,7 @@ def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> Steps:
     return found.those(whole & np.isfinite(found.energy))
 
 
-def _rising(rows: np.ndarray) -> np.ndarray:
+def rising(rows: np.ndarray) -> np.ndarray:
+    """A series, time and value, in order of time."""
     found: np.ndarray = rows[np.argsort(rows[:, 0], kind="stable")]
     return found

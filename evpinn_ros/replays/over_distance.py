@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.estimation.breakdown import JOULES_PER_KWH
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import longest_step
+from evpinn_ros.replays.scoring import running_total
 
 KMH, KM = 3.6, 1000.0
 
@@ -31,18 +32,8 @@ class Course(NamedTuple):
 
 def distance_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     """Time, s, and distance until then, m, of each speed, none across gaps; shape (n,) each."""
-    time, speed = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")].T
-    steps = np.diff(time)
-    used = steps * (np.abs(speed[1:]) + np.abs(speed[:-1])) / 2.0 * (steps <= longest_step(time))
-    return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))
-
-
-def measured_energy_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Time and energy, J, of measured power since the start, none across gaps; shape (n,) each."""
-    time, power = drive.measured.T
-    steps = np.diff(time)
-    used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
-    return time, np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))
+    time, speed = rising(drive.speed).T
+    return time, running_total(time, np.abs(speed))
 
 
 def over_distance(drive: Drive, points: int) -> Course:
@@ -52,7 +43,8 @@ def over_distance(drive: Drive, points: int) -> Course:
     moments = np.interp(at, metres, time)
     speed = np.full(points, np.nan)
     speed[1:] = np.diff(at) / np.maximum(np.diff(moments), 1e-3) * KMH
-    energy = _at(moments, *measured_energy_until(drive)) / JOULES_PER_KWH
+    joules = running_total(*drive.measured.T)
+    energy = _at(moments, drive.measured[:, 0], joules) / JOULES_PER_KWH
     height = _at(moments, *drive.altitude.T, left=np.nan, right=np.nan)
     return Course(at / KM, energy, speed, height)
 

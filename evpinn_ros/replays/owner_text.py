@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, LEAST_DISTANCE, UNEXPLAINED
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, UNEXPLAINED
 from evpinn_ros.replays.breakdown_text import shown
 from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.history import Drive

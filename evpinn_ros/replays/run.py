@@ -17,8 +17,6 @@ from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
-from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.history import Drive, History
@@ -26,12 +24,7 @@ from evpinn_ros.replays.scoring import metrics
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.topics import NAMESPACE
-from evpinn_ros.topics.estimates import (
-    breakdown_messages,
-    energy_messages,
-    output_messages,
-    summary_messages,
-)
+from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start that are not scored
@@ -216,15 +209,10 @@ def _record(
         yield "not_recordable"
         messages = []
     for output in outputs:
-        if isinstance(output, EnergyState):
-            messages += energy_messages(new_message, output)
-        elif isinstance(output, AccountSummary):
-            messages += summary_messages(new_message, output)
-        else:
-            messages += output_messages(new_message, output)
-            if isinstance(output, ParameterSet):  # once a second, as the node does
-                found = chain.estimator.breakdown()
-                messages += breakdown_messages(new_message, output.stamp_ns, found)
+        messages += output_messages(new_message, output)
+        if isinstance(output, ParameterSet):  # once a second, as the node does
+            found = chain.estimator.breakdown()
+            messages += breakdown_messages(new_message, output.stamp_ns, found)
     for topic, message in messages:
         writer.write(topic.under(NAMESPACE), message, log_time_ns)
 

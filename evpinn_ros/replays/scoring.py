@@ -98,11 +98,7 @@ def worst_window(drive: Drive) -> float | None:
     rows = drive.energy
     stretches = _common(_stretches(rows[:, 0]), _stretches(drive.measured[:, 0]))
     time, power = drive.measured.T
-    steps = np.diff(time)
-    net, gross = (
-        np.concatenate(([0.0], np.cumsum(steps * (each[1:] + each[:-1]) / 2)))
-        for each in (power, np.abs(power))
-    )
+    net, gross = running_total(time, power), running_total(time, np.abs(power))
     worst: float | None = None
     for begin, end in stretches:
         begins = np.arange(begin, end - WINDOW, WINDOW_STEP)
@@ -230,6 +226,13 @@ def longest_step(time: np.ndarray) -> float:
     """Time between readings, s, across which they are joined, by their usual step."""
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     return max(MAX_MEASURED_STEP, GAP_STEPS * usual)
+
+
+def running_total(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Integral of a series, shape (n,), since its begin, by trapezoids; gaps add nothing."""
+    steps = np.diff(time)
+    used = steps * (rates[1:] + rates[:-1]) / 2 * (steps <= longest_step(time))
+    return np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))
 
 
 def battery_age_scores(

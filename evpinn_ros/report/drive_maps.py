@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.units import Units
-from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.driven import Steps, rising
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, longest_step, measured_at, scored
 from evpinn_ros.report.thinning import packed
@@ -52,8 +52,7 @@ def moments(drive: Drive) -> Moments:
     """The moments of `power/smoothed` at which the battery was measured."""
     series = drive.smoothed
     measured, known = measured_at(drive, series.time)
-    order = np.argsort(drive.speed[:, 0], kind="stable")
-    time, speed = drive.speed[order].T
+    time, speed = rising(drive.speed).T
     if not len(time):
         return Moments(*(np.empty(0) for _ in Moments._fields))
     before, after = (np.interp(series.time + s, time, speed) for s in (-HALF_SPAN, HALF_SPAN))
@@ -93,7 +92,7 @@ def route_map(drive: Drive, steps: Steps, units: Units) -> Chart:
     A degree is as long as at the mean latitude, which is right to a pixel for what one drives in
     a day. Power is of the time up to each point, kW, unknown where the battery was not measured.
     """
-    rows = drive.position[np.argsort(drive.position[:, 0], kind="stable")]
+    rows = rising(drive.position)
     lengths = np.array([np.cos(np.radians(rows[:, 1].mean())), 1.0]) * DEGREE / units.metres
     road = (rows[:, [2, 1]] - rows[0, [2, 1]]) * lengths
     along = np.cumsum(np.hypot(*np.diff(road, axis=0, prepend=road[:1]).T))

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import longest_step
+from evpinn_ros.replays.scoring import longest_step, running_total
 from evpinn_ros.vehicle.parameters import Parameters
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
-JOULES_PER_KWH = 3.6e6
 LABELS = {
     "eta": "motor efficiency \u03b7",
     "mu": "regeneration efficiency \u03bc",
@@ -86,10 +86,8 @@ def _draw_energy(axes: Axes, drive: Drive) -> None:
     if len(energy) and len(drive.measured) > 1:
         time, power = drive.measured.T
         power = np.where(time >= energy[0, 0], power, 0.0)
-        steps = np.diff(time)
-        used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
-        total = np.concatenate(([0.0], np.cumsum(used)))
-        axes.plot(time, total / JOULES_PER_KWH, color=MEASURED, label="measured")
+        total = running_total(time, power) / JOULES_PER_KWH
+        axes.plot(time, total, color=MEASURED, label="measured")
     if len(energy):
         axes.plot(energy[:, 0], energy[:, 1] / JOULES_PER_KWH, color=PREDICTED, label="predicted")
         axes.plot(energy[:, 0], energy[:, 2] / JOULES_PER_KWH, "k:", lw=1, label="RKNN")

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from evpinn_ros.report.figure import JOULES_PER_KWH, MEASURED, PREDICTED
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.report.figure import MEASURED, PREDICTED
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.published import POWER_LOSSES, LossRow
 

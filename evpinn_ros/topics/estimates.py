@@ -10,10 +10,11 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from evpinn_ros import topics
+from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.energy.account import AccountSummary, Totals
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState, Flow
-from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
+from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.estimate import (
     ParameterEstimate,
     ParameterSet,
@@ -49,8 +50,10 @@ BOUNDS = ("lower", "upper", "prior_share")
 UNKNOWN_FLOW = Flow(math.nan, math.nan, math.nan)
 
 
-def output_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, Any]]:
-    """Every message that one output of the estimator leads to.
+def output_messages(
+    new: NewMessage, output: Output | EnergyState | AccountSummary
+) -> Iterator[tuple[Topic, Any]]:
+    """Every message that one output of the estimator or of the energy account leads to.
 
     Raises:
         ValueError: a number is not finite; nothing of this output may then be published.
@@ -60,6 +63,10 @@ def output_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, An
         if math.isfinite(output.energy_sigma):
             found[UNMEASURED_ENERGY] = Uncertain(output.energy, output.energy_sigma)
         yield POWER_TOPICS[output.kind], _vector(new, output.stamp_ns, found)
+    elif isinstance(output, EnergyState):
+        yield from _energy_messages(new, output)
+    elif isinstance(output, AccountSummary):
+        yield from _summary_messages(new, output)
     else:
         yield from _parameter_messages(new, output)
 
@@ -98,7 +105,7 @@ def breakdown_messages(
     yield topics.ENERGY_BREAKDOWN, _vector(new, stamp_ns, energies)
 
 
-def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
+def _energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
     """The messages of an energy state; a flow not known yet is left out of the vector."""
     flows = {name: getattr(state, name) for name in FLOWS}
     power = state.measured.power if state.measuring else state.predicted.power
@@ -115,7 +122,7 @@ def energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic
     yield topics.ENERGY_CONSUMED, scalar(new, state.consumed)
 
 
-def summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tuple[Topic, Any]]:
+def _summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tuple[Topic, Any]]:
     """The messages of an energy account; what is not known yet is left out."""
     totals = _totals("", summary.since_reset) | _totals("lifetime_", summary.lifetime)
     yield topics.ENERGY_TOTALS, _vector(new, summary.stamp_ns, totals)

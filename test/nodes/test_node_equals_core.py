@@ -7,7 +7,6 @@ import pytest
 
 from evpinn_ros import topics
 from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.energy import EnergyNode
@@ -16,7 +15,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.time_jump import DEFAULT_RULE, JumpPolicy, JumpRule
-from evpinn_ros.topics.estimates import energy_messages, output_messages
+from evpinn_ros.topics.estimates import output_messages
 from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -45,8 +44,7 @@ def messages_of(outputs):
     for output in outputs:
         if isinstance(output, AccountSummary):
             continue  # rests on speed as well, which the node hears apart from power
-        build = energy_messages if isinstance(output, EnergyState) else output_messages
-        for topic, message in build(new_message, output):
+        for topic, message in output_messages(new_message, output):
             yield topic, [message]
 
 

@@ -18,13 +18,11 @@ import numpy as np
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.topics.estimates import energy_messages, output_messages, summary_messages
+from evpinn_ros.topics.estimates import output_messages
 from evpinn_ros.vehicle.files import load_vehicle
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -73,15 +71,6 @@ def numbers(message) -> Iterator[float]:
             yield from numbers(each)
 
 
-def messages(output):
-    """The messages of one output of the chain, each with its topic."""
-    if isinstance(output, EnergyState):
-        return energy_messages(new_message, output)
-    if isinstance(output, AccountSummary):
-        return summary_messages(new_message, output)
-    return output_messages(new_message, output)
-
-
 def outputs(drive: Drive) -> Record:
     """What the chain says of a drive now."""
     limit_blas_threads()
@@ -100,7 +89,9 @@ def outputs(drive: Drive) -> Record:
                     record[topic, place, str(due)] = number
             due += EVERY
         for output in chain.add_reading(reading):
-            latest |= {topic.name: message for topic, message in messages(output)}
+            latest |= {
+                topic.name: message for topic, message in output_messages(new_message, output)
+            }
     return record
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evpinn_ros.common.units import METRIC, US
-from evpinn_ros.estimation.breakdown import JOULES_PER_KWH, Breakdown
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, US
+from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.energy_parts import COUNT, Part
 from evpinn_ros.replays.breakdown_text import (
     NAMES,
@@ -49,13 +49,13 @@ def test_what_cannot_be_told_apart_is_one_row_and_says_so():
 
 def test_a_sentence_tells_of_heating_where_it_took_much_else_of_the_largest_part():
     found = breakdown_metrics(breakdown(), "hybrid")
-    told = "Heating and cooling took 2.00 +- 0.02 kWh, a fifth of this drive."
-    assert breakdown_lines(found)[0] == told
+    sentence = "Heating and cooling took 2.00 +- 0.02 kWh, a fifth of this drive."
+    assert breakdown_lines(found)[0] == sentence
     found["speed"] = found["speed"] | {"kwh": 4.0, "sigma_kwh": 0.1, "share": 0.4}
     for less in ({"share": 0.05}, {"sigma_kwh": 1.5}):
         found["climate"] = found["climate"] | less
-        told = "Air and wind took 3.0 +- 0.5 kWh, 30 % of this drive."
-        assert breakdown_lines(found)[0] == told
+        sentence = "Air and wind took 3.0 +- 0.5 kWh, 30 % of this drive."
+        assert breakdown_lines(found)[0] == sentence
 
 
 def test_rows_in_other_units_are_the_same_energy():
