@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import Steps, measured_steps, travelled
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
@@ -66,23 +67,20 @@ class ReportedDrive:
     withheld_from: float | None = None
     truth: Parameters | None = None
 
-    @property
-    def name(self) -> str:
-        """Of the file or folder it came from."""
-        path = Path(self.found["input"]["path"])
-        return path.name or path.resolve().name
-
 
 def write_drives(
     path: Path, drives: Sequence[ReportedDrive], command: str, units: Units = METRIC
 ) -> None:
     """Write the report; of several drives each can be opened, the first is open."""
     points = max(POINTS // len(drives), LEAST_POINTS)
-    found = [_drive(reported, points, units) for reported in drives]
+    names = short_names([Path(each.found["input"]["path"]) for each in drives])
+    found = [
+        _drive(name, reported, points, units) for name, reported in zip(names, drives, strict=True)
+    ]
     write_page(
         path,
         "drive.html.j2",
-        title=f"Drive {drives[0].name}" if len(drives) == 1 else f"{len(drives)} drives",
+        title=f"Drive {names[0]}" if len(drives) == 1 else f"{len(drives)} drives",
         command=command,
         plots=[plots for _, plots in found],
         drives=[values for values, _ in found],
@@ -93,7 +91,7 @@ def write_drives(
 
 
 def _drive(
-    reported: ReportedDrive, points: int, units: Units
+    name: str, reported: ReportedDrive, points: int, units: Units
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """One drive for the template, and what the page's script draws into it."""
     drive, found = reported.drive, reported.found
@@ -108,7 +106,7 @@ def _drive(
         charts["outcome"] = drive_charts.outcome_chart(parts)
     minutes = drive_maps.driven_minutes(moments)
     values = {
-        "name": reported.name,
+        "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive.start_ns)}",
         "record": _record(found),
         "breakdown": breakdown_values(found["breakdown"], units),

@@ -65,9 +65,15 @@ def _templates() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_in_print,
     )
     found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     return found
+
+
+def _in_print(value: Any) -> Any:
+    """The same with the sign that a terminal may lack; what is marked as safe stays as it is."""
+    return value.replace("+- ", "± ") if type(value) is str else value
 
 
 def _policy(scripts: Iterable[str]) -> str:

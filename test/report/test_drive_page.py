@@ -211,6 +211,11 @@ def test_several_drives_open_one_by_one(reported, tmp_path):
     assert len(found.data) == 2 and "<title>2 drives</title>" in found.text
 
 
+def test_drives_of_one_name_differ_by_their_folders(reported, tmp_path):
+    found = page(tmp_path, with_path(reported, "a/town"), with_path(reported, "b/town"))
+    assert all(name in found.words for name in ("a/town", "b/town"))
+
+
 def rows(count: int) -> np.ndarray:
     return np.zeros((0, count))
 
