@@ -280,6 +280,7 @@ class CarFilter(Saveable[SavedFilter]):
         self._drives, self._seconds = saved.drives, saved.seconds
         self.intervals = saved.intervals
         self.hills = LongHills(saved.height_growth, saved.height_blocks)
+        self._height_known = False  # as in a new filter, so that what follows is the same
 
     # How -------------------------------------------------------------------------------------
 
