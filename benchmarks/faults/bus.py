@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 import os
 from pathlib import Path
@@ -13,7 +13,7 @@ import time
 import tty
 
 from benchmarks.can_traffic import GROUP, INTERFACE, bus_options, own_port
-from benchmarks.faults.chain import NodeChain, Process, running, start_node
+from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, start_node
 from benchmarks.faults.drive import RATE, readings
 from benchmarks.faults.fault import RECOVERY, Fault, Finding
 from benchmarks.faults.rig import SLACK, NodeStatus, Rig, Sent, nothing
@@ -234,14 +234,10 @@ def _wrong_profile(rig: Rig) -> Finding:
     return finding if not let_out else replace(finding, kept=False)
 
 
-@dataclass(frozen=True)
-class _Two:
+class _Two(ChainFault):
     """A second driver of the same topic, as a bag played beside the car."""
 
-    chain: NodeChain
-
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+    def inject(self, rig: Rig) -> Finding:
         begin, sent = time.monotonic(), rig.sent
         second = factory.advertise(rig.node, topics.SPEED)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 import os
 from pathlib import Path
 import shutil
@@ -14,6 +16,7 @@ import time
 from typing import NamedTuple
 
 from benchmarks.faults.drive import VEHICLE, learned_state
+from benchmarks.faults.fault import Finding
 from benchmarks.faults.rig import SPIN, Change, Rig, unchanged
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.processes import START_TIMEOUT, STOP_TIMEOUT, node_command
@@ -173,3 +176,19 @@ class NodeChain:
         """Stop all."""
         for process in self.processes.values():
             process.stop()
+
+
+@dataclass(frozen=True)
+class ChainFault(ABC):
+    """A fault done to a chain in which all is well."""
+
+    chain: NodeChain
+
+    def __call__(self, rig: Rig) -> Finding:
+        """Do it, and look."""
+        self.chain.await_well()
+        return self.inject(rig)
+
+    @abstractmethod
+    def inject(self, rig: Rig) -> Finding:
+        """Do it to the nodes of the chain, and look."""

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from benchmarks.faults.rig import Rig
 
 RECOVERY = 5.0  # s, the goal
-QUIET = ""  # instead of a word: no diagnosis is due
 
 
 @dataclass(frozen=True, slots=True)

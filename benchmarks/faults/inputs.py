@@ -8,7 +8,7 @@ import math
 import time
 from typing import Any
 
-from benchmarks.faults.chain import NodeChain
+from benchmarks.faults.chain import ChainFault, NodeChain
 from benchmarks.faults.fault import RECOVERY, Fault, Finding
 from benchmarks.faults.rig import SLACK, Change, Rig, Sent, nothing, stamped
 from evpinn_ros import topics
@@ -21,18 +21,16 @@ HOUR_NS = 3600 * NANOSECONDS
 
 
 @dataclass(frozen=True)
-class Disturbance:
+class Disturbance(ChainFault):
     """Changes what the car sends for some seconds."""
 
-    chain: NodeChain  # that it is done to
     change: Change  # of the messages of each moment
     word: str  # of the diagnostics that name it
     may_lose: float = 0.0  # share of the predictions that may be missing meanwhile
     forgets: bool = False  # whether what was learned may move
 
-    def __call__(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> Finding:
         """Disturb, and look."""
-        self.chain.await_well()
         begin, sent, learned = time.monotonic(), rig.sent, rig.learned()
         rig.drive(SHORTEST, self.change)
         rig.drive(
@@ -225,14 +223,10 @@ def input_faults(chain: NodeChain) -> Iterator[Fault]:
     yield Fault("current_sign", "the current has the other sign", none, _SignFlip(chain), 5.0)
 
 
-@dataclass(frozen=True)
-class _SignFlip:
+class _SignFlip(ChainFault):
     """A wrong profile has the wrong sign from the first message on: a car nothing is known of."""
 
-    chain: NodeChain
-
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+    def inject(self, rig: Rig) -> Finding:
         begin = time.monotonic()
         rig.call("estimator/reset")
         rig.drive(

@@ -17,7 +17,7 @@ import numpy as np
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from benchmarks.faults.chain import NodeChain, Process, running, start_node
+from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, start_node
 from benchmarks.faults.drive import RATE, learned_state, vehicle
 from benchmarks.faults.fault import RECOVERY, Fault, Finding
 from benchmarks.faults.rig import OUTPUTS, SLACK, Rig
@@ -89,12 +89,8 @@ def _finding(rig: Rig, begin: float, end: float, lost: str, kept: bool, *words: 
     return Finding(harm or lost, kept and harm is None, rig.recovered(end), text or None)
 
 
-@dataclass(frozen=True)
-class _FullRate:
-    chain: NodeChain
-
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+class _FullRate(ChainFault):
+    def inject(self, rig: Rig) -> Finding:
         begin, sent = time.monotonic(), rig.sent
         rig.drive(5.0, rate=FULL_RATE)
         end = time.monotonic()
@@ -108,12 +104,8 @@ class _FullRate:
         return found if lost > SLACK else Finding(text, found.kept, found.seconds, "none lost")
 
 
-@dataclass(frozen=True)
-class _Backlog:
-    chain: NodeChain
-
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+class _Backlog(ChainFault):
+    def inject(self, rig: Rig) -> Finding:
         rig.rest(BACKLOG)
         begin, now_ns, number = time.monotonic(), rig.clock(), round(BACKLOG * RATE)
         for back in range(number, 0, -1):
@@ -127,14 +119,12 @@ class _Backlog:
 
 
 @dataclass(frozen=True)
-class _Quiet:
+class _Quiet(ChainFault):
     """Something that no node may notice."""
 
-    chain: NodeChain
     during: Callable[[Rig], Any]
 
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+    def inject(self, rig: Rig) -> Finding:
         rig.drive(11.0, until=lambda: False)
         begin, sent = time.monotonic(), rig.sent
         with self.during(rig):
@@ -177,12 +167,8 @@ def _noise(domains_away: int) -> Callable[[Rig], Any]:
     return noise
 
 
-@dataclass(frozen=True)
-class _BadPlans:
-    chain: NodeChain
-
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+class _BadPlans(ChainFault):
+    def inject(self, rig: Rig) -> Finding:
         plan = new_message(topics.PATH_TYPE)
         begin = time.monotonic()
 
@@ -224,12 +210,8 @@ def _qos_input(rig: Rig) -> Finding:
     )
 
 
-@dataclass(frozen=True)
-class _QosOutput:
-    chain: NodeChain
-
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+class _QosOutput(ChainFault):
+    def inject(self, rig: Rig) -> Finding:
         begin, sent = time.monotonic(), rig.sent
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         topic = topics.POWER_PREDICTED
@@ -243,14 +225,10 @@ class _QosOutput:
         return _finding(rig, begin, end, lost, missing <= SLACK, "QoS")
 
 
-@dataclass(frozen=True)
-class _Stall:
+class _Stall(ChainFault):
     """As a computer that swaps, or a debugger."""
 
-    chain: NodeChain
-
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+    def inject(self, rig: Rig) -> Finding:
         process = self.chain.processes["estimator"]
         begin, sent = time.monotonic(), rig.sent
         process.signal(signal.SIGSTOP)

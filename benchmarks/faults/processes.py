@@ -12,7 +12,15 @@ import signal
 import time
 
 from benchmarks.faults.bus import bus_arguments
-from benchmarks.faults.chain import LEADING, NodeChain, Process, running, start_all, start_node
+from benchmarks.faults.chain import (
+    LEADING,
+    ChainFault,
+    NodeChain,
+    Process,
+    running,
+    start_all,
+    start_node,
+)
 from benchmarks.faults.drive import learned_state
 from benchmarks.faults.fault import RECOVERY, Fault, Finding
 from benchmarks.faults.files import file_of
@@ -21,7 +29,6 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.state_file import read_state
-from evpinn_ros.topics import Topic
 
 STOP, WARM_START = 2.0, 1.0  # s, goals
 MOST_LOST = 1.0  # s of a recording
@@ -144,15 +151,13 @@ def _stop_starting(rig: Rig) -> Finding:
 
 
 @dataclass(frozen=True)
-class _Restart:
+class _Restart(ChainFault):
     """One node of the chain gone, and come back, while the other goes on."""
 
-    chain: NodeChain
     name: str
     killed: bool = False
 
-    def __call__(self, rig: Rig) -> Finding:
-        self.chain.await_well()
+    def inject(self, rig: Rig) -> Finding:
         process = self.chain.processes[self.name]
         begin, before = time.monotonic(), rig.learned()
         if self.killed:
@@ -223,11 +228,11 @@ def _readable(path: Path) -> bool:
     return True
 
 
-def _bag_end(folder: Path, topic: Topic = topics.SPEED) -> float | None:
-    """Time of the last message of a topic in a bag, s, None when it cannot be read."""
+def _bag_end(folder: Path) -> float | None:
+    """Time of the last speed in a bag, s, None when it cannot be read."""
     try:
         with BagReader(file_of(folder)) as bag:
-            times = [record.log_time_ns for record in bag.records([topic.under()])]
+            times = [record.log_time_ns for record in bag.records([topics.SPEED.under()])]
     except (InputError, StopIteration):
         return None
     return max(times) / 1e9 if times else None

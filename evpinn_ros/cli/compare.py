@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 import shlex
 import sys
@@ -67,10 +66,10 @@ def compare(
         raise InputError(f"{state}: no such file")
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
-    open_drive = partial(
-        car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()
-    )
-    sources = [open_drive(path) for path in drives]
+    sources = [
+        car.open(path, can_profile, trust_profile=trust_profile, columns=column or ())
+        for path in drives
+    ]
     for source in sources:
         explain_columns(source)
     found = compare_drives(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 import json
 import math
 from pathlib import Path
@@ -117,8 +117,9 @@ class RateColumn(ProgressColumn):
         return Text(text + (" x real time" if self._unit == DRIVE else " a second"))
 
 
-@contextmanager
-def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator[Report]:
+def progress_bar(
+    title: str, total: float | None, unit: str = DRIVE
+) -> AbstractContextManager[Report]:
     """Show progress, rate and time left: a bar on a terminal, in a pipe a line every 10 s.
 
     Args:
@@ -126,20 +127,9 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
         total: how much there is to do, None if unknown.
         unit: of what is done.
     """
-    columns = (
-        TITLE,
-        BarColumn(),
-        TaskProgressColumn(),
-        TextColumn(f"{{task.completed:.0f}} {unit}", markup=False),
-        RateColumn(unit),
-        TimeRemainingColumn(),
-    )
-    if not notes.is_terminal:
-        yield progress_lines(title, total, lambda done: f"{done:.0f} {unit}")
-        return
-    with Progress(*columns, console=notes) as bar:
-        task = bar.add_task(printable(title), total=total)
-        yield lambda done: bar.update(task, completed=done)
+    amount = TextColumn(f"{{task.completed:.0f}} {unit}", markup=False)
+    columns = (TaskProgressColumn(), amount, RateColumn(unit))
+    return _bar(title, total, columns, lambda done: f"{done:.0f} {unit}")
 
 
 def progress_lines(title: str, total: float | None, amount: Callable[[float], str]) -> Report:
@@ -166,20 +156,24 @@ def progress_lines(title: str, total: float | None, amount: Callable[[float], st
     return report
 
 
-@contextmanager
-def bytes_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
+def bytes_bar(title: str, total: int) -> AbstractContextManager[Report]:
     """The same for a file: takes bytes done, shows the rate and the time left."""
-    columns = (
-        TITLE,
-        BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-    )
+    columns = (DownloadColumn(), TransferSpeedColumn())
+    return _bar(title, total, columns, lambda done: f"{done / 1e6:.0f} MB")
+
+
+@contextmanager
+def _bar(
+    title: str,
+    total: float | None,
+    columns: Sequence[ProgressColumn],
+    amount: Callable[[float], str],
+) -> Iterator[Report]:
+    """A bar with these columns between its title and the time left, or lines in a pipe."""
     if not notes.is_terminal:
-        yield progress_lines(title, total, lambda done: f"{done / 1e6:.0f} MB")
+        yield progress_lines(title, total, amount)
         return
-    with Progress(*columns, console=notes) as bar:
+    with Progress(TITLE, BarColumn(), *columns, TimeRemainingColumn(), console=notes) as bar:
         task = bar.add_task(printable(title), total=total)
         yield lambda done: bar.update(task, completed=done)
 

@@ -3,7 +3,10 @@
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
+import os
 from pathlib import Path
+import shlex
+import subprocess
 from subprocess import CompletedProcess
 import sys
 
@@ -11,6 +14,8 @@ import pytest
 
 from evpinn_ros.cli.console import results
 from evpinn_ros.cli.main import main
+
+ROOT = Path(__file__).parents[2]
 
 
 def run_here(*arguments: object, cwd: Path, columns: int = 100) -> CompletedProcess[str]:
@@ -29,6 +34,21 @@ def run_here(*arguments: object, cwd: Path, columns: int = 100) -> CompletedProc
         patch.setattr(results, "stderr", False)
         main()
     return CompletedProcess(arguments, ended.value.code or 0, out.getvalue(), err.getvalue())
+
+
+def run_on_a_full_disk(kilobytes: int, *arguments: object, cwd: Path) -> CompletedProcess[str]:
+    """What `evpinn` does where no file can be larger than so much: as on a disk that is full."""
+    command = shlex.join([sys.executable, "-m", "evpinn_ros", *map(str, arguments)])
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    script = ["bash", "-c", f"ulimit -f {kilobytes}; exec {command}"]
+    return subprocess.run(
+        script, cwd=cwd, env=environment, capture_output=True, text=True, timeout=150
+    )
+
+
+@pytest.fixture(scope="session")
+def on_a_full_disk() -> Callable[..., CompletedProcess[str]]:
+    return run_on_a_full_disk
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,12 @@
 """The command as a person meets it: results, one-line errors, exit codes."""
 
 import json
-import os
 from pathlib import Path
 import subprocess
-import sys
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"}
 METRIC_KEYS = {
     "input": {"path", "duration_s", "samples", "dropped"},
     "power": {"lag_s", "rmse_w", "mae_w", "r2", "coverage_90", "floor_w"},
@@ -113,17 +110,9 @@ def test_convert_csv_says_what_it_assumed(evpinn, folder):
     assert done.stdout.strip() == "bag_of_power"
 
 
-def test_convert_on_a_full_disk_is_one_line(folder):
-    """A limit of the size of a file stands for the end of the disk."""
-    command = f"ulimit -f 4; exec {sys.executable} -m evpinn_ros convert drive.log small"
-    done = subprocess.run(
-        ["bash", "-c", f"{command} --vehicle tesla_model_3_lr"],
-        cwd=folder,
-        env=ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        timeout=150,
-    )
+def test_convert_on_a_full_disk_is_one_line(on_a_full_disk, folder):
+    arguments = ("convert", "drive.log", "small", "--vehicle", "tesla_model_3_lr")
+    done = on_a_full_disk(4, *arguments, cwd=folder)
     assert_fails_in_one_line(done, "small: File too large; the bag is cut there")
 
 

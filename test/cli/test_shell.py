@@ -235,21 +235,12 @@ def test_ctrl_c_leaves_the_rows_of_a_bench(drive, short, tmp_path):
     assert Path(log["path"]) == short
 
 
-def test_a_full_disk_is_one_line(short, tmp_path):
-    """A limit of the size of a file stands for the end of the disk."""
+def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
     for arguments, left in (
-        ("simulate full_1 --duration 60", "nothing is left of it"),
-        (f"replay {short} --out full_2", "the bag is cut there"),
+        (("simulate", "full_1", "--duration", 60), "nothing is left of it"),
+        (("replay", short, "--out", "full_2"), "the bag is cut there"),
     ):
-        command = f"ulimit -f 8; exec {sys.executable} -m evpinn_ros {arguments}"
-        done = subprocess.run(
-            ["bash", "-c", f"{command} {' '.join(VEHICLE)}"],
-            cwd=tmp_path,
-            env=ENVIRONMENT,
-            capture_output=True,
-            text=True,
-            timeout=150,
-        )
+        done = on_a_full_disk(8, *arguments, *VEHICLE, cwd=tmp_path)
         assert done.returncode == 1
         (line,) = done.stderr.strip().splitlines()
         assert re.search(rf"full_\d: File too large; {left}", line)

@@ -17,19 +17,11 @@ from evpinn_ros.signals.interval import Interval, Steps
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.road import Conditions
 from evpinn_ros.vehicle.files import load_vehicle
+from test.estimation.test_weak_form import surroundings
 
 MODEL_3 = load_vehicle("tesla_model_3_lr")
 CAR, PRIOR = Constants.of(MODEL_3), prior_of(MODEL_3)
 WARMTH = Warmth(0.7, 0.4)
-
-surroundings = st.builds(
-    Conditions,
-    air_density=st.floats(1.0, 1.4),
-    head_wind=st.just(0.0),
-    celsius=st.one_of(st.none(), st.floats(-20.0, 40.0)),
-    load=st.floats(0.0, 3000.0),
-    load_known=st.booleans(),
-)
 
 
 def drawn(seed: int, motor: bool) -> tuple[np.ndarray, Steps]:

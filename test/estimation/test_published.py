@@ -1,6 +1,5 @@
 """What is published is true by energy, as `simulation.truth` defines it."""
 
-from dataclasses import replace
 import math
 
 import numpy as np
@@ -12,10 +11,11 @@ from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.pinn import LearnedCar
 from evpinn_ros.estimation.published import EnergySums, mass_over_eta, published
 from evpinn_ros.estimation.weak_form import Warmth, spent
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
+from test.signals.test_interval import polled
 
 COPPER = 2000.0  # W / (m/s^2)^2, a strong one
 
@@ -75,18 +75,6 @@ def learned(vehicle, readings) -> LearnedCar:
     return chain.car
 
 
-def polled(readings):
-    """One of speed, current and voltage in turn, each 0.4 s; the others are dropped."""
-    last, turn = 0, 0
-    for reading in readings:
-        battery = isinstance(reading, BatteryReading)
-        if reading.stamp_ns - last < 0.4 * NANOSECONDS or battery != (turn % 3 > 0):
-            continue
-        last, turn = reading.stamp_ns, turn + 1
-        part = {2: "current", 0: "voltage"}.get(turn % 3)
-        yield replace(reading, **{part: math.nan}) if part else reading
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
     """10 Hz thinned to 1.2 s, each signal at a time of its own: within the sigma of both."""
@@ -108,14 +96,14 @@ def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
 def test_faults_of_sensors_move_little(vehicle, drive, kind):
     """Bursts of wheel slip, and 30 % of all readings lost: within 2 sigma of the clean drive."""
     readings = drive(2, 240.0).readings
-    rng, begin, told = np.random.default_rng(0), readings[0].stamp_ns, []
+    rng, begin, slipping = np.random.default_rng(0), readings[0].stamp_ns, []
     for reading in readings:
         second = (reading.stamp_ns - begin) / NANOSECONDS
         if kind == "dropouts" and rng.uniform() < 0.3:
             continue
         slips = kind == "slip" and isinstance(reading, SpeedReading) and second % 40 < 0.5
-        told.append(SpeedReading(reading.stamp_ns, reading.speed * 1.4) if slips else reading)
-    clean, faulty = learned(vehicle, readings), learned(vehicle, told)
+        slipping.append(SpeedReading(reading.stamp_ns, reading.speed * 1.4) if slips else reading)
+    clean, faulty = learned(vehicle, readings), learned(vehicle, slipping)
     (log, std), (moved, _) = (mass_over_eta(car.filter, car.sums) for car in (clean, faulty))
     assert abs(moved - log) < 2 * std
 

@@ -40,14 +40,30 @@ surroundings = st.builds(
 )
 
 
+def true_power(speed, acceleration, air_density, grade):
+    """Power of the true car by eq. 21, W."""
+    return battery_power(
+        speed,
+        acceleration * CAR.rotating_mass_factor,
+        TRUTH,
+        area=CAR.frontal_area,
+        air_density=air_density,
+        form=RegenForm.WHEEL_POWER,
+        beta=MODEL_3.beta,
+        grade=grade,
+    )
+
+
 def drawn_steps(seed: int, motor: bool) -> Steps:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 7))
     speed = rng.uniform(0.0, 35.0, count)
     duration = rng.uniform(1.0, 2.0, count)
-    told = rng.uniform(0.0, 4e4, (2, count)) if motor else np.full((2, count), math.nan)
+    motors = rng.uniform(0.0, 4e4, (2, count)) if motor else np.full((2, count), math.nan)
     kinetic, climb = speed * rng.normal(0.0, 1.0, count), speed * rng.normal(0.0, 0.02, count)
-    return Steps(duration, duration * speed, duration * speed**3, kinetic, duration * climb, *told)
+    return Steps(
+        duration, duration * speed, duration * speed**3, kinetic, duration * climb, *motors
+    )
 
 
 def drawn_state(seed: int) -> np.ndarray:
@@ -58,10 +74,10 @@ def drawn_state(seed: int) -> np.ndarray:
     return PRIOR.mean + rng.normal(0.0, 1.0, (2, SIZE)) * spread
 
 
-def far_from_bends(mean: np.ndarray, steps: Steps, told: Conditions, warmth: Warmth) -> bool:
+def far_from_bends(mean: np.ndarray, steps: Steps, around: Conditions, warmth: Warmth) -> bool:
     """Where the wheels turn from driving to braking the energy has no gradient."""
     found = [
-        spent(mean, Steps(*(column[k : k + 1] for column in steps)), told, warmth, CAR)
+        spent(mean, Steps(*(column[k : k + 1] for column in steps)), around, warmth, CAR)
         for k in range(len(steps.duration))
     ]
     return all(float(np.minimum.reduce(f.throughput)) > 100.0 for f in found)
@@ -70,14 +86,16 @@ def far_from_bends(mean: np.ndarray, steps: Steps, told: Conditions, warmth: War
 @pytest.mark.parametrize("motor", [False, True])
 @given(st.integers(0, 10_000), surroundings, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
-def test_the_gradient_is_that_of_finite_differences(motor, seed, told, tyres, cabin):
+def test_the_gradient_is_that_of_finite_differences(motor, seed, around, tyres, cabin):
     """All but that of copper loss by the force itself, which is taken as it is."""
     steps, mean, warmth = drawn_steps(seed, motor), drawn_state(seed), Warmth(tyres, cabin)
-    assume(far_from_bends(mean, drawn_steps(seed, motor=False), told, warmth))
+    assume(far_from_bends(mean, drawn_steps(seed, motor=False), around, warmth))
     mean[:, State.COPPER] = 0.0
-    functions = [lambda x: (lambda f: (f.energy, f.gradient))(spent(x, steps, told, warmth, CAR))]
+    functions = [
+        lambda x: (lambda f: (f.energy, f.gradient))(spent(x, steps, around, warmth, CAR))
+    ]
     functions += [
-        lambda x, part=part: motor_energy(x, steps, told, warmth, CAR)[part] for part in (0, 1)
+        lambda x, part=part: motor_energy(x, steps, around, warmth, CAR)[part] for part in (0, 1)
     ]
     for function in functions:
         energy, gradient = function(mean)
@@ -117,16 +135,7 @@ def test_energy_is_the_integral_of_the_strong_form(intervals, start, acceleratio
     speed = start + acceleration * time
     assert speed[:601].min() > FADE_SPEED
     (interval,) = intervals(speed[:701], height=lambda x: x * math.sin(slope))
-    power = battery_power(
-        speed[:601],
-        acceleration * CAR.rotating_mass_factor,
-        TRUTH,
-        area=CAR.frontal_area,
-        air_density=1.17,
-        form=RegenForm.WHEEL_POWER,
-        beta=MODEL_3.beta,
-        grade=slope,
-    )
+    power = true_power(speed[:601], acceleration, 1.17, slope)
     expected = float(np.sum(power[1:] + power[:-1]) / 2 * 0.01)
     found = spent(state_of(TRUTH), interval.steps, interval.conditions, WARM, CAR)
     assert found.energy[0] == pytest.approx(expected, rel=1e-3)
@@ -141,17 +150,7 @@ def test_energy_is_the_integral_of_the_strong_form(intervals, start, acceleratio
 def test_the_energy_of_a_unit_step_is_power(speed, acceleration, grade, load):
     sample = Sample(0, speed, acceleration, grade, 1.2, load)
     found = spent(state_of(TRUTH), *unit_step(sample), WARM, CAR)
-    power = battery_power(
-        speed,
-        acceleration * CAR.rotating_mass_factor,
-        TRUTH,
-        area=CAR.frontal_area,
-        air_density=1.2,
-        form=RegenForm.WHEEL_POWER,
-        beta=MODEL_3.beta,
-        grade=grade,
-    )
-    expected = float(power) + load
+    expected = float(true_power(speed, acceleration, 1.2, grade)) + load
     wheel = float(found.wheel_drive[0] - found.wheel_brake[0])
     if wheel < 0 and abs(speed) < FADE_SPEED:
         assert expected - 1e-6 <= found.energy[0] <= TRUTH.p_aux + load, "friction takes some"

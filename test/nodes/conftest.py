@@ -136,6 +136,25 @@ class Bench:
 
 
 @pytest.fixture
+def can_bus() -> Iterator[tuple[Any, dict[str, Any]]]:
+    """A bus that crosses processes, and the parameters by which a bridge joins it."""
+    # Here, for python-can takes long to import and most tests need none of it.
+    import can
+
+    from benchmarks.can_traffic import GROUP, INTERFACE, bus_options, own_port
+
+    options = bus_options(own_port())
+    try:
+        bus = can.Bus(GROUP, interface=INTERFACE, **options)
+    except (OSError, can.CanError) as error:
+        pytest.skip(f"no multicast here: {error}")
+    text = " ".join(f"{name}={value}" for name, value in options.items())
+    parameters = {"interface": INTERFACE, "channel": GROUP, "bitrate": 0, "bus_options": text}
+    with bus:
+        yield bus, parameters
+
+
+@pytest.fixture
 def bench() -> Iterator[Bench]:
     rclpy.init()
     bench = Bench()

@@ -2,7 +2,6 @@
 
 from contextlib import contextmanager
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -27,7 +26,6 @@ from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = share_directory()
-GROUP = "239.74.163.86"
 PROFILE = load_profile("tesla_model_3")
 
 
@@ -56,6 +54,20 @@ def node(name, *deep, **parameters):
     return "-m", "evpinn_ros.executables", name, "--ros-args", "-r", "__ns:=/ev", *options
 
 
+def terminated(bench, *command):
+    """What becomes of a process that is terminated once it reports."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    running = subprocess.Popen([sys.executable, *command], cwd=ROOT, **pipes)
+    try:
+        bench.listen(topics.DIAGNOSTICS)
+        bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
+        running.terminate()
+        written = running.communicate(timeout=20)
+    finally:
+        running.kill()
+    return subprocess.CompletedProcess(command, running.returncode, *written)
+
+
 def refused(name, *options):
     return subprocess.run(
         [sys.executable, "-m", "evpinn_ros.executables", name, "--ros-args", *options],
@@ -76,20 +88,10 @@ def test_a_signal_ends_the_node_well_and_saves_the_state(bench, tmp_path, stop):
 @pytest.mark.parametrize(("name", "key"), [("estimator", "state_file"), ("energy", "energy_file")])
 def test_a_state_that_cannot_be_written_is_said_and_fails(bench, tmp_path, name, key):
     (tmp_path / "file").write_text("in the way")
-    running = subprocess.Popen(
-        [sys.executable, *node(name, **{key: str(tmp_path / "file" / "car.json")})],
-        cwd=ROOT, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        bench.listen(topics.DIAGNOSTICS)
-        bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
-        running.terminate()
-        _, said = running.communicate(timeout=20)
-    finally:
-        running.kill()
-    assert running.returncode == 1
-    last = said.strip().splitlines()[-1]
-    assert last.startswith(f"{tmp_path}/file/car.json: not written: ") and "Traceback" not in said
+    done = terminated(bench, *node(name, **{key: str(tmp_path / "file" / "car.json")}))
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"{tmp_path}/file/car.json: not written: ")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -112,20 +114,10 @@ raise SystemExit(run(*(lambda name=name: Closing(name) for name in ("first", "se
 
 
 def test_a_node_that_cannot_be_closed_hinders_no_other(bench):
-    running = subprocess.Popen(
-        [sys.executable, "-c", CLOSING],
-        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        bench.listen(topics.DIAGNOSTICS)
-        bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
-        running.terminate()
-        closed, said = running.communicate(timeout=20)
-    finally:
-        running.kill()
-    assert closed.split() == ["closed", "third", "closed", "second", "closed", "first"]
-    assert running.returncode == 1
-    assert "third does not close" in said
+    done = terminated(bench, "-c", CLOSING)
+    assert done.stdout.split() == ["closed", "third", "closed", "second", "closed", "first"]
+    assert done.returncode == 1
+    assert "third does not close" in done.stderr
 
 
 def test_a_node_whose_output_was_closed_ends_well(bench):
@@ -157,20 +149,9 @@ def test_a_node_that_cannot_start_says_why_and_fails(name, options, reason):
     assert reason in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
 
 
-def test_the_bridge_reads_a_bus_of_another_process(bench):
-    port = 20_000 + os.getpid() % 20_000
-    options = {
-        "interface": "udp_multicast",
-        "channel": GROUP,
-        "bitrate": 0,
-        "bus_options": f"port={port} hop_limit=0",
-    }
-    try:
-        bus = can.Bus(GROUP, interface="udp_multicast", port=port, hop_limit=0)
-    except (OSError, can.CanError) as error:
-        pytest.skip(f"no multicast here: {error}")
-    heard = bench.heard
-    with bus, process(*node("can_bridge", **options)):
+def test_the_bridge_reads_a_bus_of_another_process(bench, can_bus):
+    (bus, options), heard = can_bus, bench.heard
+    with process(*node("can_bridge", **options)):
         bench.listen(topics.SPEED, topics.BATTERY, topics.BATTERY_VOLTAGE, topics.DIAGNOSTICS)
         bench.pump(lambda: "bus" in said(bench, "can_bridge"))
         encoder, before = Encoder(PROFILE), time.time()

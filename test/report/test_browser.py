@@ -56,6 +56,14 @@ def box(browser, plot: str) -> tuple[float, float, float, float]:
     }})()""")
 
 
+def zoom(browser, plot: str, begin: float, end: float) -> None:
+    """Drag across a plot, between two shares of its width."""
+    left, top, width, height = box(browser, plot)
+    y = top + height / 2
+    browser.drag((left + begin * width, y), (left + end * width, y))
+    browser.run(SETTLED)
+
+
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1100, 500, 390])
 def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
@@ -90,10 +98,7 @@ def test_dark_is_dark(browser, page):
 def test_to_zoom_one_curve_zooms_all_over_time_and_back(browser, page):
     browser.open(page, width=1100)
     before = pictures(browser)
-    left, top, width, height = box(browser, "power")
-    y = top + height / 2
-    browser.drag((left + 0.3 * width, y), (left + 0.5 * width, y))
-    browser.run(SETTLED)
+    zoom(browser, "power", 0.3, 0.5)
     changed = differ(before, pictures(browser))
     # Four maps and plots of errors, and energy by speed, stay; the rest follows.
     assert changed.count(False) == 5 and len(changed) == 18
@@ -106,10 +111,7 @@ def test_to_zoom_one_curve_zooms_all_over_time_and_back(browser, page):
 def test_a_stretch_has_its_own_figures(browser, reported, page):
     browser.open(page, width=1100)
     whole = stretch(browser)
-    left, top, width, height = box(browser, "speed")
-    y = top + height / 2
-    browser.drag((left + 0.4 * width, y), (left + 0.7 * width, y))
-    browser.run(SETTLED)
+    zoom(browser, "speed", 0.4, 0.7)
     part = stretch(browser)
     driven, measured = travelled(reported.drive), measured_steps(reported.drive)
     for begin, end, km, kmh, kwh, consumption, *_ in (whole, part):
@@ -184,10 +186,7 @@ def test_a_map_shows_power_where_it_is_pointed_at(browser, reported, tmp_path):
     browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
     assert "Point at the road" in browser.run(readout)
     before = pictures(browser)[1]
-    left, top, width, height = box(browser, "speed")
-    y = top + height / 2
-    browser.drag((left + 0.4 * width, y), (left + 0.5 * width, y))
-    browser.run(SETTLED)
+    zoom(browser, "speed", 0.4, 0.5)
     assert differ([before], [pictures(browser)[1]]) == [True]
     assert browser.troubles == []
 

@@ -14,12 +14,7 @@ from evpinn_ros.signals.readings import (
     WindReading,
 )
 from evpinn_ros.signals.road import GradeSource, Road, why_impossible
-
-START = 1_700_000_000 * NANOSECONDS
-
-
-def at(seconds: float) -> int:
-    return START + round(seconds * NANOSECONDS)
+from test.signals.test_kinematics import at
 
 
 def climb(road: Road, slope: float, seconds: int = 20, speed: float = 10.0) -> int:

@@ -6,17 +6,9 @@ import pytest
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
+from test.vehicle.test_physics import cars
 
 AREA, DENSITY = 2.2, 1.17
-cars = st.builds(
-    Parameters,
-    eta=st.floats(0.3, 1.0),
-    mu=st.floats(0.0, 1.0),
-    mass=st.floats(500.0, 5000.0),
-    c_rr=st.floats(0.003, 0.03),
-    c_d=st.floats(0.1, 0.8),
-    p_aux=st.floats(0.0, 5000.0),
-)
 moments = st.tuples(st.floats(-3.0, 50.0), st.floats(-6.0, 6.0), st.floats(-0.2, 0.2))
 
 
