@@ -59,17 +59,17 @@ class Recovered:
     name: str
     mean: float
     spread: float
-    told: PopulationValue
+    learned: PopulationValue
 
     @property
     def mean_off(self) -> float:
         """Error of the mean, in its sigmas."""
-        return (self.told.mean - self.mean) / self.told.mean_std
+        return (self.learned.mean - self.mean) / self.learned.mean_std
 
     @property
     def spread_off(self) -> float:
         """Error of the spread, in its sigmas."""
-        return (self.told.spread - self.spread) / self.told.spread_std
+        return (self.learned.spread - self.spread) / self.learned.spread_std
 
 
 def many_drives(folder: Path, vehicle: Vehicle, drives: int, seconds: float) -> list[CarDrives]:

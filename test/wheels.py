@@ -84,11 +84,11 @@ def try_python(python: str, sdist: Path, wheel: Path, without: set[str], folder:
     constraints = ("-c", ROOT / "constraints.txt")
     run(*pip, "install", "-qq", *constraints, *requirements(wheel, without))
     run(*pip, "install", "-qq", "--no-deps", wheel)
-    told = tell_of(home, folder, without)
+    result = tell_of(home, folder, without)
     run(*pip, "install", "-qq", "--no-deps", "--force-reinstall", sdist)
-    if tell_of(home, folder, without) != told:
+    if tell_of(home, folder, without) != result:
         sys.exit(f"{python}: wheel and sdist differ")
-    return told
+    return result
 
 
 def tell_of(home: Path, folder: Path, without: set[str]) -> str:
@@ -125,8 +125,8 @@ def main() -> None:
         sdist, wheel = build(Path(folder))
         print(f"{sdist.name}, and of it {wheel.name}", flush=True)
         for python in given.pythons:
-            told = try_python(python, sdist, wheel, set(given.without), Path(folder))
-            print(told, flush=True)
+            result = try_python(python, sdist, wheel, set(given.without), Path(folder))
+            print(result, flush=True)
 
 
 if __name__ == "__main__":

@@ -56,6 +56,8 @@ def fleet(
                     base / "known", car, cars, 60 * minutes, max(counts), SEED, progress, stopped
                 )
             found["population"] = [asdict(one) for one in known]
+            for row in found["population"]:
+                row["told"] = row.pop("learned")  # the key of before
             if known:
                 _show_population(known)
         say(f"Load of the machine at the start: {load:.1f}")
@@ -103,10 +105,10 @@ def _show_population(known: list[Recovered]) -> None:
     columns = (
         ("", "{0.name}"),
         ("mean", "{0.mean:.4g}"),
-        ("found", "{0.told.mean:.4g} +- {0.told.mean_std:.2g}"),
+        ("found", "{0.learned.mean:.4g} +- {0.learned.mean_std:.2g}"),
         ("sigma", "{0.mean_off:+.1f}"),
         ("spread", "{0.spread:.3g}"),
-        ("found", "{0.told.spread:.3g} +- {0.told.spread_std:.2g}"),
+        ("found", "{0.learned.spread:.3g} +- {0.learned.spread_std:.2g}"),
         ("sigma", "{0.spread_off:+.1f}"),
     )
     show(table_of("Cars of a known population", known, columns))

@@ -117,8 +117,8 @@ def test_samples_one_by_one_give_what_a_replay_gives(table, tmp_path):
         ]
     result = ev.replay(table)
     predicted = result.power["predicted_w"].dropna()
-    told = pd.Series({each.t_s: each.power_w for each in found if each is not None})
-    assert told.to_numpy().tolist() == predicted.to_numpy().tolist()
+    live = pd.Series({each.t_s: each.power_w for each in found if each is not None})
+    assert live.to_numpy().tolist() == predicted.to_numpy().tolist()
     pd.testing.assert_frame_equal(learned.parameters, result.parameters)
     pd.testing.assert_frame_equal(learned.breakdown, result.breakdown)
     plan = pd.read_csv(table)

@@ -43,9 +43,9 @@ def test_what_cannot_be_done_is_one_line(tmp_path):
 
 
 def test_stopped_it_leaves_a_whole_bag_up_to_there(tmp_path):
-    told = []
+    steps = []
     count = change_storage(
-        URBAN, tmp_path / "new", Storage.SQLITE3, told.append, lambda: len(told) == 3
+        URBAN, tmp_path / "new", Storage.SQLITE3, steps.append, lambda: len(steps) == 3
     )
     with Reader(tmp_path / "new") as reader:
         assert sum(1 for _ in reader.messages()) == reader.message_count == count > 10

@@ -18,13 +18,18 @@ def _parquet():
 def test_every_drive_is_learned_and_counted(tmp_path):
     cars = many_drives(tmp_path / "many", LEAF, 22, 10.0)
     assert [len(car.drives) for car in cars] == [10, 10, 2]
-    told = []
-    found = scaling(cars, tmp_path / "out", 1, time.perf_counter, told.append, lambda: False)
+    counts = []
+    found = scaling(cars, tmp_path / "out", 1, time.perf_counter, counts.append, lambda: False)
     assert found.drives == 22 and found.drives_per_s > 0
-    assert told == [10, 20, 30], "by cars of ten"
-    told.clear()
+    assert counts == [10, 20, 30], "by cars of ten"
+    counts.clear()
     stopped = scaling(
-        cars, tmp_path / "stopped", 1, time.perf_counter, told.append, lambda: len(told) == 2
+        cars,
+        tmp_path / "stopped",
+        1,
+        time.perf_counter,
+        counts.append,
+        lambda: len(counts) == 2,
     )
     assert stopped.drives == 20, "it tells how far it came"
     assert min(*found.quarters_s, *found.rss_mb, found.start_s, found.tables_s) > 0
@@ -32,9 +37,9 @@ def test_every_drive_is_learned_and_counted(tmp_path):
 
 def test_a_known_population_is_found(tmp_path):
     """Four cars: within three of the sigmas that are stated; a shift of half a sigma is seen."""
-    told = []
-    found = recovered(tmp_path, LEAF, 4, 100.0, 1, 5, told.append, lambda: False)
-    assert [one.name for one in found] == list(COMPARED) and told == list(range(1, 9))
+    counts = []
+    found = recovered(tmp_path, LEAF, 4, 100.0, 1, 5, counts.append, lambda: False)
+    assert [one.name for one in found] == list(COMPARED) and counts == list(range(1, 9))
     for one in found:
-        assert abs(one.told.mean - one.mean) < 3 * one.told.mean_std, one
-        assert abs(one.told.spread - one.spread) < 3 * one.told.spread_std, one
+        assert abs(one.learned.mean - one.mean) < 3 * one.learned.mean_std, one
+        assert abs(one.learned.spread - one.spread) < 3 * one.learned.spread_std, one

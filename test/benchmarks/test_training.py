@@ -53,15 +53,15 @@ def test_everybody_races_to_the_loss_of_adam(
     make_log: Callable[..., DriveLog],  # noqa: F811
     vehicle: Vehicle,  # noqa: F811
 ) -> None:
-    told: set[str] = set()
-    found = list(bench_training(make_log(), vehicle, 30, 0, lambda title, *_: told.add(title)))
+    titles: set[str] = set()
+    found = list(bench_training(make_log(), vehicle, 30, 0, lambda title, *_: titles.add(title)))
     published = found[0]
     assert published.title == "Adam as published" and published.epochs == 30
     ours = next(one for one in found if "ours" in one.title)
     assert ours.reached and ours.best <= published.best
     same = next(one for one in found if "L-BFGS" in one.title)  # Adam itself, so early on
     assert same.best_epoch == published.best_epoch
-    assert told == {one.title for one in found}
+    assert titles == {one.title for one in found}
     assert len(found) == 4 + (deepxde_version() is not None)
 
 

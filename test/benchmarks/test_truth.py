@@ -47,9 +47,9 @@ def town():
 
 def test_the_oracle_knows_more_of_a_road_that_it_knows(town):
     hilly = median_floor(town, 120.0, RMS_GRADE)
-    told = median_floor(town, 120.0, RMS_GRADE, altitude=True)
+    barometer = median_floor(town, 120.0, RMS_GRADE, altitude=True)
     known = median_floor(town, 120.0, 0.0)
-    assert all(known[name] < told[name] < hilly[name] for name in ASKED)
+    assert all(known[name] < barometer[name] < hilly[name] for name in ASKED)
     assert hilly["c_rr"] > 5.0 > 1.0 > hilly["mass_over_eta"]
 
 

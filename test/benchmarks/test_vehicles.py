@@ -16,12 +16,12 @@ TAYCAN = "porsche_taycan_turbo_cross_turismo_2022"
 
 def test_no_car_is_told_of_its_own_model(monkeypatch):
     """With every model but the Taycans removed there is nobody to tell of them."""
-    told = []
-    monkeypatch.setattr(vehicles, "population", lambda cars: told.append({*cars}) or ANY)
+    populations = []
+    monkeypatch.setattr(vehicles, "population", lambda cars: populations.append({*cars}) or ANY)
     ANY = vehicles.of_vehicle(load_vehicle("generic"))
     list(vehicles.prior_errors({}))
     cars = certified_cars()
-    own = [group for group in told if cars[TAYCAN] not in group]
+    own = [group for group in populations if cars[TAYCAN] not in group]
     assert len(own) == 1 and not any("Taycan" in car.name for car in own[0])
     assert len(own[0]) == len(cars) - sum("Taycan" in car.name for car in cars.values())
 

@@ -57,8 +57,8 @@ def assert_within(profile, reading):
         values = [(profile.messages["speed"].signals[0], reading.speed)]
         assert 0 < reading.variance < 1
     elif isinstance(reading, MotorReading):
-        told = (reading.torque, reading.speed)
-        values = list(zip(profile.messages["motor"].signals, told, strict=False))
+        pair = (reading.torque, reading.speed)
+        values = list(zip(profile.messages["motor"].signals, pair, strict=False))
     else:
         values = list(
             zip(

@@ -140,9 +140,9 @@ def test_a_mistake_is_told_with_its_line(write, old, new, reason):
     path = write(text.replace(old, new, 1))
     with pytest.raises(InputError) as error:
         load_profile(path)
-    told = str(error.value)
-    assert reason in told and "\n" not in told
-    name, line, _ = told.split(":", 2)
+    refusal = str(error.value)
+    assert reason in refusal and "\n" not in refusal
+    name, line, _ = refusal.split(":", 2)
     assert name == str(path) and 0 < int(line) <= 9
 
 

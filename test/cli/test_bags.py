@@ -56,8 +56,8 @@ def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> 
 def test_a_strangers_csv_in_two_commands(evpinn, folder):
     done = evpinn("convert", "my.csv", "my", "--vehicle", "bmw_i3", cwd=folder)
     assert done.returncode == 0 and done.stdout.strip() == "my"
-    for told in ("km/h, by its name", "negative while it discharges", "not used: Radio"):
-        assert told in done.stderr
+    for given in ("km/h, by its name", "negative while it discharges", "not used: Radio"):
+        assert given in done.stderr
     direct = evpinn("replay", "my.csv", "--vehicle", "bmw_i3", "--metrics", "a.json", cwd=folder)
     bag = evpinn("replay", "my", "--vehicle", "bmw_i3", "--metrics", "b.json", cwd=folder)
     assert direct.returncode == bag.returncode == 0, direct.stderr + bag.stderr
@@ -72,10 +72,10 @@ def test_told_columns_reach_both_commands(evpinn, folder):
     failed = evpinn("convert", "odd.csv", "odd", cwd=folder)
     assert_fails_in_one_line(failed, "no column of time and speed", "--column time=NAME")
     assert not (folder / "odd").exists()
-    told = ("--column", "time=a", "--column", "speed=b:km/h", "--column", "power=c:kW")
-    assert evpinn("convert", "odd.csv", "odd", *told, cwd=folder).returncode == 0
-    assert evpinn("replay", "odd.csv", *told, cwd=folder).returncode == 0
-    assert open_drive(folder / "odd.csv", 1.0, told[1::2]).drive.rules[1].factor == pytest.approx(
+    given = ("--column", "time=a", "--column", "speed=b:km/h", "--column", "power=c:kW")
+    assert evpinn("convert", "odd.csv", "odd", *given, cwd=folder).returncode == 0
+    assert evpinn("replay", "odd.csv", *given, cwd=folder).returncode == 0
+    assert open_drive(folder / "odd.csv", 1.0, given[1::2]).drive.rules[1].factor == pytest.approx(
         1 / 3.6
     )
 

@@ -139,13 +139,13 @@ def test_the_cars_own_speed_before_that_of_a_phone_in_a_pocket(tmp_path):
     rules = {rule.quantity: rule for rule in drive.rules}
     assert (rules["speed"].name, rules["speed"].unit) == ("Speed2", "0.01 km/h")
     check(drive)
-    told = drive_of(
+    chosen = drive_of(
         tmp_path,
         "t_s,Speed,Gids,Pack Volts,Pack Amps, Speed2",
         ["0,1,1,1,1,1"] * 9,
         columns=["speed=Speed:km/h"],
     )
-    assert {rule.name for rule in told.rules if rule.quantity == "speed"} == {"Speed"}
+    assert {rule.name for rule in chosen.rules if rule.quantity == "speed"} == {"Speed"}
 
 
 def test_a_signal_is_known_at_its_own_times_beside_a_gap():

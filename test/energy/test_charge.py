@@ -54,12 +54,12 @@ def test_a_reading_is_valid_for_a_minute_then_projected():
     assert gauge.charge(stamp + 59 * SECOND, taken).value == pytest.approx(0.5)
     assert not gauge.projected(stamp + 59 * SECOND)
     later = Uncertain(taken.value + 0.1 * CAPACITY, 1e6)
-    told = gauge.charge(stamp + 600 * SECOND, later)
+    projected = gauge.charge(stamp + 600 * SECOND, later)
     assert gauge.projected(stamp + 600 * SECOND)
-    assert told.value == pytest.approx(0.4, abs=0.005)
-    assert told.sigma > gauge.rounding
+    assert projected.value == pytest.approx(0.4, abs=0.005)
+    assert projected.sigma > gauge.rounding
     wider = gauge.charge(stamp + 600 * SECOND, later._replace(sigma=5e6))
-    assert wider.sigma > 2 * told.sigma
+    assert wider.sigma > 2 * projected.sigma
     assert gauge.charge(stamp + 600 * SECOND, Uncertain(9e9, 1e4)).value == 0.0
 
 

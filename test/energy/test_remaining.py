@@ -20,29 +20,29 @@ costs = st.floats(200.0, 1500.0)
 
 
 def test_at_an_even_cost_it_is_energy_over_cost():
-    told = remaining(USABLE, EVEN)
-    assert told.distance == pytest.approx(120e3, abs=1.0)
-    assert told.lower < 0.9 * told.distance and told.upper > 1.1 * told.distance
-    assert told.sigma == pytest.approx((told.upper - told.lower) / (2 * 1.6449))
+    found = remaining(USABLE, EVEN)
+    assert found.distance == pytest.approx(120e3, abs=1.0)
+    assert found.lower < 0.9 * found.distance and found.upper > 1.1 * found.distance
+    assert found.sigma == pytest.approx((found.upper - found.lower) / (2 * 1.6449))
 
 
 def test_without_any_doubt_the_band_is_the_value():
-    told = remaining(USABLE._replace(sigma=0.0), EVEN._replace(spread=0.0))
-    assert told.lower == pytest.approx(told.distance, abs=2.0)
-    assert told.upper == pytest.approx(told.distance, abs=2.0)
+    found = remaining(USABLE._replace(sigma=0.0), EVEN._replace(spread=0.0))
+    assert found.lower == pytest.approx(found.distance, abs=2.0)
+    assert found.upper == pytest.approx(found.distance, abs=2.0)
 
 
 @given(costs, costs, st.floats(1e5, 4e8), st.floats(0.0, 0.3), st.floats(0.0, 0.4))
 def test_the_energy_of_the_distance_is_what_is_left(recent, long, usable, doubt, spread):
     cost = Cost(recent, long, spread)
-    told = remaining(Uncertain(usable, doubt * usable), cost)
-    if told is None:  # so much that its upper end is beyond what is told
+    found = remaining(Uncertain(usable, doubt * usable), cost)
+    if found is None:  # so much that its upper end is beyond what is given
         assert usable * (1 + 3 * doubt) > 200.0 * 3e5
         return
-    assert 0.0 <= told.lower <= told.distance <= told.upper
-    assert cost.energy(told.distance) == pytest.approx(usable, abs=2 * max(recent, long))
+    assert 0.0 <= found.lower <= found.distance <= found.upper
+    assert cost.energy(found.distance) == pytest.approx(usable, abs=2 * max(recent, long))
     low, high = sorted((recent, long))
-    assert usable / high - 2.0 <= told.distance <= usable / low + 2.0
+    assert usable / high - 2.0 <= found.distance <= usable / low + 2.0
 
 
 def test_what_is_recent_counts_near_and_the_long_run_far():

@@ -105,13 +105,13 @@ def intervals() -> Callable[..., list[Interval]]:
             for column in (edges / SAMPLE_RATE, odometer[edges], air[edges], speed[edges] ** 2 / 2)
         ]
         columns = (*whole, np.diff(heights), *np.full((2, len(edges) - 1), math.nan))
-        told = _conditions(**surroundings)
+        conditions = _conditions(**surroundings)
         return [
             Interval(
                 begin_ns + k * NANOSECONDS,
                 begin_ns + (k + 6) * NANOSECONDS,
                 Steps(*(column[k : k + 6] for column in columns)),
-                told,
+                conditions,
                 height is not None,
                 math.nan,
                 math.nan,
@@ -168,13 +168,13 @@ def cruise() -> Callable[..., list[Reading]]:
     """Speed and battery at 10 Hz, the same at every moment, for these seconds."""
 
     def readings(begin, end, *, speed=15.0, power=6000.0, battery=True) -> list[Reading]:
-        def told() -> Iterator[Reading]:
+        def every() -> Iterator[Reading]:
             for tick in range(round(begin * 10), round(end * 10)):
                 stamp = START + tick * NANOSECONDS // 10
                 yield SpeedReading(stamp, speed)
                 if battery:
                     yield BatteryReading(stamp, 400.0, -power / 400.0)
 
-        return list(told())
+        return list(every())
 
     return readings

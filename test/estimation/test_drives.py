@@ -61,8 +61,8 @@ class Replayed:
 
 @pytest.fixture(scope="module", params=[1, 2])
 def simulated(request, drive):
-    told = drive(request.param, 240.0)
-    return told.truth, Replayed(told.readings)
+    driven = drive(request.param, 240.0)
+    return driven.truth, Replayed(driven.readings)
 
 
 def test_power_is_finite_and_bands_cover_90_percent(simulated):

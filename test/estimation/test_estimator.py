@@ -117,8 +117,8 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
         replace(b, current=3 * b.current - 1.0) if b.stamp_ns >= cut else b for b in batteries
     ]
 
-    def outputs(told) -> list[str]:
-        arrivals = [(r.stamp_ns - early_ns, 0, r) for r in told]
+    def outputs(given) -> list[str]:
+        arrivals = [(r.stamp_ns - early_ns, 0, r) for r in given]
         arrivals += [(r.stamp_ns, 1, r) for r in speeds]
         in_order = [reading for *_, reading in sorted(arrivals, key=lambda a: a[:2])]
         return powers(play(new_estimator(mode=mode), in_order))

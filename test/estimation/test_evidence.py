@@ -76,12 +76,12 @@ def test_a_drive_tells_nothing_of_what_cannot_be_told(driven):
 
 def test_prior_and_evidence_are_what_was_believed(driven):
     """Joined with the vehicle file again, the evidence gives what was published."""
-    found, told = (of(driven.filter, driven.sums) for of in (evidence_of, published))
+    found, live = (of(driven.filter, driven.sums) for of in (evidence_of, published))
     covariance = np.linalg.inv(np.eye(SIZE) + found.precision)
     std, value = np.sqrt(np.diag(covariance)), covariance @ found.information
     for index, name in enumerate(PARAMETER_NAMES):
-        prior, now = LEAF.priors[name], float(told.now.mean[index])
-        spread = float(np.sqrt(told.now.covariance[index, index]))
+        prior, now = LEAF.priors[name], float(live.now.mean[index])
+        spread = float(np.sqrt(live.now.covariance[index, index]))
         if name == "p_aux":
             away, sigma = now - prior.value, prior.std
         else:
@@ -89,7 +89,7 @@ def test_prior_and_evidence_are_what_was_believed(driven):
             if name == "c_rr":  # of this drive, with its tyres: only what is the car's is evidence
                 lasting = driven.filter.mixture().covariance[State.C_RR, State.C_RR]
                 now, spread = np.log(now), float(np.sqrt(lasting))
-                before = np.log(float(told.prior.mean[index]))
+                before = np.log(float(live.prior.mean[index]))
             away, sigma = now - before, prior.std / prior.value
         assert std[index] == pytest.approx(spread / sigma, abs=0.06), name
         assert value[index] == pytest.approx(away / sigma, abs=0.2), name

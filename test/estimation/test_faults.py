@@ -105,7 +105,7 @@ def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, sec
     later = town[-1].stamp_ns + 10 * NANOSECONDS
     for reading in (*town, *steady(later, 180, speed, power)):
         chain.add_reading(reading)
-    before, told = chain.car.filter.mixture(), chain.parameters()
+    before, known = chain.car.filter.mixture(), chain.parameters()
     for reading in steady(later + 180 * NANOSECONDS, seconds - 180, speed, power):
         chain.add_reading(reading)
     moved_by = chain.car.filter.mixture().mean - before.mean
@@ -117,8 +117,8 @@ def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, sec
     after = chain.parameters()
     if speed == 0.0:
         for name in HELD:
-            change = getattr(after.identifiable, name) - getattr(told.identifiable, name)
-            assert abs(change) <= sigmas * getattr(told.identifiable_std, name), name
+            change = getattr(after.identifiable, name) - getattr(known.identifiable, name)
+            assert abs(change) <= sigmas * getattr(known.identifiable_std, name), name
     for name, estimate in after.parameters.items():
         assert estimate.std <= vehicle.priors[name].std * 1.3, name
 
@@ -135,15 +135,15 @@ def test_battery_readings_within_the_allowed_lateness_change_nothing(new_estimat
     delayed = [readings[k] for _, k in sorted(arrives)]
     assert delayed != list(readings)
 
-    def said(told):
+    def predictions(given):
         estimator = new_estimator()
         outputs = [
-            o for o in play(estimator, told) if getattr(o, "kind", None) is not PowerKind.MEASURED
+            o for o in play(estimator, given) if getattr(o, "kind", None) is not PowerKind.MEASURED
         ]
         assert not estimator.status().dropped
         return outputs
 
-    assert said(delayed) == said(readings)
+    assert predictions(delayed) == predictions(readings)
 
 
 def test_a_heavier_car_has_the_ratio_of_its_mass(vehicle):

@@ -35,13 +35,11 @@ class Hills:
                 Warmth(0.0, 0.0),
                 self.truth.constants,
             )
-            told = sign * one.steps.climb + 0.02 * self._rng.standard_normal(6)
-            energy = float(energy[0]) + 5e3 * self._rng.standard_normal()
-            self.car.learn(
-                replace(
-                    one, energy=energy, sampling_variance=0.0, steps=one.steps._replace(climb=told)
-                )
+            steps = one.steps._replace(
+                climb=sign * one.steps.climb + 0.02 * self._rng.standard_normal(6)
             )
+            energy = float(energy[0]) + 5e3 * self._rng.standard_normal()
+            self.car.learn(replace(one, energy=energy, sampling_variance=0.0, steps=steps))
             suspected |= self.car.grade.suspected
         self._begin += seconds
         return suspected

@@ -39,7 +39,7 @@ def prior(vehicle) -> Published:
     return published(CarFilter(vehicle), EnergySums())
 
 
-def told(prior: Published, share: float, own: float = 0.0, **moved) -> Published:
+def learned(prior: Published, share: float, own: float = 0.0, **moved) -> Published:
     """All that data can determine known to this share of variance, `own` left of all together."""
     mean, covariance = prior.now
     mean = mean.copy()
@@ -66,7 +66,7 @@ def told(prior: Published, share: float, own: float = 0.0, **moved) -> Published
 )
 def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own, state):
     """Of eta: by the shares of prior variance left in m / eta and in eta itself."""
-    found = parameter_set(0, told(prior, share, own))
+    found = parameter_set(0, learned(prior, share, own))
     assert found.parameters["eta"].state is state
     combined = found.identifiable_states["mass_over_eta"]
     assert combined is (
@@ -80,9 +80,9 @@ def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own,
 )
 def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
     judge = StateHysteresis()
-    good = judge.judge(parameter_set(0, told(prior, 0.01, c_rr=0.01)), CALM, suspected=False)
+    good = judge.judge(parameter_set(0, learned(prior, 0.01, c_rr=0.01)), CALM, suspected=False)
     assert good.parameters["c_rr"].state is VALID
-    found = parameter_set(0, told(prior, 0.01, c_rr=c_rr))
+    found = parameter_set(0, learned(prior, 0.01, c_rr=c_rr))
     assert found.parameters["c_rr"].state is ESTIMATING
     later = judge.judge(found, CALM, suspected=False)
     assert later.parameters["c_rr"].state is ESTIMATING, "not even where it was valid before"
@@ -90,7 +90,7 @@ def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
 
 def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
     """A normal logarithm cut off at 1, of 3 % sigma about 1.05."""
-    source = told(prior, 0.2, eta=math.log(1.05))
+    source = learned(prior, 0.2, eta=math.log(1.05))
     found = parameter_set(0, source).parameters["eta"]
     assert found.lower < found.value < found.upper <= 1.0
     assert found.lower < 0.98 and found.upper > 0.99 and found.std > 0.0
@@ -105,14 +105,14 @@ def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
 
 def test_values_lie_within_bounds_and_bounds_within_limits(prior):
     for share in (1.0, 0.5, 0.01):
-        for name, found in parameter_set(0, told(prior, share)).parameters.items():
+        for name, found in parameter_set(0, learned(prior, share)).parameters.items():
             assert LIMITS[name].lower <= found.lower <= found.value <= found.upper
             assert found.upper <= LIMITS[name].upper and found.std > 0.0
 
 
 def test_bounds_by_hand(prior):
     """eta and mu in [q, 1]; mass in [q, 1] m / eta, each two sigmas to the safe side."""
-    found = parameter_set(0, told(prior, 0.01, eta=math.log(0.85), mu=math.log(0.75)))
+    found = parameter_set(0, learned(prior, 0.01, eta=math.log(0.85), mu=math.log(0.75)))
     combined, std = found.identifiable, found.identifiable_std
     q = combined.regeneration - 2 * std.regeneration
     low, high = (combined.mass_over_eta + sign * 2 * std.mass_over_eta for sign in (-1, 1))
@@ -128,7 +128,7 @@ class Judge:
         self._judge, self._prior = StateHysteresis(), prior
 
     def __call__(self, share, *, away: float = 0.0, suspected: bool = False) -> Trust:
-        found = parameter_set(0, told(self._prior, share))
+        found = parameter_set(0, learned(self._prior, share))
         self.set = self._judge.judge(found, {**CALM, "mass": away}, suspected=suspected)
         return self.set.parameters["mass"].state
 
@@ -163,7 +163,7 @@ def test_a_suspicion_makes_all_invalid_while_it_lasts(judge):
 
 
 def test_what_is_stale_was_valid(prior):
-    found = parameter_set(0, told(prior, 0.1))
+    found = parameter_set(0, learned(prior, 0.1))
     stale = found.stale()
     assert {p.state for p in stale.parameters.values()} == {Trust.STALE}
     assert set(stale.identifiable_states.values()) == {Trust.STALE} and not stale.reliable

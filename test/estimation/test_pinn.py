@@ -100,12 +100,12 @@ def test_what_is_not_finite_or_of_a_drive_that_ended_is_not_taken(learner, town)
     ("seconds", "same"),
     [(3.0, True), (-3.0, True), (-300.0, True), (900.0, False), (-900.0, False)],
 )
-@pytest.mark.parametrize("told", [True, False])
-def test_a_clock_that_is_set_right_ends_no_drive(learner, seconds, same, told):
-    """`told`: the stream saw the jump and had the window forgotten."""
+@pytest.mark.parametrize("jumped", [True, False])
+def test_a_clock_that_is_set_right_ends_no_drive(learner, seconds, same, jumped):
+    """`jumped`: the stream saw the jump and had the window forgotten."""
     learner.advance(sample(20_000))
     before = learner.parameters().identifiable
-    if told:
+    if jumped:
         learner.forget_window()
     learner.advance(sample(20_000 + round(10 * seconds)))
     assert (learner._car.filter.intervals > 0) == same

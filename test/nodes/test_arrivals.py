@@ -37,18 +37,18 @@ def test_publishers_that_come_and_go_for_years_are_not_kept():
 
 @pytest.mark.parametrize("names", [(b"a", b"b"), (None, None)])
 def test_two_publishers_are_told_from_one_that_was_started_anew(names):
-    def told(*messages):
+    def recorded(*messages):
         numbers = MessageNumbers()
         return [
             numbers.record("speed", info(n, names[who]), step / 10)
             for step, (who, n) in enumerate(messages)
         ]
 
-    anew = told((0, 301), (0, 302), (1, 1), (1, 2), (1, 3))
+    anew = recorded((0, 301), (0, 302), (1, 1), (1, 2), (1, 3))
     assert set(anew) == {(0, False)}
-    two = told((0, 301), (1, 1), (0, 302), (1, 2), (0, 303))
+    two = recorded((0, 301), (1, 1), (0, 302), (1, 2), (0, 303))
     assert [each.by_turns for each in two] == [False, False, False, True, False]
-    assert told((0, 7), (1, 7), (0, 8), (1, 8))[-1].by_turns  # both began at once
+    assert recorded((0, 7), (1, 7), (0, 8), (1, 8))[-1].by_turns  # both began at once
     assert {each.lost for each in two} == {0}
 
 

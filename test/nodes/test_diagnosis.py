@@ -170,13 +170,13 @@ def test_what_was_noticed_of_the_car_is_told():
     )
     found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
     assert found.level == Level.WARN and "sign of current" in found.text
-    told = {
+    expected = {
         "payload_change_kg": 151.235,
         "payload_changes": 2,
         "progress.mass": 73,
         "state.mass": "estimating",
     }
-    assert {key: found.values[key] for key in told} == told
+    assert {key: found.values[key] for key in expected} == expected
     assert found.values["seen.30_60_kmh_steady"] == 12
     assert found.values["in_90_band.smoothed"] == 0.9
     assert found.values["suspicion"] == "current_sign"

@@ -197,8 +197,8 @@ def test_refused_plans_are_told_at_once_with_the_reason(bench, start, tmp_path, 
     route = tmp_path / "wall.csv"
     route.write_text("distance_m,elevation_m\n0,0\n100,5000\n")
     start(route=str(route), timeout=15.0)
-    told = "the energy node refuses: climbs more than it travels"
-    bench.pump(lambda: told in capfd.readouterr().err)
+    refusal = "the energy node refuses: climbs more than it travels"
+    bench.pump(lambda: refusal in capfd.readouterr().err)
     assert "climbs more than it travels" in bench.diagnosis(energy)["plan"][1]
 
 

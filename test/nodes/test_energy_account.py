@@ -133,8 +133,8 @@ def test_a_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, content):
     path.write_text(content)
     node = bench.start(EnergyNode, energy_file=str(path))
     drive(bench, node, range(5))
-    level, text, told = bench.diagnosis(node)["meter"]
-    assert level is Level.WARN and str(path) in text and told["energy_file"] == text
+    level, text, shown = bench.diagnosis(node)["meter"]
+    assert level is Level.WARN and str(path) in text and shown["energy_file"] == text
     assert bench.call(Trigger, "/ev/energy/save").success
     assert (tmp_path / "energy.json.refused").read_text() == content
     assert bench.diagnosis(node)["meter"][0] is Level.OK
@@ -157,11 +157,11 @@ def test_planners_hear_consumption_and_range_only_when_known(bench):
     assert consumption["wh_per_km_10"] == pytest.approx(cost, rel=5e-3)
     assert "wh_per_km_100" not in consumption
     vector = bench.heard[topics.ENERGY_RANGE][-1]
-    told = values(vector)
-    assert told["state_of_charge"] == pytest.approx(0.8, abs=1e-6)
-    expected = told["usable_energy"] * SPEED / POWER
-    assert told["distance_to_empty"] == pytest.approx(expected, rel=1e-2)
-    assert told["distance_lower"] < expected < told["distance_upper"]
+    shown = values(vector)
+    assert shown["state_of_charge"] == pytest.approx(0.8, abs=1e-6)
+    expected = shown["usable_energy"] * SPEED / POWER
+    assert shown["distance_to_empty"] == pytest.approx(expected, rel=1e-2)
+    assert shown["distance_lower"] < expected < shown["distance_upper"]
     assert len(vector.effort) == len(vector.name)
     status = bench.diagnosis(node)["charge"]
     assert status[1] == "state of charge received" and status[2]["projected"] == "False"
@@ -220,15 +220,15 @@ def test_under_ignore_neither_energy_nor_distance_is_counted_twice(bench):
 
 
 @pytest.mark.parametrize("policy", ["reset", "hold"])
-def test_two_publishers_an_hour_apart_are_one_that_is_followed_and_one_that_is_told(bench, policy):
+def test_of_two_publishers_an_hour_apart_one_is_followed_and_one_reported(bench, policy):
     node = bench.start(EnergyNode, time_jump_policy=policy)
     for turn in range(12):
         for offset in (0, -3600):
             drive(bench, node, range(offset + 3 * turn, offset + 3 * turn + 3))
     assert node.guard.jumps <= 1 and node._reading_guard.jumps <= 1
-    level, text, told = bench.diagnosis(node)["meter"]
+    level, text, shown = bench.diagnosis(node)["meter"]
     assert level is Level.WARN and "stamps_of_a_second_publisher" in text
-    assert int(told["bad.stamps_of_a_second_publisher"]) > 80
+    assert int(shown["bad.stamps_of_a_second_publisher"]) > 80
     driven = node.account.lifetime()
     assert driven.net.value == pytest.approx(35 * POWER, rel=0.15)
     assert driven.distance == pytest.approx(35 * SPEED, rel=0.15)
@@ -282,15 +282,15 @@ def test_a_silence_and_what_became_of_it_is_in_the_diagnostics(bench):
     drive(bench, node, range(30))
     drive(bench, node, range(30, 130), battery=False)
     assert "predicting" in bench.diagnosis(node)["meter"][1]
-    _, text, told = bench.diagnosis(node)["charge"]
-    assert "projected" in text and told["projected"] == "True"
-    assert float(told["state_of_charge"]) < 0.8
+    _, text, shown = bench.diagnosis(node)["charge"]
+    assert "projected" in text and shown["projected"] == "True"
+    assert float(shown["state_of_charge"]) < 0.8
     drive(bench, node, range(130, 135))
-    told = bench.diagnosis(node)["meter"][2]
-    assert told["silence"] == "joined with the state of charge"
-    assert float(told["silence_s"]) == pytest.approx(101.0)
-    predicted = float(told["silence_predicted_wh"])
+    shown = bench.diagnosis(node)["meter"][2]
+    assert shown["silence"] == "joined with the state of charge"
+    assert float(shown["silence_s"]) == pytest.approx(101.0)
+    predicted = float(shown["silence_predicted_wh"])
     assert predicted == pytest.approx(101 * (POWER + 1e3) / 3600, rel=0.02)
-    assert float(told["silence_by_charge_wh"]) == 0.0  # it did not move a step
-    assert -0.5 * predicted < float(told["silence_correction_wh"]) < 0.0
-    assert not math.isnan(float(told["silence_by_charge_sigma_wh"]))
+    assert float(shown["silence_by_charge_wh"]) == 0.0  # it did not move a step
+    assert -0.5 * predicted < float(shown["silence_correction_wh"]) < 0.0
+    assert not math.isnan(float(shown["silence_by_charge_sigma_wh"]))

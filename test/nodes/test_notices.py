@@ -56,12 +56,12 @@ def test_an_imu_that_gives_no_orientation_is_told_once(bench, monkeypatch):
     node = bench.start(EstimatorNode)
     message = new_message(topics.IMU.type_name)
     message.orientation_covariance[0] = -1.0
-    told = []
+    reported = []
     for later in (0.0, 5.0, 9.0, 14.0, 23.0, 100.0):
         monkeypatch.setattr(node, "steady_s", lambda later=later: later)
         bench.deliver(node, topics.IMU, message)
-        told.append("vehicle/imu: no_orientation" in bench.diagnosis(node)["estimate"][1])
-    assert told == [True, True, True, False, False, True]
+        reported.append("vehicle/imu: no_orientation" in bench.diagnosis(node)["estimate"][1])
+    assert reported == [True, True, True, False, False, True]
     assert bench.diagnosis(node)["estimate"][2]["bad.vehicle/imu: no_orientation"] == "6"
 
 

@@ -33,7 +33,7 @@ def compare(topic, standard, typed):
         for point, _, *numbers in rows:
             assert [*point.positions, *point.velocities, *point.effort] == numbers
         return
-    told = set()
+    checked = set()
     for end, values in (
         ("", standard.position),
         (RATE, standard.velocity),
@@ -42,8 +42,8 @@ def compare(topic, standard, typed):
         for name, value in zip(standard.name, values, strict=False):
             if f"{name}{end}" in LAYOUTS[topic].fields:
                 assert same(getattr(typed, f"{name}{end}"), value), (topic.name, name)
-                told.add(f"{name}{end}")
-    for left in {*LAYOUTS[topic].fields} - told:
+                checked.add(f"{name}{end}")
+    for left in {*LAYOUTS[topic].fields} - checked:
         assert math.isnan(getattr(typed, left)), (topic.name, left)
 
 

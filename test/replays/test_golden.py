@@ -22,8 +22,8 @@ def test_a_number_that_changed_came_or_went_is_told():
     assert not list(golden.differences(old, old, 1e-6))
     new = {**old, ("a", 0, "30"): 1.002, ("c", 0, "30"): 1.0}
     del new["b", 0, "30"]
-    told = list(golden.differences(old, new, 1e-6))
-    assert [line.partition(":")[0] for line in told] == [
+    lines = list(golden.differences(old, new, 1e-6))
+    assert [line.partition(":")[0] for line in lines] == [
         "('a', 0, '30')",
         "('b', 0, '30')",
         "('c', 0, '30')",

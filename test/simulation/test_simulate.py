@@ -145,10 +145,10 @@ def test_a_later_start_only_moves_the_stamps():
 def test_a_current_beyond_the_signal_reads_as_its_limit(seed):
     """A loaded Leaf takes more than the 511 A that its signal can show: the car goes on."""
     leaf, heavy = load_vehicle("nissan_leaf"), {"mass": 3000.0, "mu": 0.95}
-    told = simulate(DriveKind.MIXED, leaf, 200.0, seed, car=heavy)
-    currents = [reading.current for reading in of(told, BatteryReading)]
+    drive = simulate(DriveKind.MIXED, leaf, 200.0, seed, car=heavy)
+    currents = [reading.current for reading in of(drive, BatteryReading)]
     assert len(currents) > 1900 and -511.0 <= min(currents) <= max(currents) <= 400.0
-    assert (min(currents) == -511.0) == (max(told.trace.current) > 511.0)
+    assert (min(currents) == -511.0) == (max(drive.trace.current) > 511.0)
 
 
 def test_a_voltage_beyond_the_signal_is_another_car(monkeypatch):
@@ -193,11 +193,11 @@ def test_motor_torque_is_told_with_a_gain_of_the_car_and_changes_nothing_else(mo
     gain = np.polyfit((power / np.maximum(speed, 1.0) / gear)[moving], torque[moving], 1)[0]
     assert gain == pytest.approx(more.car.torque_gain, abs=0.01) and gain != 1.0
     assert np.abs(torque[speed == 0.0]).max() < 1.0
-    told = np.array([reading.speed for reading in motors])
+    turns = np.array([reading.speed for reading in motors])
     if model == "chevrolet_bolt":  # a profile without the speed of the motor
-        assert np.isnan(told).all()
+        assert np.isnan(turns).all()
     else:
-        np.testing.assert_allclose(told, gear * speed, atol=0.3)
+        np.testing.assert_allclose(turns, gear * speed, atol=0.3)
 
 
 def test_motor_torque_needs_no_motor_in_the_profile():

@@ -27,8 +27,8 @@ def test_the_table_is_the_list():
             each = energies.setdefault(load, {"UDDS": [], "Highway": []})
             kind = row["procedure"].removeprefix("Charge Depleting ")
             if kind in each and row["economy"]:
-                told = float(row["economy"])
-                kwh_per_100_miles = told if told < 50 else 3370.5 / told
+                stated = float(row["economy"])
+                kwh_per_100_miles = stated if stated < 50 else 3370.5 / stated
                 each[kind].append(kwh_per_100_miles * 1000 / 160.9344)
     assert {tuple(load) for car in CARS.values() for load in car.loads} == energies.keys()
     for car in CARS.values():

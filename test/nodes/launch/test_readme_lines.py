@@ -32,9 +32,9 @@ def test_a_line_of_a_page_works(ros2, bench, line, monkeypatch):
             echo.codes = {0, 2, 130}  # of its own at Ctrl-C
             bench.pump(lambda: node.publish(_type(words[2])()) or "position" in echo.output, 30.0)
         return
-    told = next(told for name, told in UP.items() if name in words)
+    line = next(line for name, line in UP.items() if name in words)
     with ros2.running(*words) as running:
-        bench.pump(lambda: told in running.output, 60.0)
+        bench.pump(lambda: line in running.output, 60.0)
 
 
 def _type(full_name):
