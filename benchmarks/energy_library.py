@@ -34,11 +34,6 @@ class ForecastThroughput(NamedTuple):
     torch_ms: float
     torch_gradient_ms: float
 
-    @property
-    def steps_per_second(self) -> float:
-        """Of the learned model, numpy."""
-        return BATCH * POINTS / (self.learned_ms / 1e3)
-
 
 class CycleRow(NamedTuple):
     """One drive cycle, flat: energies in J."""

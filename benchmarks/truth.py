@@ -221,14 +221,14 @@ def load_steps(
 
 
 def false_alarms(
-    kind: DriveKind, vehicles: Sequence[str], seeds: Iterable[int], *, hours: float = 1.0
-) -> Iterator[tuple[float, int, int]]:
-    """Hours driven, changes of load found and withdrawn, of drives on which there were none."""
-    for drive in simulated_drives([kind], vehicles, seeds, 3600.0 * hours):
+    kind: DriveKind, vehicles: Sequence[str], seeds: Iterable[int]
+) -> Iterator[tuple[int, int]]:
+    """Changes of load found and withdrawn, of drives on which there were none."""
+    for drive in simulated_drives([kind], vehicles, seeds, 3600.0):
         chain = CarChain(drive.vehicle)
         for reading in drive.readings:
             chain.add_reading(reading)
-        yield hours, chain.car.payload.found, chain.car.payload.withdrawn
+        yield chain.car.payload.found, chain.car.payload.withdrawn
 
 
 def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[Comparison]:

@@ -125,6 +125,6 @@ def _show_loads(figures: dict[str, Any], steps: Sequence[LoadStep]) -> None:
 
 def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
     quiet = list(false_alarms(kind, VEHICLES, range(FIRST_SEED, FIRST_SEED + hours)))
-    alarms, withdrawn = sum(one[1] for one in quiet), sum(one[2] for one in quiet)
+    alarms, withdrawn = sum(one[0] for one in quiet), sum(one[1] for one in quiet)
     figures["false_alarms"] = {"hours": hours, "alarms": alarms, "withdrawn": withdrawn}
     say(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")

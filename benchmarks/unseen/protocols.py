@@ -7,7 +7,7 @@ it goes on without ("withheld"). No copy ever gets a battery reading.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 import copy
 from dataclasses import dataclass
 
@@ -25,8 +25,6 @@ SHORT_DRIVE = 100.0  # s; a drive too short for any dropout of 200 s is cut once
 WARM_UP = 120.0  # s of a drive whose online predictions are not scored
 AFTER_END = 10.0  # s that a copy reads on, for predictions that lag
 LEAST_DISTANCE = 100.0  # m; shorter drives are learned from, but not scored as carried
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def cuts(drive: Drive, step: float) -> list[Cut]:
     return [*found, *(Cut(float(begin), LONG_DROPOUT) for begin in apart)]
 
 
-def run_car(car: Car, factory: Factory, progress: Progress = lambda _: None) -> CarRun:
+def run_car(car: Car, factory: Factory) -> CarRun:
     """Predict and learn all drives of a car in order."""
     method = factory(car.vehicle)
     found = CarRun([], [], [], [], {})
@@ -90,7 +88,6 @@ def run_car(car: Car, factory: Factory, progress: Progress = lambda _: None) -> 
             found.carried.append(Scored(drive.name, whole, score_part(drive, track, whole)))
         for part, scored in _through(method, drive, cuts(drive, step)):
             getattr(found, part).append(scored)
-        progress(number + 1)
     found.combinations.update(method.combinations())
     return found
 

@@ -235,7 +235,7 @@ def run_limited(command: list[str]) -> str | None:
     return errors.splitlines()[-1] if errors else "asammdf crashed"
 
 
-def write_log(path: str | Path, frames: Iterable[CanFrame], channel: str = "can0") -> int:
+def write_log(path: str | Path, frames: Iterable[CanFrame]) -> int:
     """Write frames as a candump log (`candump -L`), stamps in microseconds.
 
     Returns:
@@ -248,16 +248,16 @@ def write_log(path: str | Path, frames: Iterable[CanFrame], channel: str = "can0
     try:
         with replaced(Path(path)) as draft, draft.open("w", encoding="ascii") as file:
             for frame in frames:
-                file.write(_candump_line(frame, channel))
+                file.write(_candump_line(frame))
                 count += 1
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     return count
 
 
-def _candump_line(frame: CanFrame, channel: str) -> str:
+def _candump_line(frame: CanFrame) -> str:
     seconds, rest = divmod(round(frame.stamp_ns / 1000), 1_000_000)
     can_id = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
     # Two marks and a digit of flags tell a CAN FD frame, the only one longer than 8 bytes.
     mark = "##0" if len(frame.data) > 8 else "#"
-    return f"({seconds}.{rest:06d}) {channel} {can_id}{mark}{frame.data.hex().upper()}\n"
+    return f"({seconds}.{rest:06d}) can0 {can_id}{mark}{frame.data.hex().upper()}\n"

@@ -34,7 +34,6 @@ from evpinn_ros.energy.quadrature import (
 )
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.uncertainty import (
-    CORRELATION_TIME,
     CorrelatedError,
     LastingShare,
     SavedShare,
@@ -134,8 +133,6 @@ class EnergyMeter(Saveable[SavedMeter]):
         *,
         integrator: Integrator = Integrator.RKNN,
         max_gap: float = MAX_GAP,
-        battery_timeout: float = MAX_GAP,
-        correlation_time: float = CORRELATION_TIME,
     ) -> None:
         """A meter at zero.
 
@@ -144,9 +141,6 @@ class EnergyMeter(Saveable[SavedMeter]):
             integrator: of predicted power where it stands in for the battery, in a dropout
                 and between two slow samples; both integrals of it are in the state.
             max_gap: longest step of predicted power that is integrated, s.
-            battery_timeout: the battery counts as silent when stamps are this much newer than
-                its last sample, s. Longer steps of measured power are not integrated.
-            correlation_time: of the error of power, s (see `energy.uncertainty`).
 
         Raises:
             InputError: `max_gap` is beyond what the network is trained for.
@@ -156,16 +150,16 @@ class EnergyMeter(Saveable[SavedMeter]):
                 f"max_gap = {max_gap:g} s: must be above 0 and at most {STEP_LIMIT:g}"
             )
         self._network, self._integrator = rknn, integrator
-        self._max_gap, self._timeout, self._tau = max_gap, battery_timeout, correlation_time
+        self._max_gap = max_gap
         self.reset()
 
     def reset(self) -> None:
         """Set everything to zero, as if nothing had ever been counted."""
-        self._measured = EnergyIntegral(self._timeout)
+        self._measured = EnergyIntegral(MAX_GAP)
         self._predicted = EnergyIntegral(self._max_gap)
         self._rknn, self._rknn_power = CompensatedSum(), math.nan
-        self._measured_error = CorrelatedError(self._tau)
-        self._predicted_error = CorrelatedError(self._tau)
+        self._measured_error = CorrelatedError()
+        self._predicted_error = CorrelatedError()
         self.lasting = LastingShare()
         self._begin(Dropouts())
 
@@ -178,7 +172,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         self._interpolation = PowerInterpolation(
             self._max_gap, self._network if by_network else None
         )
-        self._dropout_error = CorrelatedError(self._tau)
+        self._dropout_error = CorrelatedError()
         self._energy_sigma = math.nan
         self._anchor = self._predicted_parts()
 
@@ -232,7 +226,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             self._measured_error.integrate(sigma, step.dt)
             self._correct(self._interpolation.add_measured(MeasuredStep(last_ns, stamp_ns, step)))
         self._dropout_since_ns = stamp_ns
-        self._dropout_error = CorrelatedError(self._tau)
+        self._dropout_error = CorrelatedError()
         self._anchor = self._predicted_parts()
 
     def _correct(self, corrections: Iterable[EnergyCorrection]) -> None:
@@ -311,13 +305,13 @@ class EnergyMeter(Saveable[SavedMeter]):
 
     def take(self, saved: SavedMeter) -> None:
         """Go on from what was counted; the next sample starts a new step, not a gap."""
-        self._measured = EnergyIntegral(self._timeout)
+        self._measured = EnergyIntegral(MAX_GAP)
         self._predicted = EnergyIntegral(self._max_gap)
         self._measured.take(saved.measured)
         self._predicted.take(saved.predicted)
         self._rknn, self._rknn_power = CompensatedSum(saved.rknn), math.nan
-        self._measured_error = CorrelatedError(self._tau, saved.measured_sigma)
-        self._predicted_error = CorrelatedError(self._tau, saved.predicted_sigma)
+        self._measured_error = CorrelatedError(start_sigma=saved.measured_sigma)
+        self._predicted_error = CorrelatedError(start_sigma=saved.predicted_sigma)
         self.lasting = LastingShare(*saved.lasting)
         variances = saved.bridged_sigma**2, saved.lasting_sigma**2
         self._begin(Dropouts(saved.bridged, *variances, saved.unmeasured_s))

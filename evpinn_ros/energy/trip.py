@@ -98,12 +98,11 @@ class TripLog(Saveable[SavedTrip]):
         windows: over the last 1, 10 and 100 km; a reset of the trip leaves them.
     """
 
-    def __init__(self, max_gap: float = MAX_GAP) -> None:
-        """Nothing driven yet; across more than `max_gap`, s, speed is not joined."""
-        self._max_gap = max_gap
+    def __init__(self) -> None:
+        """Nothing driven yet; across more than `MAX_GAP` speed is not joined."""
         self.windows = tuple(DistanceWindow(length) for length in WINDOWS)
         self._energy = CompensatedSum()
-        self._begin(EnergyIntegral(max_gap))
+        self._begin(EnergyIntegral(MAX_GAP))
 
     def _begin(self, speed: EnergyIntegral) -> None:
         self._speed = speed
@@ -140,7 +139,7 @@ class TripLog(Saveable[SavedTrip]):
     def reset_trip(self) -> None:
         """Count the trip from zero."""
         self._energy = CompensatedSum()
-        self._begin(EnergyIntegral(self._max_gap))
+        self._begin(EnergyIntegral(MAX_GAP))
 
     def begin_anew(self) -> None:
         """Join nothing to the speed before: time jumped."""
@@ -158,6 +157,6 @@ class TripLog(Saveable[SavedTrip]):
         self._go_on(saved.speed)
 
     def _go_on(self, saved: SavedIntegral) -> None:
-        speed = EnergyIntegral(self._max_gap)
+        speed = EnergyIntegral(MAX_GAP)
         speed.take(saved)
         self._begin(speed)

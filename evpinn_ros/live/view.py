@@ -168,14 +168,14 @@ def _follow(listener: LiveListener, period: float, show: Show) -> None:
 
 
 @contextmanager
-def live_view(namespace: str = NAMESPACE) -> Iterator[None]:
+def live_view() -> Iterator[None]:
     """Show this process's nodes in a view of its own process, which their threads never wait for.
 
     The terminal is the view's until the end; what is written to stderr meanwhile comes after it.
     """
     # Spawned, not forked: ROS and torch have threads.
     view = multiprocessing.get_context("spawn").Process(
-        target=watch, args=(namespace,), daemon=True
+        target=watch, args=(NAMESPACE,), daemon=True
     )
     # Ctrl-C reaches the view too. While it imports it shall not receive it, which it inherits.
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -79,14 +79,14 @@ def breakdown_rows(found: Mapping[str, Any], units: Units = METRIC) -> list[tupl
     return [_row(name, amount, units) for name, amount in (*shown(found), *beside)]
 
 
-def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
+def breakdown_lines(found: Mapping[str, Any]) -> list[str]:
     """Sentences for people: what is worth saying, if anything is, and what the figures are of."""
     if found["unknown"] is not None:
         return [f"Where the energy went: {found['unknown']}."]
-    return [line for line in (breakdown_sentence(found), *breakdown_notes(found, units)) if line]
+    return [line for line in (breakdown_sentence(found), *breakdown_notes(found)) if line]
 
 
-def breakdown_notes(found: Mapping[str, Any], units: Units) -> list[str]:
+def breakdown_notes(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
     """Sentences on a known breakdown: what is given together, and of how much driving."""
     lines = [
         f"{_together(group['parts'])} cannot be separated on this drive: given together."

@@ -26,16 +26,13 @@ LABELS = {
 }
 
 
-def drive_figure(
-    drive: Drive, title: str, truth: Parameters | None = None, withheld_from: float | None = None
-) -> Figure:
+def drive_figure(drive: Drive, title: str, truth: Parameters | None = None) -> Figure:
     """Draw a drive.
 
     Args:
         drive: what was replayed.
         title: of the picture.
         truth: true parameters of a simulated car, drawn as lines.
-        withheld_from: s from which on the battery was withheld, drawn as a boundary.
     """
     figure = Figure(figsize=(12, 11), layout="constrained")
     figure.suptitle(title, parse_math=False)  # it may be the name of a file
@@ -51,8 +48,6 @@ def drive_figure(
     for axes in figure.axes:
         axes.set_xlim(0, max(drive.duration, 1.0))
         axes.grid(alpha=0.3)
-        if withheld_from is not None:
-            axes.axvline(withheld_from, color="tab:red", lw=1, ls=":")
     return figure
 
 

@@ -82,10 +82,10 @@ def test_a_silent_battery_stops_only_what_is_measured():
 
 
 def test_silence_is_declared_after_the_timeout():
-    late = drive(meter(battery_timeout=3.0), range(10))
-    late.add_predicted(START + 12_900_000_000, 11e3, 1e3)
+    late = drive(meter(), range(10))
+    late.add_predicted(START + 11_900_000_000, 11e3, 1e3)
     assert late.state.measuring
-    late.add_predicted(START + 13_100_000_000, 11e3, 1e3)
+    late.add_predicted(START + 12_100_000_000, 11e3, 1e3)
     assert not late.state.measuring
 
 

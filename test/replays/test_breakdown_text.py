@@ -12,6 +12,7 @@ from evpinn_ros.replays.breakdown_text import (
     PAPER,
     breakdown_lines,
     breakdown_metrics,
+    breakdown_notes,
     breakdown_rows,
     shown,
 )
@@ -62,7 +63,7 @@ def test_rows_in_other_units_are_the_same_energy():
     found = breakdown_metrics(breakdown(), "hybrid")
     metric, us = (float(breakdown_rows(found, units)[0][3]) for units in (METRIC, US))
     assert us == pytest.approx(metric * 1000 / 100 * 1.609344, rel=1e-3)
-    assert "31.1 mi" in breakdown_lines(found, US)[-1]
+    assert "31.1 mi" in breakdown_notes(found, US)[-1]
 
 
 @pytest.mark.parametrize(("mode", "why"), [("paper", PAPER), ("hybrid", NOTHING)])
