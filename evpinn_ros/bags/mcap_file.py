@@ -15,8 +15,6 @@ import math
 from pathlib import Path
 from typing import TypeAlias
 
-from mcap.records import Schema
-
 from evpinn_ros.bags.limits import MOST_HELD
 from evpinn_ros.bags.mcap_content import (
     HEAD,
@@ -34,8 +32,6 @@ from evpinn_ros.common.errors import InputError
 
 OVERLAP = "chunks overlap too far: not all is in order of time"
 OVERHEAD = 250  # bytes of a message in Python beside its data
-NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
-"""By the specification, schema 0 is that of a channel without one."""
 
 RawMessage: TypeAlias = tuple[int, int, bytes]  # log time, ns; channel id; data
 _Placed: TypeAlias = tuple[int, tuple[int, int], int, bytes]  # the same with its place in the file
@@ -43,13 +39,11 @@ _Placed: TypeAlias = tuple[int, tuple[int, int], int, bytes]  # the same with it
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A topic of a file, how its messages are encoded, and the definition of their type."""
+    """A topic of a file, the type of its messages, and how they are encoded."""
 
     topic: str
     type_name: str
     encoding: str
-    schema_encoding: str = ""
-    schema: bytes = b""
 
 
 class McapFile:
@@ -173,15 +167,10 @@ def _salvaged(file: FileBytes) -> SoundFile:
 
 def _channels(known: Definitions) -> dict[int, Channel]:
     """Channels by id; one whose schema is lost is lost too."""
-    schemas = {0: NO_SCHEMA, **known.schemas}
+    # By the specification, schema 0 is that of a channel without one.
+    types = {0: ""} | {id_: schema.name for id_, schema in known.schemas.items()}
     return {
-        id_: Channel(
-            record.topic,
-            schemas[record.schema_id].name,
-            record.message_encoding,
-            schemas[record.schema_id].encoding,
-            schemas[record.schema_id].data,
-        )
+        id_: Channel(record.topic, types[record.schema_id], record.message_encoding)
         for id_, record in known.channels.items()
-        if record.schema_id in schemas
+        if record.schema_id in types
     }
