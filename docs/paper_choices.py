@@ -17,7 +17,7 @@ from evpinn_ros.reproduction.optimizers import Adam
 from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import (
     InputForm,
-    Motion,
+    PhysicsInputs,
     Problem,
     chronological_split,
     random_split,
@@ -61,7 +61,7 @@ class BatchedAdam(Adam):
         for rows in torch.randperm(len(whole)).split(self.SIZE):
             batch = copy(whole)
             batch.inputs, batch.power = whole.inputs[rows], whole.power[rows]
-            batch.motion = Motion(*(column[rows] for column in whole.motion))
+            batch.motion = PhysicsInputs(*(column[rows] for column in whole.motion))
             self.problem.training = batch
             super().step()
         self.problem.training = whole

@@ -20,7 +20,7 @@ NOT_QUICK = frozenset(
     {
         *("api", "bench", "cli", "fleet", "nodes", "reproduction"),
         *("test_docs.py", "test_executables.py", "test_guides.py", "test_notebooks.py"),
-        *("test_packaging.py", "test_site.py"),
+        *("test_packaging.py", "test_reproduction_page.py", "test_site.py"),
         *("test_browser.py", "test_drive_page.py", "test_captures.py", "test_logs_fuzz.py"),
         *("test_golden.py", "test_order.py", "test_replay.py", "test_output.py"),
         *("test_drives.py", "test_estimator.py", "test_evidence.py", "test_faults.py"),

@@ -3,125 +3,134 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable, Sequence
 import io
+from typing import Any
 
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.report.figure import MEASURED, PREDICTED
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.published import POWER_LOSSES, LossRow
 
-UNSEEN = "tab:blue"
-FIGURE_SIZE = (11, 4)
+# Each is readable on white and on black.
+MEASURED, NETWORK, PLAIN, PHYSICS = "0.55", "tab:orange", "tab:blue", "tab:green"
+LOOKS = ("default", "dark_background")  # of matplotlib, for light pages and for dark ones
+LETTERING: Any = {"font.size": 11, "legend.frameon": False, "axes.grid": True, "grid.alpha": 0.3}
+WIDTH, DPI = 6.4, 140  # inches: its letters stay readable on a page of 500 px
+BEYOND = 0.5  # of the measured range, shown on both sides of it
+
+Picture = str  # as an address that a page holds in itself
 
 
-def reproduction_figures(outcome: Outcome) -> dict[str, Figure]:
-    """The figures by title, in the order of the paper."""
-    number = "6" if outcome.vehicle.key == "tesla_model_s" else "5"
-    drive = "10" if outcome.vehicle.key == "tesla_model_s" else "9"
+def reproduction_pictures(outcome: Outcome) -> dict[str, tuple[Picture, Picture]]:
+    """The figures by title, in the order of the paper: each for a light and for a dark page."""
+    of_model_s = outcome.vehicle.key == "tesla_model_s"
+    figures = {
+        f"Fig. {6 if of_model_s else 5}: loss of the power network": _power_losses,
+        "Fig. 8: loss of the energy networks": _energy_losses,
+        f"Fig. {10 if of_model_s else 9}: battery power and energy": _drive,
+        "The same network on road not yet driven": _unseen,
+    }
     return {
-        f"Fig. {number}: loss of the power network": _power_losses(outcome),
-        "Fig. 8: loss of the energy networks": _energy_losses(outcome),
-        f"Fig. {drive}: battery power and energy": _drive(outcome),
-        "The same network on road not yet driven": _unseen(outcome),
+        title: (_picture(draw, outcome, LOOKS[0]), _picture(draw, outcome, LOOKS[1]))
+        for title, draw in figures.items()
     }
 
 
-def data_uri(figure: Figure) -> str:
-    """A picture as an address that a page holds in itself."""
+def _picture(draw: Callable[[Outcome], Figure], outcome: Outcome, look: str) -> Picture:
+    """PNG without a ground of its own: the page's is seen."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
+    with style.context([look, LETTERING]):
+        draw(outcome).savefig(buffer, format="png", dpi=DPI, transparent=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def _figure(height: float) -> Figure:
+    return Figure(figsize=(WIDTH, height), layout="constrained")
+
+
+def _legend(axes: Axes) -> None:
+    """Names of the curves above them, so that they hide none."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
 
 
 def _power_losses(outcome: Outcome) -> Figure:
     """Total, data and physics loss over epochs, the paper's values as points."""
-    figure = Figure(figsize=FIGURE_SIZE, layout="constrained")
-    sides = figure.subplots(1, 2, sharey=True)
+    figure = _figure(6.0)
+    sides = figure.subplots(2, 1, sharex=True)
     published = POWER_LOSSES.get(outcome.vehicle.key, ())
     for axes, side in zip(sides, ("training", "validation"), strict=True):
         _draw_losses(axes, outcome.power_rows, side, "-", "")
         if published:
             _draw_losses(axes, published, side, "o", "paper, ")
-        axes.set_title(side)
-    sides[0].set_ylabel("loss")
-    sides[1].legend()
+        axes.set_ylabel(f"loss in {side}")
+    _legend(sides[0])
+    sides[1].set_xlabel("epoch")
     return figure
 
 
-def _draw_losses(
-    axes: Axes, rows: list[LossRow] | tuple[LossRow, ...], side: str, mark: str, prefix: str
-) -> None:
+def _draw_losses(axes: Axes, rows: Sequence[LossRow], side: str, mark: str, prefix: str) -> None:
     epochs = [row.epoch for row in rows]
-    colors = {"total": "k", "data": PREDICTED, "physics": "tab:green"}
-    for name, color in colors.items():
+    for name, color in (("total", MEASURED), ("data", NETWORK), ("physics", PHYSICS)):
         values = [getattr(getattr(row, side), name) for row in rows]
         axes.loglog(epochs, values, mark, color=color, label=prefix + name)
-    axes.set_xlabel("epoch")
-    axes.grid(alpha=0.3)
 
 
 def _energy_losses(outcome: Outcome) -> Figure:
-    figure = Figure(figsize=FIGURE_SIZE, layout="constrained")
+    figure = _figure(3.8)
     axes = figure.add_subplot()
     rows = np.array(outcome.energy_rows, dtype=float)
     columns = ("RKNN training", "RKNN validation", "DNN training", "DNN validation")
-    styles = (("-", "tab:blue"), ("--", "tab:blue"), ("-", PREDICTED), ("--", PREDICTED))
+    styles = (("-", PLAIN), ("--", PLAIN), ("-", NETWORK), ("--", NETWORK))
     for index, (label, (line, color)) in enumerate(zip(columns, styles, strict=True), start=1):
         axes.loglog(rows[:, 0], rows[:, index], line, color=color, label=label)
     axes.set_xlabel("epoch")
     axes.set_ylabel("loss")
-    axes.grid(alpha=0.3)
-    axes.legend()
+    _legend(axes)
     return figure
 
 
 def _drive(outcome: Outcome) -> Figure:
     """Power and energy of the whole drive: a fit, 80 % of these samples were trained on."""
-    figure = Figure(figsize=(11, 7), layout="constrained")
+    figure = _figure(6.4)
     power, energy = figure.subplots(2, 1, sharex=True)
     log, energies = outcome.log, outcome.energies
-    power.plot(log.time, log.power / 1000, color=MEASURED, lw=1, label="measured")
-    power.plot(log.time, outcome.predicted_power / 1000, color=PREDICTED, lw=0.8, label="network")
+    power.plot(log.time, log.power / 1000, color=MEASURED, lw=1.6, label="measured")
+    power.plot(log.time, outcome.predicted_power / 1000, color=NETWORK, lw=0.8, label="network")
     power.set_ylabel("battery power, kW")
-    power.legend(loc="upper right", ncols=2)
     lines = (
         ("measured power, exact", energies.measured, MEASURED, "-"),
-        ("network's power, exact", energies.predicted, PREDICTED, "-"),
-        ("measured power, RKNN", energies.rknn, "k", ":"),
-        ("measured power, DNN", energies.dnn, "tab:blue", ":"),
+        ("network's power, exact", energies.predicted, NETWORK, "-"),
+        ("measured power, RKNN", energies.rknn, PHYSICS, ":"),
+        ("measured power, DNN", energies.dnn, PLAIN, ":"),
     )
     for label, joules, color, line in lines:
-        energy.plot(log.time, joules / JOULES_PER_KWH, line, color=color, label=label)
+        energy.plot(log.time, joules / JOULES_PER_KWH, line, color=color, lw=2, label=label)
     energy.set_ylabel("energy, kWh")
     energy.set_xlabel("time, s")
-    energy.legend(loc="upper left")
     for axes in (power, energy):
-        axes.grid(alpha=0.3)
+        _legend(axes)
     return figure
 
 
 def _unseen(outcome: Outcome) -> Figure:
-    """The last fifth under the chronological split."""
-    figure = Figure(figsize=FIGURE_SIZE, layout="constrained")
+    """The last fifth under the chronological split, as far as the measured power reaches."""
+    figure = _figure(3.8)
     axes = figure.add_subplot()
     log, rows = outcome.log, outcome.chronological.problem.split.validation
     begin = log.time[rows[0]]
     near = log.time > begin - 0.5 * (log.time[-1] - begin)
-    axes.plot(log.time[near], log.power[near] / 1000, color=MEASURED, lw=1, label="measured")
-    axes.plot(
-        log.time[near],
-        outcome.unseen_power[near] / 1000,
-        color=UNSEEN,
-        lw=0.8,
-        label="network, trained up to the line",
-    )
-    axes.axvline(begin, color="tab:red", ls=":")
+    measured, network = log.power[near] / 1000, outcome.unseen_power[near] / 1000
+    axes.plot(log.time[near], measured, color=MEASURED, lw=1.6, label="measured")
+    axes.plot(log.time[near], network, color=NETWORK, lw=0.8, label="network")
+    axes.axvline(begin, color=PLAIN, ls=":", label="trained up to here")
+    margin = BEYOND * max(float(np.ptp(measured)), 1.0)
+    axes.set_ylim(measured.min() - margin, measured.max() + margin)
     axes.set_xlabel("time, s")
     axes.set_ylabel("battery power, kW")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="upper left")
+    _legend(axes)
     return figure

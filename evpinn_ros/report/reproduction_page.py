@@ -5,20 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.reproduction_figures import data_uri, reproduction_figures
+from evpinn_ros.report.reproduction_figures import reproduction_pictures
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.tables import all_tables
+from evpinn_ros.reproduction.verdict import CRITERIA, verdict
 
 
 def write_reproduction(path: Path, outcome: Outcome, command: str, label: str) -> None:
     """Write the report; label says what was run, as in the terminal."""
-    figures = reproduction_figures(outcome).items()
     write_page(
         path,
         "reproduction.html.j2",
         title=f"EV-PINN on {outcome.vehicle.name}",
         command=command,
         label=label,
+        findings=verdict(outcome),
+        criteria=CRITERIA,
         tables=all_tables(outcome),
-        pictures={title: data_uri(figure) for title, figure in figures},
+        pictures=reproduction_pictures(outcome),
     )

@@ -51,7 +51,7 @@ CHECKPOINT_EVERY = 100  # epochs
 CHECKPOINT_VERSION = 1  # of what a file holds and of the constants it was trained with
 PROGRESS_EVERY = 10  # epochs
 RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
-NETWORK = "network"
+NETWORK, TIME_HELD = "network", "network, time held"
 BASELINES = {RANDOM: "baseline: line in time", CHRONOLOGICAL: "baseline: last power held"}
 REGRESSION = "eq. 21, least squares"
 
@@ -259,6 +259,9 @@ def _scores(training: PowerTraining, split: str) -> list[Scored]:
         REGRESSION: least_squares_power(problem)[0],
         BASELINES[split]: interpolated_power(log.part(rows.training), held),
     }
+    if split == CHRONOLOGICAL:
+        last = held._replace(time=np.minimum(held.time, log.time[rows.training[-1]]))
+        powers[TIME_HELD] = problem.predicted_power(training.optimizer.network, last)
     return [
         Scored(method, split, power_score(power, held.power, problem.scale))
         for method, power in powers.items()

@@ -7,6 +7,7 @@ from typing import Any
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.published import LossRow
 from evpinn_ros.reproduction.scores import TableFiveRow
+from evpinn_ros.reproduction.verdict import verdict
 
 
 def results_of(outcome: Outcome) -> dict[str, Any]:
@@ -23,6 +24,9 @@ def results_of(outcome: Outcome) -> dict[str, Any]:
             "device": settings.device,
             "regen_form": settings.form.value,
         },
+        "verdict": [
+            {**finding._asdict(), "answer": finding.answer.value} for finding in verdict(outcome)
+        ],
         "samples": len(outcome.log.time),
         "duration_s": float(outcome.log.time[-1]),
         "normalisation": {

@@ -6,6 +6,7 @@ import pytest
 from rich.console import Console
 
 from evpinn_ros.cli import console
+from evpinn_ros.cli.reproduce import training_progress
 
 
 @pytest.fixture
@@ -39,6 +40,20 @@ def test_without_a_length_no_time_left_is_claimed(written, monkeypatch):
         now = 22.0
         report(1_000_000)
     assert written.getvalue().splitlines() == ["log: 5000 rows", "bag: 1 MB, 25 %, 33 s left"]
+
+
+def test_trainings_have_a_line_each(written, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(console.time, "monotonic", lambda: now)
+    with training_progress() as report:
+        for title in ("power network", "energy networks"):
+            for epoch in (10, 20, 30):
+                report(title, epoch, 40, 0.5)
+                now += 6.0
+    assert written.getvalue().splitlines() == [
+        "power network: epoch 30 of 40, 75 %, 4 s left",
+        "energy networks: epoch 30 of 40, 75 %, 4 s left",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -39,17 +39,29 @@ def test_everything_the_issue_names_is_written(
     monkeypatch.setattr(command, "QUICK_ENERGY_EPOCHS", 30)
     monkeypatch.setitem(command.QUICK_EPOCHS, OptimizerName.GAUSS_NEWTON, 15)
     out = tmp_path / "out"
-    options = ("--vehicle", VEHICLE, "--optimizer", "gauss_newton", "--quick", "--out", out)
+    options = ("--vehicle", VEHICLE, "--quick", "--out", out)
     text = run("reproduce", drive, *options)
-    assert "QUICK LOOK" in text
-    for title in ("Table II", "Table IV", "Table V", "Table VI", "baseline: line in time"):
+    assert "QUICK LOOK: gauss_newton, 15 epochs" in text
+    assert "Left out: the paper's 10000 epochs of adam" in text
+    for title in (
+        "Table II:",
+        "Table III:",
+        "Table IV",
+        "Table V",
+        "Table VI",
+        "baseline: line in time",
+    ):
         assert title in text
     found = json.loads((out / "results.json").read_text())
     assert found["settings"]["epochs"] == 15
+    assert len(found["verdict"]) == 5
+    for each in found["verdict"]:  # it stands before the tables
+        line = f"{each['answer'].upper()}. {each['claim']}: {each['measured']}."
+        assert 0 <= text.index(line) < text.index("Table II:")
     assert [row["epoch"] for row in found["power_losses"]["random"]][-1] == 15
     assert set(found["parameters"]) == {"eta", "mu", "mass", "c_rr", "c_d"}
     page = (out / "report.html").read_text()
-    assert "QUICK LOOK" in page and page.count("data:image/png;base64") == 4
+    assert "QUICK LOOK" in page and page.count("data:image/png;base64") == 8
     assert "http://" not in page and "https://" not in page
     assert load_vehicle(out / "vehicle.yaml").initial.mass > 0
     assert read_state(out / "state.json")["vehicle"] == VEHICLE
