@@ -293,6 +293,10 @@ class PartSums:
             cross=self.cross - gain[:, :, None] * seen.along[:, None, :],
         )
 
+    def moved(self, state: int, share: np.ndarray) -> PartSums:
+        """After a state was moved by `share` of its variance, shape (K,)."""
+        return replace(self, mean=self.mean + share[:, None] * self.cross[:, :, state])
+
     def plus(
         self,
         interval: Interval,

@@ -71,7 +71,7 @@ HEIGHT_ERRORS = (0.3, 1.5, 6.0)
 SLOPE_LENGTH, HEIGHT_ERROR_LENGTH = 600.0, 100.0  # m of road
 FORCE_LENGTH = 1500.0  # m of road
 # More would take what belongs to car and drive, and be forgotten with the road.
-LOAD_STD, LOAD_TIME = 100.0, 300.0  # W of the wandering load, s
+LOAD_STD, LOAD_TIME = 150.0, 300.0  # W of the wandering load, s
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
@@ -180,6 +180,7 @@ class CarFilter(Saveable[SavedFilter]):
         weights = self.weights
         lost = (self._scale * lost_variance(interval, found))[:, None] * loss_shares(found)
         seen = self._see(found.gradient, interval.energy - found.energy, noise, lost)
+        self._keep_losses_positive()
         known = interval, self.state, weights, self.warmth, self._constants
         self.parts = self.parts and self.parts.plus(*known)
         if abs(interval.distance) > STANDSTILL_SPEED * interval.duration:
@@ -373,6 +374,21 @@ class CarFilter(Saveable[SavedFilter]):
         heavy = lost * (1.0 + extra / noise)[:, None]
         self.parts = self.parts and self.parts.given(seen, gradient, extra, heavy)
         return seen
+
+    def _keep_losses_positive(self) -> None:
+        """Move the states as one that is below zero has to, as far as they know of each other.
+
+        Nothing gains energy by turning. A loss below zero would be rolling resistance too much.
+        The covariance stays, so that the loss may rise again (Simon 2010, estimate projection).
+        """
+        for state in (State.NO_LOAD, State.COPPER):
+            missing = np.maximum(-self.state.mean[:, state], 0.0)
+            if missing.any():
+                share = missing / self.state.covariance[:, state, state]
+                along = self.state.covariance[:, :, state]
+                mean = self.state.mean + share[:, None] * along
+                self.state = Gaussian(mean, self.state.covariance)
+                self.parts = self.parts and self.parts.moved(state, share)
 
     def _accumulate(self, found: Spent, noise: np.ndarray) -> None:
         """Add the energy of an interval to what is predicted, with its covariances."""
