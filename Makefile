@@ -84,8 +84,8 @@ golden: $(INSTALLED)
 	@$(BIN)/python test/replays/golden.py --renew
 
 # The pictures of the documents and the reference pages, from code; that of the report needs Chromium.
-docs: demo
-	@cp out/demo/demo.png docs/demo.png
+docs: $(INSTALLED)
+	@$(BIN)/python docs/demo.py
 	@$(BIN)/python docs/eco_speed.py
 	@$(BIN)/python docs/live_view.py
 	@$(BIN)/python docs/generate.py

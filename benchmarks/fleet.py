@@ -167,12 +167,10 @@ def _learning(
 def _compared(vehicle: Vehicle, summary: FleetSummary) -> Iterator[Recovered]:
     population = summary.populations[vehicle.key]
     for name in COMPARED:
-        combined = name in COMBINATIONS
-        learned = population.combination(name) if combined else population.parameter(name)
         parts = COMBINATIONS.get(name, {name: 1.0})
         means, spreads = zip(*(_known(vehicle, each) for each in parts), strict=True)
         mean = sum(sign * each for sign, each in zip(parts.values(), means, strict=True))
-        yield Recovered(name, mean, math.hypot(*spreads), learned)
+        yield Recovered(name, mean, math.hypot(*spreads), population.value(name))
 
 
 def _known(vehicle: Vehicle, name: str) -> tuple[float, float]:

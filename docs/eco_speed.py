@@ -12,7 +12,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-import numpy as np
+from matplotlib.lines import Line2D
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
@@ -36,7 +36,15 @@ from evpinn_ros.vehicle.files import load_vehicle
 ROOT = Path(__file__).resolve().parents[1]
 VEHICLE, DRIVE = "tesla_model_3_lr", "urban"
 HEARD = (topics.IDENTIFIABLE, topics.POWER_SMOOTHED)  # what the energy node learns the car from
-PICK, IN_TIME, LATE = "tab:orange", "tab:blue", "0.6"
+PICK, IN_TIME, LATE = "tab:orange", "tab:blue", "0.5"
+STEADY = "steady"
+BEFORE = {"fmt": "o", "ms": 3, "elinewidth": 1, "alpha": 0.5}
+AFTER = {"fmt": "o", "ms": 5, "elinewidth": 3}
+OUTSIDE = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
+SMALL = {"fontsize": "small", "annotation_clip": False}
+BESIDE = {"xycoords": ("axes fraction", "data"), "va": "center", **SMALL}
+ABOVE = {"xytext": (0, 2), "textcoords": "offset points", "ha": "right", **SMALL}
+ABOVE |= {"xycoords": ("axes fraction", "data")}
 TIMEOUT = 30.0  # s
 WH = 3600.0
 
@@ -79,7 +87,7 @@ def asked_twice(example: Any) -> tuple[Any, list[Any], list[Any]]:
             executor.spin_once(timeout_sec=TIMEOUT)
 
     def answered() -> bool:
-        return bool(np.isfinite([answer.energy for answer in planner.answers]).all())
+        return all(answer.complete and not answer.refusal for answer in planner.answers)
 
     wait(answered)
     before = planner.answers
@@ -93,50 +101,78 @@ def asked_twice(example: Any) -> tuple[Any, list[Any], list[Any]]:
 
 
 def draw_route(axes: Axes, planner: Any, pick: int, deadline: float) -> None:
-    """Speeds over distance, and the hills below them."""
+    """Speeds over distance, each pair named where its steady one is, and the hills below."""
     road = planner.candidates[0]
     hills = axes.twinx()
     hills.fill_between(road.distance / 1000, road.elevation, color="tab:green", alpha=0.15, lw=0)
-    hills.set_ylim(0, 2.5 * road.elevation.max())
-    hills.set_ylabel("elevation, m")
+    hills.set(ylim=(0, 2.5 * road.elevation.max()), yticks=(0, 50, 100))
+    hills.set_ylabel("elevation, m", loc="bottom")
     for index, candidate in enumerate(planner.candidates):
-        colour, width, label = _style(index, candidate, pick, deadline)
+        colour = _colour(index, candidate, pick, deadline)
+        steady = candidate.name.endswith(STEADY)
+        style = {"color": colour, "ls": "--" if steady else "-", "lw": 3.0 if index == pick else 1}
         distance, speed = candidate.distance / 1000, candidate.speed * 3.6
-        axes.plot(distance, speed, color=colour, lw=width, zorder=width, label=label)
-    axes.set(xlabel="distance, km", ylabel="speed, km/h", xlim=(0, road.distance[-1] / 1000))
-    axes.set_ylim(0, None)
-    # A candidate of each kind stands for all.
-    labels = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    axes.legend(labels.values(), labels.keys(), loc="lower center", ncols=3)
+        axes.plot(distance, speed, zorder=style["lw"], **style)
+        if steady:
+            name = candidate.name.removesuffix(STEADY)
+            axes.annotate(name, (1.01, speed.max()), **BESIDE, color=colour)
+    axes.set(ylabel="speed, km/h", xlim=(0, road.distance[-1] / 1000), ylim=(0, 100))
+    axes.set_xlabel("distance, km")
+    lines = [
+        Line2D([], [], color=PICK, lw=3, label="picked"),
+        Line2D([], [], color=IN_TIME, label="in time"),
+        Line2D([], [], color=LATE, label="late"),
+        Line2D([], [], color="k", ls="--", lw=1, label=STEADY),
+        Line2D([], [], color="k", lw=1, label="with the hills"),
+    ]
+    axes.legend(handles=lines, **OUTSIDE, ncols=len(lines))
 
 
-def draw_energies(
-    axes: Axes, planner: Any, before: list[Any], after: list[Any], pick: int, deadline: float
-) -> None:
-    """Energy over arrival with bands, before and after the car was driven."""
-    for index, candidate in enumerate(planner.candidates):
-        colour, _, _ = _style(index, candidate, pick, deadline)
-        minutes = candidate.arrival / 60
-        for answer, width, alpha in ((before[index], 1.5, 0.4), (after[index], 5.0, 1.0)):
-            half = GAUSSIAN_QUANTILE * answer.sigma / WH
-            style = {"color": colour, "alpha": alpha, "elinewidth": width}
-            axes.errorbar(minutes, answer.energy / WH, half, fmt="o", ms=2 + width, **style)
-    axes.axvline(deadline / 60, color="k", ls="--", lw=1)
-    top = axes.get_xaxis_transform()
-    axes.text(deadline / 60, 0.98, " deadline", va="top", transform=top)
-    axes.set(xlabel="arrival, min", ylabel="energy, Wh")
-    axes.set_title(
-        "Forecast with its 90 % band: thin, by the vehicle file; thick, after 6 min of driving",
-        fontsize="medium",
-    )
+def draw_energies(axes: Axes, order: list[int], asked: list[Any], colours: list[str]) -> None:
+    """Energy of each profile with its band, before and after the car was driven."""
+    for answers, offset, style in zip(asked, (0.2, -0.15), (BEFORE, AFTER), strict=True):
+        for row, index in enumerate(order):
+            half = GAUSSIAN_QUANTILE * answers[index].sigma / WH
+            energy = answers[index].energy / WH
+            axes.errorbar(energy, row + offset, xerr=half, color=colours[index], **style)
+    axes.set_xlabel("energy, Wh, with its 90 % band")
+    drawn = [
+        axes.errorbar([], [], xerr=[], color=IN_TIME, label=label, **style)
+        for label, style in (("by the vehicle file", BEFORE), ("after 6 min of driving", AFTER))
+    ]
+    axes.legend(handles=drawn, **OUTSIDE, ncols=2)
 
 
-def _style(index: int, candidate: Any, pick: int, deadline: float) -> tuple[str, float, str]:
-    if index == pick:
-        return PICK, 3.0, "picked"
-    if candidate.arrival > deadline:
-        return LATE, 1.0, "late"
-    return IN_TIME, 1.2, "in time"
+def draw_differences(axes: Axes, order: list[int], more: list[Any], colours: list[str]) -> None:
+    """Energy of each profile beyond that of the picked one, whose errors they share."""
+    for row, index in enumerate(order):
+        apart, sigma = (each / WH for each in more[index])
+        half = GAUSSIAN_QUANTILE * sigma
+        axes.errorbar(apart, row, xerr=half, color=colours[index], **AFTER)
+        text = f"{apart:+.0f} ± {sigma:.0f}" if sigma else "picked"
+        axes.annotate(text, (1.02, row), **BESIDE, color=colours[index])
+    axes.axvline(0.0, color="k", lw=1, zorder=0)
+    axes.set_xlabel("more than the picked one, Wh, with its 90 % band")
+    axes.annotate("± 1-sigma, Wh", (1.02, len(order)), **BESIDE)
+
+
+def name_rows(axes: Axes, planner: Any, order: list[int], deadline: float) -> None:
+    """Each row by its profile and arrival, in order of arrival, and where the deadline is."""
+    arrivals = [planner.candidates[index].arrival for index in order]
+    names = [
+        f"{planner.candidates[index].name}, {arrival // 60:.0f}:{arrival % 60:02.0f}"
+        for index, arrival in zip(order, arrivals, strict=True)
+    ]
+    axes.set_yticks(range(len(order)), names)
+    axes.set_ylim(len(order) - 0.4, -0.6)
+    late = sum(arrival <= deadline for arrival in arrivals) - 0.5
+    for each in axes.figure.axes[-2:]:
+        each.axhline(late, color="k", ls="--", lw=1)
+    axes.annotate(f"deadline {deadline / 60:g} min", (0.99, late), **ABOVE)
+
+
+def _colour(index: int, candidate: Any, pick: int, deadline: float) -> str:
+    return PICK if index == pick else LATE if candidate.arrival > deadline else IN_TIME
 
 
 def main() -> None:
@@ -150,11 +186,20 @@ def main() -> None:
     finally:
         rclpy.try_shutdown()
     pick = example.cheapest_in_time(planner.candidates, after, deadline)
-    figure = Figure(figsize=(10, 7), layout="constrained")
-    route, energies = figure.subplots(2, 1)
-    draw_route(route, planner, pick, deadline)
-    draw_energies(energies, planner, before, after, pick, deadline)
-    for axes in (route, energies):
+    candidates = planner.candidates
+    colours = [_colour(i, each, pick, deadline) for i, each in enumerate(candidates)]
+    order = sorted(range(len(candidates)), key=lambda index: candidates[index].arrival)
+    more = [example.difference(after, index, pick) for index in range(len(candidates))]
+    figure = Figure(figsize=(11, 8.5), layout="constrained")
+    grid = figure.add_gridspec(2, 2, height_ratios=(1, 1.1))
+    draw_route(figure.add_subplot(grid[0, :]), planner, pick, deadline)
+    energies = figure.add_subplot(grid[1, 0])
+    differences = figure.add_subplot(grid[1, 1], sharey=energies)
+    differences.tick_params(labelleft=False)
+    draw_energies(energies, order, [before, after], colours)
+    draw_differences(differences, order, more, colours)
+    name_rows(energies, planner, order, deadline)
+    for axes in (energies, differences):
         axes.grid(alpha=0.3)
     save_figure(figure, Path(__file__).with_name("eco_speed.png"))
 

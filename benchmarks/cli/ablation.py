@@ -19,7 +19,7 @@ def ablation(
     cars: Annotated[str, typer.Option(help="Only these of them, by comma.")] = ",".join(CARS),
     json_file: JsonOption = None,
 ) -> None:
-    """Leave out one part of the core after the other, and score drives without the battery.
+    """Leave out each part of the core in turn, and score drives.
 
     Example: evpinn bench ablation $DATA --cars i3,e208
     """

@@ -34,12 +34,16 @@ def breakdown(
     drives: Annotated[int, typer.Option(min=1, help="Drives, each of another car.")] = 60,
     seconds: Annotated[float, typer.Option(min=60.0, help="Length of each.")] = 600.0,
     plausible: Annotated[
-        bool, typer.Option(help="Plausible cars, nearer to the priors than these claim.")
+        bool, typer.Option("--plausible", help="Plausible cars, nearer than priors claim.")
     ] = False,
     rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
-    altitude: Annotated[bool, typer.Option(help="With a barometer.")] = False,
-    temperature: Annotated[bool, typer.Option(help="With a thermometer.")] = False,
-    motor_torque: Annotated[bool, typer.Option(help="With the torque of the motor.")] = False,
+    altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
+    temperature: Annotated[
+        bool, typer.Option("--temperature", help="With a thermometer.")
+    ] = False,
+    motor_torque: Annotated[
+        bool, typer.Option("--motor-torque", help="With the torque of the motor.")
+    ] = False,
     pairs: Annotated[
         bool, typer.Option("--pairs", help="The difference of two drives of each car instead.")
     ] = False,

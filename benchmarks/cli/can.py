@@ -32,16 +32,14 @@ def can(
     minutes: Annotated[
         float, typer.Option(min=0.05, help="How long the bus is full; the goal is for 10.")
     ] = 1.0,
-    data: Annotated[
-        Path | None, typer.Option(help="Folder of the captures with their tables.")
-    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder of captures with tables.")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Load the CAN bridge with a full bus, time the decoder, compare with captures.
 
     The bus is UDP multicast on this machine: 4000 frames a second from one process, the bridge's
     executable in another, a subscriber in a third. It is read once more without decoding and
-    publishing, which is python-can's own share.
+    publishing, to know the share of python-can.
 
     Example: evpinn bench can --minutes 10 --data captures/ --json out/can.json
     """

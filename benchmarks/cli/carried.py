@@ -27,7 +27,7 @@ def carried(
     ],
     vehicle: VehicleOption,
     speed_only: Annotated[
-        bool, typer.Option(help="Hide grade, temperature and auxiliary loads.")
+        bool, typer.Option("--speed-only", help="Hide grade, temperature and auxiliary loads.")
     ] = False,
     json_file: JsonOption = None,
 ) -> None:

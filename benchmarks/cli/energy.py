@@ -61,9 +61,7 @@ def energy(
             help="Whose drives, where PATH does not say.", autocompletion=complete_vehicle
         ),
     ] = CAR,
-    cycles: Annotated[
-        Path | None, typer.Option(help="Folder with udds.csv, hwfet.csv and us06.csv.")
-    ] = None,
+    cycles: Annotated[Path | None, typer.Option(help="Folder of drive cycles.")] = None,
     parts: Annotated[
         list[Part], typer.Option("--part", help="Measure this alone; more than one may be given.")
     ] = [*Part],  # noqa: B006
@@ -73,14 +71,15 @@ def energy(
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
     json_file: JsonOption = None,
 ) -> None:
-    """Count the energy of drives, forecast each before it is driven, and time forecasts.
+    """Count the energy of drives, forecast each before it is driven, time both.
 
     The drives of a PATH are one car's, in order of names. Integrators: the networks of the paper
     beside the trapezoid and Simpson's rule, on all samples and on fewer. Counting: the battery at
     1 Hz with gaps, silent for ten minutes, silent all along; it takes as long as a fifth of all
     drives. Forecasts: each drive is forecast from its own speed and elevation by what was learned
     on those before, the first from the vehicle file. Battery: the end of each drive of known
-    power, by energy over capacity and by the battery's state, learned on the drives before.
+    power, by energy over capacity and by the battery's state, learned on the drives before. Cycles
+    are udds.csv, hwfet.csv and us06.csv.
 
     Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
     """

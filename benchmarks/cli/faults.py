@@ -36,7 +36,7 @@ def faults(
     what was lost, how long it took until all was as before, and how the diagnostics named it. One
     that fails ends the command with 1. All of it takes half an hour.
 
-    Example: evpinn bench faults --only speed_nan --only unplug --json out/faults.json
+    Example: evpinn bench faults --only speed_nan --only unplug --kills 10
     """
     if find_spec("rclpy") is None:
         raise InputError("evpinn bench faults needs rclpy: pip install 'ros-rclpy[fastrtps]'")

@@ -34,10 +34,10 @@ def fleet(
     vehicle: VehicleOption = "nissan_leaf",
     json_file: JsonOption = None,
 ) -> None:
-    """Measure `evpinn fleet` on simulated drives: drives a second, memory, and the priors found.
+    """Measure `evpinn fleet` on simulated drives: speed and priors.
 
-    10 000 drives take 0.3 s of a core each, for each number of workers. Stopped, it tells how far
-    it came.
+    10 000 drives take 0.3 s of a core each, with each number of workers. What is stopped tells how
+    far it came.
 
     Example: evpinn bench fleet --drives 1000 --cars 12
     """

@@ -23,14 +23,12 @@ from evpinn_ros.common.plain_table import PlainTable
 def fuzz(
     inputs: Annotated[int, typer.Option(min=1, help="In all, divided among the targets.")] = 10**6,
     seconds: Annotated[int, typer.Option(min=1, help="For each target at most.")] = 86400,
-    target: Annotated[
-        list[str] | None, typer.Option(help="Only this one; may be given again.")
-    ] = None,
+    target: Annotated[list[str] | None, typer.Option(help="Only this; may be repeated.")] = None,
     crashes: Annotated[Path, typer.Option(help="Folder for inputs that crash.")] = Path("crashes"),
     seed: Annotated[int, typer.Option(min=1, help="Another one gives other inputs.")] = 1,
     metrics: MetricsOption = None,
 ) -> None:
-    """Feed every parser damaged inputs and look for crashes, hangs and memory that fills.
+    """Feed parsers damaged inputs; look for crashes, hangs, memory.
 
     Example: evpinn bench fuzz --inputs 100000 --target mcap
     """

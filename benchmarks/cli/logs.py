@@ -25,7 +25,7 @@ def logs(
     ] = 100,
     json_file: JsonOption = None,
 ) -> None:
-    """Read logs of apps with no flag: rows, distance, energy, speed and memory.
+    """Read logs of apps with no flag: distance, energy, time, memory.
 
     Example: evpinn bench logs logs/leafspy --json out/logs.json
     """

@@ -14,6 +14,7 @@ from benchmarks.cli.output import names_in
 from benchmarks.logs import Log, find_logs
 from benchmarks.online import METHODS, OnlineBenchmark, Run
 from benchmarks.scores import Score, log_scores, total_scores
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.common.blas_threads import limit_blas_threads
@@ -47,20 +48,20 @@ def online(
         ),
     ] = "generic",
     methods: Annotated[
-        str, typer.Option(help=f"Which to run, of {', '.join(METHODS)}.")
+        str, typer.Option(help=f"Of {', '.join(METHODS)}, by comma; else all.", show_default=False)
     ] = ",".join(METHODS),
     warm_up: Annotated[float, typer.Option(min=0.0, help="Not scored at the start, s.")] = WARM_UP,
     json_file: JsonOption = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Tables as Markdown.")] = False,
 ) -> None:
-    """Hold the learner against its peers: each sample is predicted, then learned from.
+    """Hold the learner against its peers: predict, score, then learn.
 
     Every log starts from the priors of its vehicle. Energy is the error over the whole log, and
     the worst over any five minutes, in percent of all that went in and out; `now` the prediction
     of the newest moment; `us` the processor's microseconds per sample, for paper and hybrid with
     all that a node does. What cannot be scored is named and left out, and the exit code is 1.
 
-    Example: evpinn bench online bags/urban --vehicle tesla_model_3_lr --methods null,ekf5,hybrid
+    Example: evpinn bench online bags/urban --methods null,ekf5,hybrid
     """
     limit_blas_threads()
     names = _chosen(methods)
@@ -118,7 +119,7 @@ def _run(log: Log, names: Sequence[str]) -> tuple[Run, str | None]:
     # Time of the processor: what else the machine does is not a method's.
     benchmark = OnlineBenchmark(car, names, time.thread_time)
     reported = 0.0
-    with progress_bar(log.path.name, total=None) as progress:
+    with progress_bar(log.path.name, total=stated_seconds(log.path)) as progress:
         for reading in source.readings():
             done = benchmark.add_reading(reading)
             if done - reported >= PROGRESS_STEP:

@@ -24,7 +24,7 @@ def recover(
     ] = 60,
     json_file: JsonOption = None,
 ) -> None:
-    """Break bags in every way, save them, and compare with the original; measure the speed.
+    """Break bags in every way, save them, compare with the original, and time it.
 
     Example: evpinn bench recover --cases 1000 --json out/recover.json
     """

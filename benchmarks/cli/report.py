@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import figures_table
@@ -34,13 +35,13 @@ def report(
 ) -> None:
     """Time the report of a drive after its replay.
 
-    Example: evpinn simulate out/hour --duration 3600 && evpinn bench report out/hour
+    Example: evpinn simulate hour --duration 3600 && evpinn bench report hour
     """
     limit_blas_threads()
     car, settings, options = load_vehicle(vehicle), EstimatorSettings(), ReplayOptions()
     chain = Chain(car, settings, InlineWorker(time.perf_counter))
     source = open_source(drive, car)
-    with progress_bar("replay", total=None) as progress:
+    with progress_bar("replay", total=stated_seconds(drive)) as progress:
         replayed = replay(
             source, chain, options, vehicle=car.key, mode=settings.mode.value, progress=progress
         )

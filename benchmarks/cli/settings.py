@@ -34,14 +34,15 @@ def settings(
     data: Annotated[str, typer.Argument(help="Folder of cars, as of `evpinn bench unseen`.")],
     cars: Annotated[
         str,
-        typer.Option(help=f"By comma; {', '.join(CARS)} if not given, as far as they are there."),
+        typer.Option(help=f"By comma; else {', '.join(CARS)}, those that are there."),
     ] = "",
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     metrics: MetricsOption = None,
 ) -> None:
-    """Score each car with constants of the core that the other cars chose, by likelihood.
+    """Score each car with constants that the other cars chose.
 
-    Beside it: the core as it is, and constants chosen on the very car that is scored.
+    They are chosen by likelihood. Beside it: the core as it is, and constants chosen on the very
+    car that is scored.
 
     Example: evpinn bench settings $DATA --cars model3,e208,leaf2013
     """

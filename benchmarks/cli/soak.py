@@ -34,7 +34,7 @@ def soak(
     ] = 120.0,
     json_file: JsonOption = None,
 ) -> None:
-    """Drive for a day in one run: is memory flat, does each reading take what it took at first?
+    """Drive for a day in one run: is memory flat, and a reading as fast as at first?
 
     Then the three nodes run in one process, in real time, and are watched.
 

@@ -31,7 +31,7 @@ def training(
     The same drive, network, split and loss for all, one after the other in this process. DeepXDE
     takes part when it is installed (extra `bench`).
 
-    Example: evpinn bench training drive.csv --vehicle tesla_model_3_lr --epochs 10000
+    Example: evpinn bench training drive.csv --vehicle bmw_i3 --epochs 10000
     """
     limit_blas_threads()
     car = load_vehicle(vehicle)

@@ -49,20 +49,22 @@ def truth(
     ] = 24,
     kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
     from_priors: Annotated[
-        bool, typer.Option(help="Draw cars from the priors: are the intervals true?")
+        bool, typer.Option("--from-priors", help="Draw from the priors: are intervals true?")
     ] = False,
     rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
-    altitude: Annotated[bool, typer.Option(help="With a barometer.")] = False,
+    altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
     floor: Annotated[
-        bool, typer.Option(help="Also what an oracle could tell, the floor of the data.")
+        bool, typer.Option("--floor", help="Also the floor: what an oracle could tell.")
     ] = False,
-    load: Annotated[bool, typer.Option(help="Also change the load at a stop, by 150 kg.")] = False,
+    load: Annotated[
+        bool, typer.Option("--load", help="Also change the load at a stop, by 150 kg.")
+    ] = False,
     hours: Annotated[
         int, typer.Option(min=0, help="Hours without a change of load, to count false alarms.")
     ] = 0,
     json_file: JsonOption = None,
 ) -> None:
-    """Hold the published parameters against the truth of simulated cars.
+    """Hold published parameters against the truth of simulated cars.
 
     Example: evpinn bench truth --drives 50 --from-priors
     """

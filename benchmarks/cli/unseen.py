@@ -34,20 +34,20 @@ def unseen(
         ),
     ],
     cars: Annotated[str, typer.Option(help="Only these of its cars, by comma.")] = "",
-    methods: Annotated[str, typer.Option(help=f"Of {', '.join(METHODS)}, by comma.")] = ",".join(
-        METHODS
-    ),
+    methods: Annotated[
+        str, typer.Option(help=f"Of {', '.join(METHODS)}, by comma; else all.", show_default=False)
+    ] = ",".join(METHODS),
     method: Annotated[
         list[str] | None,
-        typer.Option(help="Another, as FILE.py:CLASS (see benchmarks.unseen.method)."),
+        typer.Option(help="Another, as FILE.py:CLASS; CONTRIBUTING.md tells how."),
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     json_file: JsonOption = None,
 ) -> None:
-    """Predict whole drives and battery dropouts without the battery, and score every method.
+    """Score every method on drives and dropouts without the battery.
 
     Each drive is predicted from what those before it taught, then learned from. Errors of energy
-    are in percent of the measured net and gross energy (drawn and regenerated together).
+    are in percent of the measured net energy, and of the gross: drawn and regenerated together.
 
     Example: evpinn bench unseen $DATA --cars model3,i3 --methods weak_ls,core --jobs 2
     """

@@ -31,13 +31,11 @@ def vehicles(
     ] = None,
     beside: Annotated[
         list[str] | None,
-        typer.Option(
-            help="A vehicle, or the path of its file, to be judged too; may be repeated."
-        ),
+        typer.Option(help="A vehicle, or the path of its file, to judge too; may be repeated."),
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Judge priors: road load of cars withheld from them, and energies of drive cycles.
+    """Judge priors: road load of withheld cars, energies of cycles.
 
     Example: evpinn bench vehicles --beside my_generic.yaml
     """

@@ -10,9 +10,9 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
-from evpinn_ros.topics import NAMESPACE, Topic
+from evpinn_ros.topics import NAMESPACE, Topic, topic_of
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_messages, to_reading
 
@@ -59,6 +59,7 @@ class BagReadings:
 
     Attributes:
         topics: full names of the topics that are read.
+        notes: topics that are nearly those that are missing of speed and battery, in words.
         dropped: messages without a usable reading, by reason; complete once iterated.
     """
 
@@ -80,9 +81,14 @@ class BagReadings:
         found = [speed or _named(reader, topics.ODOMETRY, namespace)]
         found += [_named(reader, topic, namespace) for topic in wanted_topics]
         self.topics = tuple(name for name in found if name)
+        missing = {topics.SPEED, topics.BATTERY} - {topic_of(name) for name in self.topics}
+        if found[0]:
+            missing.discard(topics.SPEED)  # odometry has it too
+        self.notes = tuple(_near_topics(reader, missing))
         if not self.topics:
             wanted = ", ".join(topic.name for topic in READING_TOPICS.values())
-            raise InputError(f"{reader.path}: has none of the topics {wanted}")
+            near = "".join(f"; {note}" for note in self.notes)
+            raise InputError(f"{reader.path}: has none of the topics {wanted}{near}")
 
     def __iter__(self) -> Iterator[Reading]:
         self.dropped.clear()
@@ -92,6 +98,18 @@ class BagReadings:
             except BadMessage as error:
                 self.dropped[error.reason] += 1
         self.dropped.update(self._reader.dropped)
+
+
+def _near_topics(reader: BagReader, missing: Iterable[Topic]) -> Iterator[str]:
+    """Words on topics of a bag that may have been meant for those that it has not."""
+    wanted = {topic.name: topic for topic in missing}
+    for name, info in reader.topics.items():
+        near = near_names("/".join(name.split("/")[-2:]), wanted)
+        topic = next((each for each in wanted.values() if each.matches(name)), None)
+        if topic is not None:
+            yield f"{name} is {info.type_name}, not {topic.type_name}"
+        elif near:
+            yield f"topic {name} is not known{near}"
 
 
 def _named(reader: BagReader, topic: Topic, namespace: str | None) -> str | None:

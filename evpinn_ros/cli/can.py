@@ -11,11 +11,13 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.can_frames import open_can_log
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.inspection import BusReport, Inspection
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.cli.can_tables import as_json, show_report
-from evpinn_ros.cli.console import note, show_json
+from evpinn_ros.cli.console import note, progress_bar, show_json
+from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import Elm327Option, complete_profile, elm327_bus
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -24,9 +26,10 @@ from evpinn_ros.topics.node_parameters import bus_options
 BITRATE = 500_000  # bit/s, of every car in config/can
 LISTEN = 10.0  # s, if not given otherwise
 LONGEST = 1e6  # s
+PERIOD = 0.2  # s between two looks at the clock while listening
 LONGEST_STOP = 5.0  # s to wait for the driver
 
-can = typer.Typer(no_args_is_help=True)
+can = typer.Typer(cls=ReadableGroup, no_args_is_help=True)
 
 
 @can.callback()
@@ -37,7 +40,7 @@ def group() -> None:
     """
 
 
-@can.command()
+@can.command(cls=ReadableCommand)
 def inspect(
     source: Annotated[
         Path | None, typer.Argument(help="CAN log or bag of raw frames; none for a live bus.")
@@ -52,7 +55,7 @@ def inspect(
     ] = None,
     channel: Annotated[
         str | None,
-        typer.Option("--channel", "--can-channel", help="Of a live bus: can0, /dev/ttyACM0..."),
+        typer.Option("--channel", "--can-channel", help="can0, /dev/ttyACM0... of a live bus."),
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
@@ -69,13 +72,13 @@ def inspect(
     can_profile: Annotated[
         str | None,
         typer.Option(
-            help="A profile of your own, to be ranked with the others.",
+            help="A profile of your own, to be ranked too.",
             autocompletion=complete_profile,
         ),
     ] = None,
     as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
-    """Show what is on a CAN bus, and which profile fits: listens only, sends nothing.
+    """Show what is on a CAN bus, and which profile fits, without sending.
 
     Example: evpinn can inspect drive.log
 
@@ -109,12 +112,17 @@ def inspect(
 def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | None:
     """Take the frames of a recorded bus; gives what could not be read."""
     log = open_can_log(path)
-    first_ns = None
-    for frame in log.frames():
-        first_ns = frame.stamp_ns if first_ns is None else first_ns
-        if seconds is not None and frame.stamp_ns - first_ns > seconds * NANOSECONDS:
-            break
-        inspection.add_frame(frame)
+    first_ns, shown = None, 0.0
+    with progress_bar(path.name, seconds or stated_seconds(path)) as progress:
+        for frame in log.frames():
+            first_ns = frame.stamp_ns if first_ns is None else first_ns
+            done = (frame.stamp_ns - first_ns) / NANOSECONDS
+            if seconds is not None and done > seconds:
+                break
+            if done - shown >= 1.0:
+                progress(done)
+                shown = done
+            inspection.add_frame(frame)
     for kind, count in sorted(log.skipped.items()):
         note(f"{path}: {count} frames left out: {kind}")
     return log.problem
@@ -130,8 +138,11 @@ def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
     note(f"listening for {seconds:g} s; Ctrl-C ends sooner")
     thread = threading.Thread(target=reader.run, daemon=True)
     thread.start()
-    with suppress(KeyboardInterrupt):
-        time.sleep(seconds)
+    begun = time.monotonic()
+    with suppress(KeyboardInterrupt), progress_bar("listening", seconds, "s") as progress:
+        while (done := time.monotonic() - begun) < seconds:
+            progress(done)
+            time.sleep(min(PERIOD, seconds - done))
     status, end_ns = reader.status(), time.time_ns()
     reader.stop()
     thread.join(LONGEST_STOP)

@@ -37,9 +37,7 @@ def compare(
         typer.Argument(help="Bags, CAN logs or tables of one car; the first is the reference."),
     ],
     vehicle: VehicleOption = "generic",
-    report: Annotated[
-        Path | None, typer.Option(help="Write it as a page too: one HTML file, for a browser.")
-    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page: one HTML file.")] = None,
     state: Annotated[
         Path | None, typer.Option(help="What was learned before, of evpinn replay --state.")
     ] = None,
@@ -53,7 +51,7 @@ def compare(
     trust_profile: TrustProfileOption = False,
     json_file: JsonOption = None,
 ) -> None:
-    """Compare drives of one car: where the energy of each went, and what explains the difference.
+    """Compare drives of one car: where energy went, and what explains a difference.
 
     The same road with other tyres, in another season, with another driver. One model of the car
     learns from all drives; what is not known of the car is common to all and leaves differences.

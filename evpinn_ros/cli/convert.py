@@ -48,10 +48,10 @@ def convert(
     ] = None,
     storage: Annotated[
         Storage | None,
-        typer.Option(help="Keep a bag as it is, every topic, and change its storage alone."),
+        typer.Option(help="Change the storage of a bag alone, and keep every topic."),
     ] = None,
 ) -> None:
-    """Convert a recorded drive into a rosbag2 bag: MCAP of our topics.
+    """Convert a recorded drive into a rosbag2 bag of our topics.
 
     Columns of a table are found by their names and values; what was taken for what is shown.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and

@@ -28,6 +28,7 @@ from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.identifiable import identifiable
 
 DRIVE = "urban"
 VEHICLE = "tesla_model_3_lr"
@@ -40,7 +41,7 @@ def demo(
     ),
     json_file: JsonOption = None,
 ) -> None:
-    """Replay a bundled drive through the three nodes over DDS, and show what they learned.
+    """Replay a bundled drive through the three nodes, and show what they learned.
 
     A simulated car in town: its CAN frames go to the node `can_bridge`, its topics to `estimator`
     and `energy`, each a process of its own. The truth of the car is known, and withheld.
@@ -71,8 +72,9 @@ def demo(
         record_through_nodes(parameters, end_ns, bag, progress)
     drive = recorded_drive(bag)
     truth = read_truth(source)
+    known = truth and identifiable(truth, load_vehicle(VEHICLE).frontal_area)
     save_figure(
-        drive_figure(drive, "A simulated drive in town, through the nodes", truth), picture
+        drive_figure(drive, "A simulated drive in town, through the nodes", known), picture
     )
     found = drive_scores(drive, WARM_UP)
     show(score_table(drive, found))

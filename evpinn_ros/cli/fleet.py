@@ -8,10 +8,9 @@ import signal
 import sys
 from typing import Annotated, Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 import typer
 
-from evpinn_ros.cli.console import TITLE, note, notes, say, show, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
@@ -19,7 +18,12 @@ from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet
 from evpinn_ros.fleet.tables import FleetSummary, population_rows, require_parquet, write_tables
-from evpinn_ros.report.fleet_page import POPULATION_HEAD, population_cells, write_fleet_page
+from evpinn_ros.report.fleet_page import (
+    POPULATION_HEAD,
+    fleet_sentence,
+    population_cells,
+    write_fleet_page,
+)
 from evpinn_ros.vehicle.written import write_vehicle
 
 REPORT = "report.html"
@@ -29,14 +33,14 @@ MOST_SHOWN = 20  # problems printed; the tables hold all
 def fleet(
     bags: Annotated[
         list[str] | None,
-        typer.Argument(help="Files, folders or patterns; one car for each top folder."),
+        typer.Argument(help="Files, folders, patterns; a top folder is a car."),
     ] = None,
     out: Annotated[
         Path, typer.Option(help="Folder of the results; a later run goes on from there.")
     ] = Path("fleet"),
     vehicle: VehicleOption = "generic",
     manifest: Annotated[
-        Path | None, typer.Option(help="fleet.yaml or CSV: which drive is of which car and model.")
+        Path | None, typer.Option(help="fleet.yaml or CSV: car and model of each drive.")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes, one for each core if not given.")
@@ -58,11 +62,11 @@ def fleet(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Learn each car over all its drives in order of time, and the priors of the model.
+    """Learn each car over its drives, and the priors of its model.
 
     What is done is kept: a run that was stopped goes on, and a drive that fails stops no other.
 
-    Example: evpinn fleet drives/ --vehicle bmw_i3 --out fleet --write-vehicle i3_fleet.yaml
+    Example: evpinn fleet drives/ --vehicle bmw_i3 --write-vehicle i3_fleet.yaml
     """
     require_parquet()
     cars = _cars(bags or [], vehicle, manifest)
@@ -101,12 +105,10 @@ def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     """Learn all; False when a person stopped it."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
-    columns = (TITLE, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
-        with Progress(*columns, console=notes, disable=not notes.is_terminal) as bar:
-            work = bar.add_task("cars", total=len(cars))
-            for outcome in learn_fleet(cars, out.resolve(), executor):
-                bar.advance(work)
+        with progress_bar("evpinn fleet", len(cars), unit="cars") as progress:
+            for done, outcome in enumerate(learn_fleet(cars, out.resolve(), executor), start=1):
+                progress(done)
                 if outcome.problem is not None:
                     failed[outcome.task.drives.car] = outcome.problem
     except KeyboardInterrupt:
@@ -155,4 +157,4 @@ def _show(summary: FleetSummary, out: Path) -> None:
         for name, _, *cells in population_cells(population):
             table.add_row(name, *cells)
         show(table)
-    say(f"{out}: {counts['cars']} cars, {counts['learned']} of {counts['drives']} drives learned")
+    say(f"{out}: {fleet_sentence(counts)}")

@@ -10,8 +10,40 @@ from typer.core import TyperCommand, TyperGroup
 
 from evpinn_ros.common.errors import near_names
 
+BRIEF = {  # in place of typer's own, whose last words stood alone in a line
+    "help": "Show this help.",
+    "install_completion": "Let the shell complete commands.",
+    "show_completion": "Show what that would install.",
+}
 
-class LazyCommands(TyperGroup):
+
+class Readable:
+    """Help that wraps as a whole: the lines of a docstring's paragraph are one text."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Take what a command of click takes."""
+        super().__init__(*args, **kwargs)
+        self.help: str | None = "\n\n".join(
+            " ".join(paragraph.split()) for paragraph in (self.help or "").split("\n\n")
+        )
+
+    def get_params(self, ctx: Any) -> Any:
+        """Options, those that every command has in few words."""
+        found = super().get_params(ctx)  # type: ignore[misc]
+        for each in found:
+            each.help = BRIEF.get(each.name, getattr(each, "help", None))
+        return found
+
+
+class ReadableCommand(Readable, TyperCommand):
+    """A command with such help."""
+
+
+class ReadableGroup(Readable, TyperGroup):
+    """A group of commands with such help."""
+
+
+class LazyCommands(ReadableGroup):
     """Imports a command when it is asked for: torch alone takes more than a second.
 
     Attributes:
@@ -41,7 +73,7 @@ class LazyCommands(TyperGroup):
             group.name = cmd_name  # help lists it by that
             return group
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        alone.command(cmd_name)(found)
+        alone.command(cmd_name, cls=ReadableCommand)(found)
         return typer.main.get_command(alone)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

@@ -38,7 +38,7 @@ VehicleOption = Annotated[
 ]
 CanProfileOption = Annotated[
     str | None,
-    typer.Option(help="CAN profile, if not the vehicle's own.", autocompletion=complete_profile),
+    typer.Option(help="Another CAN profile.", autocompletion=complete_profile),
 ]
 TrustProfileOption = Annotated[
     bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
@@ -56,11 +56,10 @@ Elm327Option = Annotated[
     typer.Option(
         "--elm327",
         metavar="PORT",
-        help="An ELM327 or OBDLink adapter in place of a CAN adapter: its serial port, or "
-        "tcp:HOST:PORT.",
+        help="Serial port, or tcp:HOST:PORT, of an ELM327 or OBDLink; no CAN adapter then.",
     ),
 ]
-_JSON_HELP = f"Write what was found as JSON; {STDOUT} for stdout, and the tables to stderr."
+_JSON_HELP = f"As JSON; {STDOUT} for stdout."
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_tables_beside_json)
 ]
@@ -72,8 +71,7 @@ OriginOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="ORIGIN",
-        help="A web page besides app.foxglove.dev that may connect, as http://localhost:8080; "
-        "may be repeated.",
+        help="http://localhost:8080, or another web page that may connect too.",
     ),
 ]
 

@@ -24,11 +24,11 @@ def recover(
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
-    """Save what a broken MCAP bag still holds, and say what was lost.
+    """Save what a broken bag still holds, and say what was lost.
 
     Cut anywhere, without an end, bytes flipped, overwritten or missing: only the chunks that are
     damaged are lost. The bag that is broken is not touched. Of several files, one that cannot be
-    read stops no other; the exit code is 1 then.
+    read stops no other; the command then exits with 1.
 
     Example: evpinn recover out/today/today_0.mcap out/saved
     """

@@ -60,11 +60,9 @@ def replay(
     params: ParamsOption = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="New bag for inputs and outputs; for several inputs a folder of bags."),
+        typer.Option(help="New bag of inputs and outputs; for several inputs a folder."),
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a report: one HTML file, for a browser.")
-    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a report, one HTML file.")] = None,
     metrics: MetricsOption = None,
     units: Annotated[UnitSystem, typer.Option(help="Of the report.")] = UnitSystem.METRIC,
     withhold_battery_after: Annotated[
@@ -77,7 +75,7 @@ def replay(
         typer.Option(help="What was learned: read at the start if there, written at the end."),
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.01, help="Of real time; as fast as it can if not given.")
+        float | None, typer.Option(min=0.01, help="Of real time; else as fast as it can.")
     ] = None,
     start: StartOption = 0.0,
     duration: Annotated[
@@ -90,7 +88,7 @@ def replay(
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
 ) -> None:
-    """Replay recorded drives through the chain, and score every prediction.
+    """Replay recorded drives, and score every prediction.
 
     The same cores as in the nodes, without ROS: readings, samples, learning, power, energy. What
     one input teaches is carried over to the next, and from one turn of --loop to the next.

@@ -87,7 +87,7 @@ def reproduce(
     ] = None,
     can_profile: CanProfileOption = None,
 ) -> None:
-    """Run the experiment of the EV-PINN paper on a drive, every claim checked beside it.
+    """Run the experiment of the EV-PINN paper on a drive, and check every claim.
 
     Tables II to VI and figures 5 to 10 beside the paper's own numbers, and beside them what the
     paper leaves out: a baseline, a chronological split, its published parameters on this drive,

@@ -59,20 +59,18 @@ def run(
     vehicle: VehicleOption,
     can_interface: Annotated[
         str | None,
-        typer.Option(help="Driver of the adapter, in python-can; socketcan if not given."),
+        typer.Option(help="Driver in python-can; else socketcan."),
     ] = None,
     can_channel: Annotated[
-        str | None, typer.Option(help="can0, /dev/ttyACM0...; can0 if not given.")
+        str | None, typer.Option(help="can0, /dev/ttyACM0...; else can0.")
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
-        int | None, typer.Option(min=0, help="Of the bus, bit/s; 500000 if not given.")
+        int | None, typer.Option(min=0, help="Bit/s of the bus; 500000 if none.")
     ] = None,
     bus_option: Annotated[
         str | None,
-        typer.Option(
-            "--bus-options", help="More for the driver, as 'name=value ...': listen_only=true..."
-        ),
+        typer.Option("--bus-options", help="Options 'name=value ...' for the driver."),
     ] = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
@@ -80,39 +78,34 @@ def run(
         bool,
         typer.Option(
             "--poll",
-            help="Send read requests for what the profile says must be asked for. Keeps the car "
-            "awake: see docs/explanation/can.md.",
+            help="Send read requests for what must be asked for; it keeps the car awake.",
         ),
     ] = False,
     mode: Annotated[Mode | None, typer.Option(help="How to learn.")] = None,
     record: Annotated[
-        Path | None, typer.Option(help="Record every topic and raw CAN frame to this bag.")
+        Path | None, typer.Option(help="New bag of all topics and CAN frames.")
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="When it ends, write a report of the drive: one HTML file.")
+        Path | None, typer.Option(help="Write a report at the end, one HTML file.")
     ] = None,
     split_size: Annotated[
         float | None,
-        typer.Option(min=0.1, help="Go on in another file from this size on, MB."),
+        typer.Option(min=0.1, help="Go on in another file from this size, MB."),
     ] = None,
     split_time: Annotated[
         float | None, typer.Option(min=1.0, help="Go on in another file after this time, s.")
     ] = None,
     params: ParamsOption = None,
     state: Annotated[
-        Path | None, typer.Option(help="Where what was learned is kept between drives.")
+        Path | None, typer.Option(help="Keeps what was learned between drives.")
     ] = None,
-    view: Annotated[
-        bool, typer.Option("--view/--no-view", help="On a terminal, show what `watch` shows.")
-    ] = True,
-    foxglove: Annotated[
-        bool, typer.Option("--foxglove", help="Serve every topic to Foxglove (extra `foxglove`).")
+    no_view: Annotated[
+        bool, typer.Option("--no-view", help="Print logs, and no view, on a terminal.")
     ] = False,
-    foxglove_host: Annotated[
-        str, typer.Option(help="For Foxglove to connect to; this machine alone if not given.")
-    ] = LOOPBACK,
+    foxglove: Annotated[bool, typer.Option("--foxglove", help="Let Foxglove connect.")] = False,
+    foxglove_host: Annotated[str, typer.Option(help="For Foxglove to connect to.")] = LOOPBACK,
     foxglove_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Likewise; 0 for any.")
+        int, typer.Option(min=0, max=65535, help="Likewise, 0 for any.")
     ] = PORT,
     foxglove_origin: OriginOption = None,
 ) -> None:
@@ -120,7 +113,7 @@ def run(
 
     Listens only: nothing is sent to the car without --poll. On a terminal shows what is learned.
 
-    Example: evpinn run --vehicle nissan_leaf --can-channel can0 --record out/today
+    Example: evpinn run --vehicle nissan_leaf --record out/today
 
     Example: evpinn run --vehicle bmw_i3 --elm327 tcp:192.168.0.10:35000 --poll
     """
@@ -155,7 +148,7 @@ def run(
             options = [str(word) for pair in learning.items() if pair[1] for word in pair]
             start = learned_before(state, params)
             record = beside.enter_context(reported(report, record, start, options))
-        if view and sys.stdout.isatty():
+        if not no_view and sys.stdout.isatty():
             beside.enter_context(live_view())
         code = run_nodes(
             parameters,

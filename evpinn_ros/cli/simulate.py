@@ -42,17 +42,21 @@ def simulate(
     hills: Annotated[
         float, typer.Option(help="Root mean square slope of the road in percent, 0 is flat.")
     ] = 100 * RMS_GRADE,
-    start: Annotated[datetime, typer.Option(help="Time of the start, UTC.")] = START,
+    start: Annotated[
+        datetime, typer.Option(help="Time of the start, UTC; else 2025.", show_default=False)
+    ] = START,
     altitude: Annotated[bool, typer.Option("--altitude", help="Add a barometer.")] = False,
-    temperature: Annotated[
-        bool, typer.Option("--temperature", help="Add an outside thermometer.")
-    ] = False,
+    temperature: Annotated[bool, typer.Option("--temperature", help="Add a thermometer.")] = False,
     motor_torque: Annotated[
         bool, typer.Option("--motor-torque", help="Tell the motor's torque, an estimate too.")
     ] = False,
     equation: Annotated[
         RegenForm | None,
-        typer.Option(help="A car that obeys eq. 21 in this form to the letter, on a flat road."),
+        typer.Option(
+            metavar="FORM",
+            help="A car that obeys eq. 21 to the letter, on a flat road, as printed, recovery or "
+            "wheel_power have it.",
+        ),
     ] = None,
     can_profile: CanProfileOption = None,
     can_log: Annotated[
@@ -65,7 +69,7 @@ def simulate(
     changing auxiliary loads, hills, lagging and noisy sensors. OUT becomes a bag with truth.yaml
     in it. The same arguments give the same drive.
 
-    Example: evpinn simulate drive --kind mixed --duration 900 --seed 7 --true mass=2050
+    Example: evpinn simulate drive --kind mixed --seed 7 --true mass=2050
     """
     if equation is not None and hills != 100 * RMS_GRADE and hills != 0:
         raise InputError("--hills: a car that obeys eq. 21 drives on a flat road")

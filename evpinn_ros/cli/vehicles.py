@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.cli.console import say, show, show_json
+from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import complete_vehicle
 from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
@@ -16,12 +17,12 @@ from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
 from evpinn_ros.vehicle.written import write_vehicle
 
-vehicles = typer.Typer(invoke_without_command=True)
+vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
 
 
 @vehicles.callback()
 def every(context: typer.Context) -> None:
-    """List the cars that --vehicle knows: vehicle files, and cars of certified road load.
+    """List the cars that --vehicle knows: vehicle files and certified cars.
 
     Example: evpinn vehicles search leaf
     """
@@ -29,7 +30,7 @@ def every(context: typer.Context) -> None:
         search([])
 
 
-@vehicles.command()
+@vehicles.command(cls=ReadableCommand)
 def search(
     words: Annotated[list[str], typer.Argument(help="Words that the name must have.")],
     as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
@@ -52,14 +53,14 @@ def search(
     show(table, at_least=120)
 
 
-@vehicles.command("show")
+@vehicles.command("show", cls=ReadableCommand)
 def show_vehicle(
     vehicle: Annotated[
         str,
         typer.Argument(help="Name, or words of it, or a path.", autocompletion=complete_vehicle),
     ],
 ) -> None:
-    """Print a vehicle file, with the source of every number: a start for one of your own.
+    """Print a vehicle file, with the source of every number.
 
     Example: evpinn vehicles show "ioniq 5 rwd"
     """

@@ -16,10 +16,11 @@ def watch(
         bool, typer.Option("--json", help="Print a JSON object a second, each in a line.")
     ] = False,
 ) -> None:
-    """Show what a running system knows, until Ctrl-C: parameters, power, energy, what is missing.
+    """Show what a running system knows: parameters, power, energy, what is missing.
 
     Receives the topics of nodes started by `evpinn run` or a launch file, on this machine or, with
-    the same ROS_DOMAIN_ID, another; publishes nothing. Without a terminal: a line a second.
+    the same ROS_DOMAIN_ID, another; publishes nothing, and ends with Ctrl-C. Without a terminal:
+    a line a second.
 
     Example: evpinn watch --namespace /ev
     """

@@ -8,6 +8,11 @@ from typing import NamedTuple
 JOULES_PER_KWH = 3.6e6
 
 
+def counted(number: int, word: str) -> str:
+    """Number of things with their word: `1 car`, `2 cars`."""
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
 class Units(NamedTuple):
     """Names of units, and what one of each is in SI.
 

@@ -52,6 +52,7 @@ class BagSource:
         self._reader = BagReader(path)
         self._readings = BagReadings(self._reader, mounting=mounting)
         self.dropped = self._readings.dropped
+        self.notes = self._readings.notes
 
     @property
     def problem(self) -> str | None:

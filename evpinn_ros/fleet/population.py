@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from evpinn_ros.estimation.evidence import SIZE, Evidence
+from evpinn_ros.estimation.evidence import NO_EVIDENCE, SIZE, Evidence
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Prior
 
@@ -78,14 +78,21 @@ class Population:
         self._root = np.linalg.cholesky(self._spread)
         self._spread_doubt = _spread_doubt(self._root.T @ weight @ precision @ self._root)
 
-    def parameter(self, name: str) -> PopulationValue:
-        """One of `PARAMETER_NAMES`."""
-        return self._along(np.eye(SIZE)[PARAMETER_NAMES.index(name)])
+    def value(self, name: str) -> PopulationValue:
+        """One of `PARAMETER_NAMES` or of `COMBINATIONS`."""
+        return self._along(_direction(name))
 
-    def combination(self, name: str) -> PopulationValue:
-        """One of `COMBINATIONS`."""
-        parts = COMBINATIONS[name]
-        return self._along(np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES]))
+    def of_file(self, name: str) -> tuple[float, float]:
+        """Mean and 1-sigma of the same in the vehicle file."""
+        return self.of_car(name, NO_EVIDENCE)
+
+    def of_car(self, name: str, one: Evidence) -> tuple[float, float]:
+        """Mean and 1-sigma of the same of one car: the vehicle file and its own evidence."""
+        direction = _direction(name)
+        scaled = direction * self._scale
+        doubt = np.linalg.inv(np.eye(SIZE) + one.precision)
+        mean = direction @ self._prior + scaled @ doubt @ one.information
+        return float(mean), math.sqrt(scaled @ doubt @ scaled)
 
     def covariance(self) -> np.ndarray:
         """From car to car, of the logarithms, and of p_aux, shape (6, 6)."""
@@ -97,7 +104,7 @@ class Population:
         return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
 
     def _new_prior(self, name: str, source: str) -> Prior:
-        found, limits = self.parameter(name), LIMITS[name]
+        found, limits = self.value(name), LIMITS[name]
         value = found.mean if name == LINEAR else math.exp(found.mean)
         value = min(max(value, limits.lower), limits.upper)
         std = found.new_car_std * (1.0 if name == LINEAR else value)
@@ -118,6 +125,12 @@ class Population:
             spread_std=math.sqrt(doubt) / (2.0 * spread),
             cars=max(0.0, 2.0 * variance**2 / doubt - FILE_CARS),
         )
+
+
+def _direction(name: str) -> np.ndarray:
+    """Direction of a parameter or a combination, shape (6,)."""
+    parts = COMBINATIONS.get(name, {name: 1.0})
+    return np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
 
 
 def _prior(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:

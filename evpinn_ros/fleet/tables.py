@@ -26,6 +26,7 @@ from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 DRIVES, CARS, POPULATION = "drives.parquet", "cars.parquet", "population.parquet"
 ROWS = 2000  # written at a time
 SHOWN = 200  # cars and problems kept for people; the tables hold all
+CHARTED = 30  # cars of a model in the charts of the report
 
 PARAMETERS = {
     **dict.fromkeys(PARAMETER_NUMBERS, "double"),
@@ -61,12 +62,14 @@ class FleetSummary:
         populations: by vehicle model.
         cars: the first `SHOWN` rows of the table of cars.
         problems: the first `SHOWN` drives and cars that failed, and why.
+        known: evidence of the first `CHARTED` cars of a population, by model and car.
         counts: of cars, drives, drives learned and problems, all of them.
     """
 
     populations: dict[str, Population] = field(default_factory=dict)
     cars: list[dict[str, Any]] = field(default_factory=list)
     problems: list[tuple[str, str]] = field(default_factory=list)
+    known: dict[str, dict[str, Evidence]] = field(default_factory=lambda: defaultdict(dict))
     counts: dict[str, int] = field(default_factory=lambda: defaultdict(int))
 
 
@@ -110,6 +113,8 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
             vehicles[car.vehicle.key] = car.vehicle
             if row["in_population"]:
                 found[car.vehicle.key].append(_evidence(result))
+                if len(summary.known[car.vehicle.key]) < CHARTED:
+                    summary.known[car.vehicle.key][car.car] = found[car.vehicle.key][-1]
     for key, vehicle in sorted(vehicles.items()):
         summary.populations[key] = Population(vehicle, found[key])
     with _table(out / POPULATION, POPULATION_COLUMNS) as table:
@@ -123,9 +128,9 @@ def population_rows(key: str, population: Population) -> Iterator[dict[str, Any]
     """A row for each parameter and each combination that data determine."""
     covariance = population.covariance()
     for name, line in zip(PARAMETER_NAMES, covariance, strict=True):
-        yield _value_row(key, name, population.parameter(name)) | {"covariance": line.tolist()}
+        yield _value_row(key, name, population.value(name)) | {"covariance": line.tolist()}
     for name in COMBINATIONS:
-        yield _value_row(key, name, population.combination(name)) | {"covariance": None}
+        yield _value_row(key, name, population.value(name)) | {"covariance": None}
 
 
 def _value_row(key: str, name: str, found: PopulationValue) -> dict[str, Any]:

@@ -99,6 +99,7 @@ class LiveState:
         self.line = PowerHistory()
         self.statuses: dict[str, PartStatus] = {}
         self.unusable: Counter[str] = Counter()
+        self._elsewhere: set[str] = set()  # namespaces of nodes like ours
         self._vectors: dict[Topic, NamedVector] = {}
         self._arrivals: defaultdict[Topic, deque[float]] = defaultdict(
             lambda: deque(maxlen=MOST_ARRIVALS)
@@ -132,8 +133,12 @@ class LiveState:
     def _take_status(self, status: Any, now: float) -> None:
         node, _, part = status.name.partition(":")
         namespace, _, node = node.strip("/").rpartition("/")
-        if node not in NODES or namespace != self._namespace:
+        if node not in NODES:
             return  # of somebody else: everybody shares this topic
+        if namespace != self._namespace:
+            if len(self._elsewhere) < MOST_PARTS:
+                self._elsewhere.add(printable(f"/{namespace}"))
+            return
         # rclpy holds a byte as bytes, rosbags as int.
         level = status.level if isinstance(status.level, int) else status.level[0]
         values = {pair.key: printable(pair.value) for pair in status.values}
@@ -235,7 +240,9 @@ class LiveState:
         if not self.received:
             return [(Level.WARN, NOTHING)]
         if not self.statuses:
-            found = [(Level.WARN, "no /diagnostics of our nodes yet")]
+            run = f"; nodes run under {', '.join(sorted(self._elsewhere))} (--namespace)"
+            known = run if self._elsewhere else ""
+            found = [(Level.WARN, f"no /diagnostics of our nodes yet{known}")]
         else:
             found = [
                 (status.level, f"{name}: {status.text}")

@@ -97,6 +97,7 @@ class Drive:
         models: the car as known at the start and about every `MODEL_STEP`; empty without replay.
         model: the car as known at the end, None where nothing gives one.
         jumps: time, and s by which it went back there, shape (n, 2).
+        breakdown: kWh and 1-sigma by part, as last published; empty without `add_breakdown`.
     """
 
     duration: float
@@ -117,6 +118,7 @@ class Drive:
     models: tuple[KnownModel, ...] = ()
     model: LinearPower | None = None
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 class History:
@@ -137,6 +139,7 @@ class History:
         self._power = {PowerKind.SMOOTHED: Columns(4), PowerKind.PREDICTED: Columns(4)}
         self._parameters = {name: Columns(4) for name in PARAMETER_NAMES}
         self._final: ParameterSet | None = None
+        self._breakdown: Mapping[str, tuple[float, float]] = {}
 
     def seconds(self, stamp_ns: int) -> float:
         """Time since the first reading, s."""
@@ -206,6 +209,10 @@ class History:
         if not self._detections or self._detections[-1].report[:4] != report[:4]:
             self._detections.append(Detection(self._now, report))
 
+    def add_breakdown(self, found: Mapping[str, tuple[float, float]]) -> None:
+        """Take the breakdown as it is now, kWh and 1-sigma by part."""
+        self._breakdown = found
+
     @property
     def wants_model(self) -> bool:
         """True if `MODEL_STEP` has passed since the last model."""
@@ -249,6 +256,7 @@ class History:
             models=tuple(self._models),
             model=model,
             jumps=self._jumps.values(),
+            breakdown=self._breakdown,
         )
 
 

@@ -9,7 +9,13 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.topics import Topic, topic_of
-from evpinn_ros.topics.estimates import POWER_KINDS, read_energy, read_parameters, read_power
+from evpinn_ros.topics.estimates import (
+    POWER_KINDS,
+    read_breakdown,
+    read_energy,
+    read_parameters,
+    read_power,
+)
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import to_reading
 
@@ -22,6 +28,7 @@ def recorded_drive(bag: Path) -> Drive:
     """
     history = History()
     parameters: Any = None
+    combined: Any = None
     with BagReader(bag) as reader:
         has_speed = any(topics.SPEED.matches(name) for name in reader.topics)
         speed = topics.SPEED if has_speed else topics.ODOMETRY
@@ -32,8 +39,12 @@ def recorded_drive(bag: Path) -> Drive:
                     history.add_reading(to_reading(record.type_name, record.message))
                 elif topic is topics.PARAMETERS:
                     parameters = record.message
-                elif topic is topics.BOUNDS and parameters is not None:
-                    history.add_output(read_parameters(parameters, record.message))
+                elif topic is topics.IDENTIFIABLE:
+                    combined = record.message
+                elif topic is topics.BOUNDS and parameters is not None and combined is not None:
+                    history.add_output(read_parameters(parameters, combined, record.message))
+                elif topic is topics.ENERGY_BREAKDOWN:
+                    history.add_breakdown(read_breakdown(record.message))
                 elif topic is not None:
                     _add_output(history, topic, record.message)
             except BadMessage:

@@ -1,9 +1,10 @@
-"""The picture of a drive: power, energy and parameters over time, with bands."""
+"""Picture of a drive: where its energy went, power, and what data determine of the car."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,42 +13,68 @@ import numpy as np
 from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import longest_step, running_total
-from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.vehicle.identifiable import Identifiable
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
-LABELS = {
-    "eta": "motor efficiency \u03b7",
-    "mu": "regeneration efficiency \u03bc",
-    "mass": "mass, kg",
+BELOW = {
+    "color": "0.7",
+    "lw": 3.5,
+}  # wide and pale: what is measured is seen under what predicts it
+BAND: Mapping[str, Any] = {"color": PREDICTED, "lw": 0}
+INTERVAL = 1.96  # sigmas to both sides that hold 95 %
+TITLES = {
+    "mass_over_eta": "mass / \u03b7, kg",
+    "drag_area_over_eta": "drag area / \u03b7, m\u00b2",
     "c_rr": "rolling resistance $C_{rr}$",
-    "c_d": "drag coefficient $C_d$",
+    "regeneration": "regeneration \u03b7 \u03bc",
+    "p_aux": "auxiliary power, W",
+}
+OUTSIDE: Mapping[str, Any] = {
+    **{"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2},
+    **{"frameon": False, "fontsize": "small"},
 }
 
 
-def drive_figure(drive: Drive, title: str, truth: Parameters | None = None) -> Figure:
+def drive_figure(
+    drive: Drive,
+    title: str,
+    truth: Identifiable | None = None,
+    true_parts: Mapping[str, float] | None = None,
+) -> Figure:
     """Draw a drive.
 
     Args:
-        drive: what was replayed.
+        drive: what was replayed, with its breakdown.
         title: of the picture.
-        truth: true parameters of a simulated car, drawn as lines.
+        truth: of a simulated car, drawn as lines.
+        true_parts: energy that each part of the breakdown truly took, kWh.
     """
-    figure = Figure(figsize=(12, 11), layout="constrained")
+    figure = Figure(figsize=(12, 11.5), layout="constrained")
     figure.suptitle(title, parse_math=False)  # it may be the name of a file
-    grid = figure.add_gridspec(5, 2, height_ratios=(0.7, 1.2, 1, 1, 1))
-    _draw_speed(figure.add_subplot(grid[0, :]), drive)
-    _draw_power(figure.add_subplot(grid[1, :]), drive)
-    cells = [grid[row, column] for row in (2, 3, 4) for column in (0, 1)]
-    names = list(LABELS)
-    _draw_energy(figure.add_subplot(cells[0]), drive)
-    for cell, name in zip(cells[1:], names, strict=True):
+    grid = figure.add_gridspec(5, 6, height_ratios=(1.35, 0.7, 1.2, 1, 1))
+    _draw_breakdown(figure.add_subplot(grid[0, :]), drive.breakdown, true_parts or {})
+    over_time = [figure.add_subplot(grid[row, :]) for row in (1, 2)]
+    cells = [grid[row, columns] for row in (3, 4) for columns in _thirds()]
+    over_time += [figure.add_subplot(cell) for cell in cells]
+    speed, power, energy, *combinations = over_time
+    _draw_speed(speed, drive)
+    _draw_power(power, drive)
+    _draw_energy(energy, drive)
+    for axes, name in zip(combinations, TITLES, strict=True):
         true_value = None if truth is None else float(getattr(truth, name))
-        _draw_parameter(figure.add_subplot(cell), drive.parameters, name, true_value)
-    for axes in figure.axes:
+        _draw_combination(axes, drive.combinations[name], true_value)
+        axes.set_title(TITLES[name], loc="left", fontsize="medium")
+    figure.legend(
+        *combinations[0].get_legend_handles_labels(), loc="outside lower center", ncols=3
+    )
+    for axes in over_time:
         axes.set_xlim(0, max(drive.duration, 1.0))
         axes.grid(alpha=0.3)
+    for axes in over_time[-3:]:
+        axes.set_xlabel("time, s")
     return figure
 
 
@@ -58,21 +85,51 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(draft, dpi=110, format="png")
 
 
+def _thirds() -> tuple[slice, ...]:
+    return slice(0, 2), slice(2, 4), slice(4, 6)
+
+
+def _draw_breakdown(
+    axes: Axes, found: Mapping[str, tuple[float, float]], truth: Mapping[str, float]
+) -> None:
+    """A bar for each part with its 95 % interval, and the truth where it is known."""
+    names = [name for name in MEANINGS if any(found.get(name, ()))]
+    for row, name in enumerate(names):
+        kwh, sigma = found[name]
+        axes.barh(row, kwh, color=PREDICTED, alpha=0.45, height=0.7)
+        axes.errorbar(kwh, row, xerr=INTERVAL * sigma, color=PREDICTED, elinewidth=2)
+        if name in truth:
+            axes.plot([truth[name]] * 2, [row - 0.45, row + 0.45], color=TRUTH, lw=2.5)
+        text = f"{kwh:.3f} \u00b1 {sigma:.3f}"
+        beside = ("axes fraction", "data")
+        axes.annotate(text, (1.01, row), xycoords=beside, va="center", annotation_clip=False)
+    axes.set_yticks(range(len(names)), [MEANINGS[name] for name in names])
+    axes.set_title("Where the energy went, kWh \u00b1 1-sigma", loc="left", fontsize="medium")
+    axes.axvline(0.0, color="k", lw=0.8)
+    axes.invert_yaxis()
+    axes.grid(axis="x", alpha=0.3)
+    axes.errorbar([], [], xerr=[], color=PREDICTED, elinewidth=2, label="estimate, 95 % interval")
+    if truth:
+        axes.plot([], [], color=TRUTH, lw=2.5, label="truth")
+    axes.legend(**OUTSIDE, ncols=2)
+
+
 def _draw_speed(axes: Axes, drive: Drive) -> None:
     axes.plot(drive.speed[:, 0], drive.speed[:, 1] * 3.6, color="tab:blue", lw=1)
-    axes.set_ylabel("speed, km/h")
+    axes.set_title("speed, km/h", loc="left", fontsize="medium")
 
 
 def _draw_power(axes: Axes, drive: Drive) -> None:
     time, power = _with_breaks(drive.measured[:, 0], drive.measured[:, 1] / 1000)
-    axes.plot(time, power, color=MEASURED, lw=1, label="measured")
+    axes.plot(time, power, **BELOW, label="measured")
     series = drive.smoothed
     half = GAUSSIAN_QUANTILE * series.sigma / 1000
     middle = series.power / 1000
-    axes.fill_between(series.time, middle - half, middle + half, color=PREDICTED, alpha=0.3, lw=0)
-    axes.plot(series.time, middle, color=PREDICTED, lw=0.8, label="predicted, 90 % band")
-    axes.set_ylabel("battery power, kW")
-    axes.legend(loc="upper right", ncols=2)
+    low, high = middle - half, middle + half
+    axes.fill_between(series.time, low, high, **BAND, alpha=0.3, label="its 90 % band")
+    axes.plot(series.time, middle, color=PREDICTED, lw=0.8, label="predicted")
+    axes.set_title("battery power, kW", loc="left", fontsize="medium")
+    axes.legend(**OUTSIDE, ncols=3)
 
 
 def _draw_energy(axes: Axes, drive: Drive) -> None:
@@ -81,30 +138,23 @@ def _draw_energy(axes: Axes, drive: Drive) -> None:
     if len(energy) and len(drive.measured) > 1:
         time, power = drive.measured.T
         power = np.where(time >= energy[0, 0], power, 0.0)
-        total = running_total(time, power) / JOULES_PER_KWH
-        axes.plot(time, total, color=MEASURED, label="measured")
+        steps = np.diff(time)
+        used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
+        total = np.concatenate(([0.0], np.cumsum(used)))
+        axes.plot(time, total / JOULES_PER_KWH, **BELOW)
     if len(energy):
-        axes.plot(energy[:, 0], energy[:, 1] / JOULES_PER_KWH, color=PREDICTED, label="predicted")
-        axes.plot(energy[:, 0], energy[:, 2] / JOULES_PER_KWH, "k:", lw=1, label="RKNN")
-        axes.legend(loc="upper left")
-    axes.set_ylabel("energy, kWh")
+        axes.plot(energy[:, 0], energy[:, 1] / JOULES_PER_KWH, color=PREDICTED, lw=1.2)
+    axes.set_title("energy, kWh: measured, predicted", loc="left", fontsize="medium")
 
 
-def _draw_parameter(
-    axes: Axes, parameters: Mapping[str, np.ndarray], name: str, truth: float | None
-) -> None:
-    rows = parameters[name]
-    label = LABELS[name]
+def _draw_combination(axes: Axes, rows: np.ndarray, truth: float | None) -> None:
     if len(rows):
-        time, value, std = rows[:, 0], rows[:, 1], rows[:, 2]
-        axes.fill_between(time, value - std, value + std, color=PREDICTED, alpha=0.3, lw=0)
-        axes.plot(time, value, color=PREDICTED, label="estimate, 1-sigma")
+        time, value, std = rows.T
+        low, high = value - INTERVAL * std, value + INTERVAL * std
+        axes.fill_between(time, low, high, **BAND, alpha=0.25, label="95 % interval")
+        axes.plot(time, value, color=PREDICTED, label="estimate")
     if truth is not None:
-        axes.axhline(truth, color=TRUTH, ls="--", label="truth")
-    axes.set_ylabel(label)
-    axes.set_xlabel("time, s")
-    if truth is not None and len(rows):
-        axes.legend(loc="best")
+        axes.axhline(truth, color=TRUTH, lw=2, ls="--", label="truth")
 
 
 def _with_breaks(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Any
 
+from evpinn_ros.common.units import counted
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
-from evpinn_ros.fleet.tables import SHOWN, FleetSummary
+from evpinn_ros.fleet.tables import CHARTED, SHOWN, FleetSummary
+from evpinn_ros.report.fleet_charts import fleet_charts
 from evpinn_ros.report.html import write_page
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
-POPULATION_HEAD = ("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth")
+POPULATION_HEAD = (
+    *("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth, cars"),
+)
 CAR_HEAD = ("car", "vehicle", "drives", "hours", *PARAMETER_NAMES)
 
 
@@ -28,21 +32,34 @@ def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
         title="evpinn fleet",
         command=command,
         counts=summary.counts,
+        sentence=fleet_sentence(summary.counts),
         shown=SHOWN,
+        charted=CHARTED,
         population_head=POPULATION_HEAD,
-        populations={key: population_cells(one) for key, one in summary.populations.items()},
+        models=[
+            (key, len(known), fleet_charts(one, known), population_cells(one))
+            for key, one in summary.populations.items()
+            for known in [summary.known[key]]
+        ],
         car_head=CAR_HEAD,
         cars=[_car_cells(row) for row in summary.cars],
         problems=summary.problems,
     )
 
 
+def fleet_sentence(counts: Mapping[str, int]) -> str:
+    """Sentence of how much there is."""
+    cars, drives = (counted(counts[name], name[:-1]) for name in ("cars", "drives"))
+    problems = counted(counts["problems"], "problem") if counts["problems"] else "no problem"
+    return f"{cars}, {counts['learned']} of {drives} learned, {problems}."
+
+
 def population_cells(population: Population) -> list[tuple[str, ...]]:
     """Rows under `POPULATION_HEAD`: the parameters, then what data determine."""
-    named = [(name, population.parameter(name)) for name in PARAMETER_NAMES]
+    named = [(name, population.value(name)) for name in PARAMETER_NAMES]
     priors = population.vehicle.priors
     files = [f"{priors[name].value:.4g} +- {priors[name].std:.2g}" for name in PARAMETER_NAMES]
-    named += [(name, population.combination(name)) for name in COMBINATIONS]
+    named += [(name, population.value(name)) for name in COMBINATIONS]
     files += [""] * len(COMBINATIONS)
     return [
         (name, file, *_value_cells(name, found))
@@ -60,7 +77,7 @@ def _value_cells(name: str, found: PopulationValue) -> tuple[str, ...]:
         f"{value:.4g} +- {scale * found.mean_std:.2g}{unit}",
         f"{scale * found.spread:.2g} +- {scale * found.spread_std:.2g}{unit}",
         f"+- {scale * found.new_car_std:.2g}{unit}",
-        f"{found.cars:.1f} cars",
+        f"{found.cars:.1f}",
     )
 
 

@@ -193,6 +193,15 @@ def read_identifiable(message: Any) -> tuple[Identifiable, Identifiable]:
     return values, sigmas
 
 
+def read_breakdown(message: Any) -> dict[str, tuple[float, float]]:
+    """Energy and 1-sigma by part, kWh."""
+    vector = read_named_vector(message)
+    return {
+        name: (energy / JOULES_PER_KWH, vector.sigmas.get(name, math.nan) / JOULES_PER_KWH)
+        for name, energy in vector.values.items()
+    }
+
+
 def read_energy(message: Any) -> EnergyState:
     """The flows of a meter; what is not on its topic is NaN or zero."""
     vector = read_named_vector(message)
@@ -215,8 +224,8 @@ def read_energy(message: Any) -> EnergyState:
     )
 
 
-def read_parameters(parameters: Any, bounds: Any) -> ParameterSet:
-    """Parameters and the bounds published with them; their states are not on the topics."""
+def read_parameters(parameters: Any, combined: Any, bounds: Any) -> ParameterSet:
+    """Parameters, combinations and bounds published together; states are not on the topics."""
     live, limits = read_named_vector(parameters), read_named_vector(bounds).values
     estimates = {
         name: ParameterEstimate(
@@ -227,8 +236,7 @@ def read_parameters(parameters: Any, bounds: Any) -> ParameterSet:
         )
         for name, value in zip(PARAMETER_NAMES, _all(live.values, PARAMETER_NAMES), strict=True)
     }
-    unknown = Identifiable(*([math.nan] * len(IDENTIFIABLE_NAMES)))
-    return ParameterSet(live.stamp_ns, estimates, unknown, unknown, reliable=False)
+    return ParameterSet(live.stamp_ns, estimates, *read_identifiable(combined), reliable=False)
 
 
 def bounds_of(limits: Mapping[str, float], name: str) -> dict[str, float]:

@@ -15,6 +15,7 @@ from evpinn_ros.drives import open_drive
 from evpinn_ros.signals import readings as kinds
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.topics.messages import scalar, speed_message
+from evpinn_ros.topics.readings import reading_messages
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 START = 1_700_000_000_000_000_000
@@ -112,6 +113,32 @@ def test_a_topic_of_another_type_is_none_of_ours(tmp_path):
         pytest.raises(InputError, match="none of the topics vehicle/speed, battery/state"),
     ):
         BagReadings(reader)
+
+
+def test_a_topic_that_was_nearly_ours_is_named(tmp_path):
+    speed = speed_message(new_message, SpeedReading(START, 1.0))
+    with BagWriter(tmp_path / "a") as writer:
+        writer.write("/ev/vehicle/sped", speed, START)
+        writer.write("/ev/battery/state", scalar(new_message, 1.0), START)
+        writer.write("/lidar/points", scalar(new_message, 1.0), START)
+    near = "topic /ev/vehicle/sped is not known; did you mean vehicle/speed"
+    with BagReader(tmp_path / "a") as reader, pytest.raises(InputError) as refused:
+        BagReadings(reader)
+    assert near in str(refused.value) and "lidar" not in str(refused.value)
+    assert "/ev/battery/state is std_msgs/msg/Float64, not sensor_msgs" in str(refused.value)
+
+
+def test_of_a_bag_that_has_some_topics_the_missing_ones_are_looked_for(tmp_path):
+    battery = next(reading_messages(new_message, BatteryReading(START, 350.0, 1.0)))[1]
+    speed = speed_message(new_message, SpeedReading(START, 1.0))
+    for name, notes in (("vehicle/sped", 1), ("vehicle/speed", 0)):
+        bag = tmp_path / name.replace("/", "_")
+        with BagWriter(bag) as writer:
+            writer.write("/ev/battery/state", battery, START)
+            writer.write(f"/ev/{name}", speed, START)
+        with BagReader(bag) as reader:
+            found = BagReadings(reader).notes
+        assert len(found) == notes and all("did you mean vehicle/speed" in each for each in found)
 
 
 def test_bad_messages_are_counted(tmp_path):

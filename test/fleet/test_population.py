@@ -41,11 +41,6 @@ def directions():
     yield from COMBINATIONS.items()
 
 
-def value_of(population, name):
-    known = name in COMBINATIONS
-    return population.combination(name) if known else population.parameter(name)
-
-
 @pytest.mark.parametrize("count", [4, 20, 60])
 def test_mean_and_spread_are_recovered_within_what_is_stated(count):
     """Intervals of 95 %, of 40 populations; those of the spread are known to hold 92 to 99 %."""
@@ -57,7 +52,7 @@ def test_mean_and_spread_are_recovered_within_what_is_stated(count):
         population = Population(LEAF, list(cars(count, mean, spread, rng)))
         for name, parts in directions():
             direction = np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
-            found = value_of(population, name)
+            found = population.value(name)
             true = direction @ (START + SIGMA * mean)
             means.append((found.mean - true) / found.mean_std)
             true_spread = np.linalg.norm(direction * SIGMA * spread)
@@ -73,14 +68,14 @@ def test_without_evidence_the_vehicle_file_stays():
         for name, prior in LEAF.priors.items():
             assert priors[name].value == pytest.approx(prior.value, rel=1e-12)
             assert priors[name].std == pytest.approx(prior.std, rel=1e-12)
-            assert value_of(Population(LEAF, found), name).cars == pytest.approx(0.0, abs=1e-9)
+            assert Population(LEAF, found).value(name).cars == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_car_that_is_all_prior_changes_nothing():
     some = list(cars(8, np.zeros(6), np.full(6, 0.3), np.random.default_rng(1)))
     alone, among = Population(LEAF, some), Population(LEAF, [NO_EVIDENCE, *some, NO_EVIDENCE])
     for name in PARAMETER_NAMES:
-        assert alone.parameter(name) == among.parameter(name)
+        assert alone.value(name) == among.value(name)
 
 
 def test_what_no_car_tells_stays_as_it_was():
@@ -88,7 +83,7 @@ def test_what_no_car_tells_stays_as_it_was():
     population = Population(LEAF, list(cars(200, np.full(6, 0.2), np.full(6, 0.2), rng)))
     scaled = population.covariance() / np.outer(SIGMA, SIGMA)
     assert UNTOLD @ scaled @ UNTOLD == pytest.approx(0.5, rel=1e-3)
-    wheel, combined = population.parameter("mass"), population.combination("mass_over_eta")
+    wheel, combined = population.value("mass"), population.value("mass_over_eta")
     assert combined.cars > 5 * wheel.cars
 
 
@@ -99,8 +94,8 @@ def test_what_is_told_together_is_not_told_of_each():
     ratio /= np.linalg.norm(ratio)
     found = [Evidence(1e6 * np.outer(ratio, ratio), 1e6 * ratio * z) for z in rng.normal(size=60)]
     population = Population(LEAF, found)
-    assert population.combination("mass_over_eta").cars == pytest.approx(60.0, rel=0.01)
-    mass = population.parameter("mass")
+    assert population.value("mass_over_eta").cars == pytest.approx(60.0, rel=0.01)
+    mass = population.value("mass")
     assert mass.cars < 2.0 and mass.spread_std > 0.2 * mass.spread
 
 
@@ -109,7 +104,7 @@ def test_many_cars_that_are_all_alike():
     (one,) = cars(1, np.full(6, 0.2), np.full(6, 0.2), np.random.default_rng(6))
     exact = Evidence(1e6 * one.precision, 1e6 * one.information)
     population = Population(LEAF, [exact] * 5000)
-    found = population.combination("mass_over_eta")
+    found = population.value("mass_over_eta")
     assert 0 < found.spread < 0.01 and 0 < found.spread_std < 0.1 * found.spread
     assert found.cars == pytest.approx(5000.0, rel=0.01)
 
@@ -118,7 +113,7 @@ def test_one_car_moves_the_next_but_half_way():
     """Mean and spread are each half of the file's variance: a car known exactly is one draw."""
     exact = Evidence(np.diag([0, 0, 0, 1e8, 0, 0]), np.array([0, 0, 0, 1e8, 0, 0]))
     population = Population(LEAF, [exact])
-    found = population.parameter("c_rr")
+    found = population.value("c_rr")
     assert found.cars == pytest.approx(1.0, abs=1e-3)
     assert 0.3 < (found.mean - START[3]) / SIGMA[3] < 0.7
     assert 0.6 < found.new_car_std / SIGMA[3] < 1.0

@@ -32,6 +32,11 @@ def test_the_bag_of_a_replay_gives_its_series_back(vehicle, tmp_path):
             assert np.array_equal(ours, theirs)
     assert found.final is not None and made.final is not None
     assert found.final.parameters["mass"].value == made.final.parameters["mass"].value
+    for name, rows in made.combinations.items():
+        assert np.array_equal(found.combinations[name], rows)
+    parts = {name: kwh for name, (kwh, _) in found.breakdown.items() if name != "regained"}
+    assert parts.pop("measured") == pytest.approx(sum(parts.values()))
+    assert all(np.isfinite(sigma) for _, sigma in found.breakdown.values())
     scores = drive_scores(found, warm_up=30.0)
     assert all(value is not None and np.isfinite(value) for value in scores["energy"].values())
     assert scores["power"]["rmse_w"] == pytest.approx(

@@ -87,6 +87,8 @@ def test_each_view_shows_the_diagnostics_of_its_own_car():
         state.take(topics.DIAGNOSTICS, message, 1.0)
     assert near.problems(1.0) == [(Level.ERROR, "can_bridge: bus: lost")]
     assert far.statuses == {}
+    ((_, text),) = far.problems(1.0)
+    assert text.endswith("nodes run under /robot1/ev (--namespace)")
 
 
 def test_parts_without_end_fill_no_memory():
