@@ -43,7 +43,7 @@ def simulate(
         float, typer.Option(help="Root mean square slope of the road in percent, 0 is flat.")
     ] = 100 * RMS_GRADE,
     start: Annotated[
-        datetime, typer.Option(help="Time of the start, UTC; else 2025.", show_default=False)
+        datetime, typer.Option(help="Start, UTC; else in 2025.", show_default=False)
     ] = START,
     altitude: Annotated[bool, typer.Option("--altitude", help="Add a barometer.")] = False,
     temperature: Annotated[bool, typer.Option("--temperature", help="Add a thermometer.")] = False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
+import math
 from typing import NamedTuple
 
 JOULES_PER_KWH = 3.6e6
@@ -11,6 +12,13 @@ JOULES_PER_KWH = 3.6e6
 def counted(number: int, word: str) -> str:
     """Number of things with their word: `1 car`, `2 cars`."""
     return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """Value and 1-sigma, both to the second digit of the latter: `2023 ± 230`."""
+    places = 1 - math.floor(math.log10(sigma)) if 0.0 < sigma < math.inf else 0
+    digits = max(places, 0)
+    return f"{round(value, places):.{digits}f} ± {round(sigma, places):.{digits}f}"
 
 
 class Units(NamedTuple):

@@ -19,10 +19,8 @@ from evpinn_ros.replays.scoring import longest_step, running_total
 from evpinn_ros.vehicle.identifiable import Identifiable
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
-BELOW = {
-    "color": "0.7",
-    "lw": 3.5,
-}  # wide and pale: what is measured is seen under what predicts it
+# Wide and pale: what is measured is seen under what predicts it.
+BELOW: Mapping[str, Any] = {"color": "0.7", "lw": 3.5}
 BAND: Mapping[str, Any] = {"color": PREDICTED, "lw": 0}
 INTERVAL = 1.96  # sigmas to both sides that hold 95 %
 TITLES = {

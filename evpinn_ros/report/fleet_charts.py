@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.common.units import with_sigma
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.fleet.population import LINEAR, Population
 
@@ -60,7 +61,7 @@ def _rows(name: str, population: Population, cars: Mapping[str, Evidence]) -> li
     return [
         Whisker(
             name=row,
-            text=f"{at:.4g} ± {0.5 * (above - below):.2g}",
+            text=with_sigma(at, 0.5 * (above - below)),
             low=place(below),
             at=place(at),
             high=place(above),

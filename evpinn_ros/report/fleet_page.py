@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.common.units import counted
+from evpinn_ros.common.units import counted, with_sigma
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
 from evpinn_ros.fleet.tables import CHARTED, SHOWN, FleetSummary
 from evpinn_ros.report.fleet_charts import fleet_charts
@@ -58,7 +58,7 @@ def population_cells(population: Population) -> list[tuple[str, ...]]:
     """Rows under `POPULATION_HEAD`: the parameters, then what data determine."""
     named = [(name, population.value(name)) for name in PARAMETER_NAMES]
     priors = population.vehicle.priors
-    files = [f"{priors[name].value:.4g} +- {priors[name].std:.2g}" for name in PARAMETER_NAMES]
+    files = [with_sigma(priors[name].value, priors[name].std) for name in PARAMETER_NAMES]
     named += [(name, population.value(name)) for name in COMBINATIONS]
     files += [""] * len(COMBINATIONS)
     return [
@@ -83,7 +83,7 @@ def _value_cells(name: str, found: PopulationValue) -> tuple[str, ...]:
 
 def _car_cells(row: dict[str, Any]) -> Sequence[str]:
     parameters = (
-        "-" if row[name] is None else f"{row[name]:.4g} +- {row[f'{name}_std']:.2g}"
+        "-" if row[name] is None else with_sigma(row[name], row[f"{name}_std"])
         for name in PARAMETER_NAMES
     )
     drives = f"{row['learned']} of {row['drives']}"

@@ -50,7 +50,7 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     out, file = tmp_path / "out", tmp_path / "leaf_fleet.yaml"
     done = learn(recorded, out, "--write-vehicle", file, "--json", tmp_path / "found.json")
     assert done.exit_code == 0, done.output
-    assert "2 cars, 3 of 4 drives learned" in done.output
+    assert "2 cars, 3 of 4 drives learned, 1 problem." in done.output
     assert "bad.mcap: not an MCAP file" in done.output
     drives = {row["path"].split("/data0/")[-1]: row for row in read(out / "drives.parquet")}
     assert len(drives) == 4
@@ -70,6 +70,8 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     page = (out / "report.html").read_text()
     for text in ("ann", "nissan_leaf", "bad.mcap", "mass_over_eta", "evpinn fleet"):
         assert text in page
+    assert "2 cars, 3 of 4 drives learned, 1 problem." in page
+    assert page.count('<div class="forest">') == 5 and page.count(">bob<") == 6  # charts and table
     assert "http:" not in page and "https:" not in page
     learned = load_vehicle(file)
     assert learned.priors["eta"].std < load_vehicle("nissan_leaf").priors["eta"].std * 1.01

@@ -1,0 +1,49 @@
+"""Charts of a fleet: what is drawn where, and words for how much."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.common.units import counted, with_sigma
+from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
+from evpinn_ros.fleet.population import Population
+from evpinn_ros.report.fleet_charts import CHARTED, fleet_charts
+from evpinn_ros.report.fleet_page import fleet_sentence
+from evpinn_ros.vehicle.files import load_vehicle
+
+LEAF = load_vehicle("nissan_leaf")
+
+
+def exact(z: float) -> Evidence:
+    """Rolling resistance known exactly, so many sigmas of the prior from it."""
+    return Evidence(np.diag([0, 0, 0, 1e8, 0, 0]), np.array([0, 0, 0, 1e8 * z, 0, 0]))
+
+
+def test_a_car_is_the_vehicle_file_and_its_own_evidence():
+    population, prior = Population(LEAF, [exact(1.0)]), LEAF.priors["c_rr"]
+    mean, std = population.of_file("c_rr")
+    assert (mean, std) == pytest.approx((math.log(prior.value), prior.std / prior.value))
+    assert population.of_car("c_rr", NO_EVIDENCE) == (mean, std)
+    known, doubt = population.of_car("c_rr", exact(1.0))
+    assert known == pytest.approx(mean + std) and doubt < 1e-3 * std
+    assert population.of_car("mass_over_eta", exact(1.0)) == population.of_file("mass_over_eta")
+
+
+def test_rows_lie_in_the_chart_in_their_order():
+    cars = {"low": exact(-1.0), "high": exact(1.0)}
+    charts = fleet_charts(Population(LEAF, list(cars.values())), cars)
+    assert [chart["title"] for chart in charts] == list(CHARTED.values())
+    rows = {row.name: row for row in charts[list(CHARTED).index("c_rr")]["rows"]}
+    assert list(rows) == ["vehicle file", "low", "high", "next car"]
+    assert rows["low"].at < rows["next car"].at < rows["high"].at
+    assert all(0.0 <= row.low <= row.at <= row.high <= 100.0 for row in rows.values())
+
+
+def test_words():
+    assert (counted(1, "car"), counted(2, "car")) == ("1 car", "2 cars")
+    counts = {"cars": 1, "drives": 1, "learned": 1, "problems": 0}
+    assert fleet_sentence(counts) == "1 car, 1 of 1 drive learned, no problem."
+    assert with_sigma(2023.4, 231.0) == "2020 ± 230"
+    assert with_sigma(0.007482, 0.00117) == "0.0075 ± 0.0012"
+    assert with_sigma(3.0, 0.0) == "3 ± 0"
