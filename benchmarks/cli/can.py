@@ -39,7 +39,7 @@ def can(
 
     The bus is UDP multicast on this machine: 4000 frames a second from one process, the bridge's
     executable in another, a subscriber in a third. It is read once more without decoding and
-    publishing, to see what python-can takes alone.
+    publishing, and what that takes is python-can's own share.
 
     Example: evpinn bench can --minutes 10 --data captures/ --json out/can.json
     """
