@@ -41,14 +41,14 @@ CanProfileOption = Annotated[
     typer.Option(help="Another CAN profile.", autocompletion=complete_profile),
 ]
 TrustProfileOption = Annotated[
-    bool, typer.Option("--trust-profile", help="Use it even if the traffic contradicts it.")
+    bool, typer.Option("--trust-profile", help="Use it in any case.")
 ]
 ParamsOption = Annotated[
-    Path | None, typer.Option(help="Parameter file of the nodes, as evpinn.param.yaml.")
+    Path | None, typer.Option(help="Parameter file.")
 ]
 ColumnOption = Annotated[
     list[str] | None,
-    typer.Option(help="Of a table, as speed=NAME or speed=NAME:km/h; see convert."),
+    typer.Option(help="Of a table, as speed=NAME:km/h; evpinn convert tells more."),
 ]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Leave out what is before, s.")]
 Elm327Option = Annotated[

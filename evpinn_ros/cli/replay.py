@@ -55,7 +55,7 @@ def replay(
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
     optimizer: Annotated[
         PaperOptimizer | None,
-        typer.Option(help="Of mode paper; as published if not given."),
+        typer.Option(help="Of mode paper; as published, or other."),
     ] = None,
     params: ParamsOption = None,
     out: Annotated[

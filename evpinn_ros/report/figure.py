@@ -136,10 +136,7 @@ def _draw_energy(axes: Axes, drive: Drive) -> None:
     if len(energy) and len(drive.measured) > 1:
         time, power = drive.measured.T
         power = np.where(time >= energy[0, 0], power, 0.0)
-        steps = np.diff(time)
-        used = 0.5 * (power[1:] + power[:-1]) * steps * (steps <= longest_step(time))
-        total = np.concatenate(([0.0], np.cumsum(used)))
-        axes.plot(time, total / JOULES_PER_KWH, **BELOW)
+        axes.plot(time, running_total(time, power) / JOULES_PER_KWH, **BELOW)
     if len(energy):
         axes.plot(energy[:, 0], energy[:, 1] / JOULES_PER_KWH, color=PREDICTED, lw=1.2)
     axes.set_title("energy, kWh: measured, predicted", loc="left", fontsize="medium")
