@@ -39,7 +39,7 @@ def compare(
     vehicle: VehicleOption = "generic",
     report: Annotated[Path | None, typer.Option(help="Write a page: one HTML file.")] = None,
     state: Annotated[
-        Path | None, typer.Option(help="What an earlier replay learned.")
+        Path | None, typer.Option(help="Of an earlier replay.")
     ] = None,
     start: StartOption = 0.0,
     duration: Annotated[
