@@ -47,7 +47,9 @@ def _refuser(
     table: tuple[Parameter, ...], values: Mapping[str, Any]
 ) -> Callable[[list[RosParameter]], Any]:
     def refuse(changed: list[RosParameter]) -> Any:
-        new = {parameter.name: parameter.value for parameter in changed}
+        new = {each.name: each.value for each in changed if each.name in values}
+        if not new:  # of rclpy's own: four for each topic, and the vehicle file takes 5 ms to read
+            return SetParametersResult(successful=True)
         try:
             refuse_wrong(table, {**values, **new})
         except InputError as error:

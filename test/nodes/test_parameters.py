@@ -17,6 +17,7 @@ from evpinn_ros.energy.quadrature import MAX_GAP
 from evpinn_ros.energy.rknn import STEP_LIMIT
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.nodes import parameters
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.signals.road import GradeSource
@@ -154,6 +155,14 @@ def test_a_right_file_of_any_form_passes(tmp_path):
 def test_a_node_with_a_wrong_parameter_does_not_start(bench, name, value):
     with pytest.raises(InputError, match=name if name != "vehicle" else "no vehicle named"):
         bench.start(EstimatorNode, **{name: value})
+
+
+def test_what_rclpy_declares_is_not_checked_against_the_table(bench, monkeypatch):
+    """Ninety parameters of QoS: the vehicle file was read for each, half a second of the start."""
+    asked = []
+    monkeypatch.setattr(parameters, "refuse_wrong", lambda *given: asked.append(given))
+    bench.start(EnergyNode)
+    assert len(asked) == 1
 
 
 def test_a_running_node_takes_right_changes_and_refuses_wrong_ones_as_a_whole(bench):
