@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from scipy.signal import savgol_filter
 
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.profile import load_profile
@@ -105,6 +104,8 @@ def test_five_parameters_explain_most_and_not_all(drive):
     time = np.arange(1.0, 239.0, 0.1)
     speed = np.interp(time, seconds(speeds), [reading.speed for reading in speeds])
     power = np.interp(time, seconds(batteries), [reading.power for reading in batteries])
+    from scipy.signal import savgol_filter  # a second to import
+
     smooth = savgol_filter(speed, 15, 2)
     slope = savgol_filter(speed, 15, 2, deriv=1, delta=0.1)
     scale = np.array([2000.0, 0.6, 0.01, 1.0, 1000.0])
