@@ -49,7 +49,9 @@ class CarChain:
     def __init__(self, vehicle: Vehicle) -> None:
         self.car = LearnedCar(vehicle)
         self.motion = 0.0
-        self._stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
+        self._stream = SampleStream(
+            StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
+        )
         self._newest_ns = 0
 
     def add_reading(self, reading: Reading) -> None:

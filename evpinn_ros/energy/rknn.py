@@ -123,6 +123,10 @@ class Rknn:
             power_mid: P(t + dt/2), W; None for the mean of both ends.
         """
         middle = (power + power_next) / 2 if power_mid is None else power_mid
+        if isinstance(power, float):  # as arrays of one number it would take a third longer
+            if max(abs(power), abs(middle), abs(power_next)) > POWER_LIMIT or dt > STEP_LIMIT:
+                return energy_step((power, middle, middle, power_next), dt)
+            return energy_step(slopes(self.networks, power, middle, power_next, dt), dt)
         beyond = np.abs([power, middle, power_next]).max(axis=0) > POWER_LIMIT
         beyond = beyond | (np.asarray(dt) > STEP_LIMIT)
         p0, p1, p2 = (np.clip(p, -POWER_LIMIT, POWER_LIMIT) for p in (power, middle, power_next))

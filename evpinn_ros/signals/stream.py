@@ -71,7 +71,12 @@ class SampleStream:
     """Aligns the readings of one car; see the module's text."""
 
     def __init__(
-        self, settings: StreamSettings, air_density: float, motor_ratio: float = math.nan
+        self,
+        settings: StreamSettings,
+        air_density: float,
+        motor_ratio: float = math.nan,
+        *,
+        intervals_alone: bool = False,
     ) -> None:
         """Start empty.
 
@@ -79,7 +84,9 @@ class SampleStream:
             settings: how to align.
             air_density: kg/m^3, used while no temperature is known.
             motor_ratio: rad that the motor turns per m of road, NaN where unknown.
+            intervals_alone: give no samples, which take half of the time.
         """
+        self._intervals_alone = intervals_alone
         self._settings = settings
         self._lag_ns = int(settings.smoothing_lag * NANOSECONDS) - LAG_TOLERANCE_NS
         lateness_ns = int(settings.allowed_lateness * NANOSECONDS)
@@ -179,6 +186,8 @@ class SampleStream:
         elif newest is not None:
             self._road.travel(abs(reading.speed) * (reading.stamp_ns - newest) / NANOSECONDS)
         self._speed.add(reading.stamp_ns, reading.speed)
+        if self._intervals_alone:
+            return
         self._moments.append(reading.stamp_ns)
         yield from self._newest_sample(reading)
         yield from self._smoothed_samples()
