@@ -2,12 +2,11 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 import io
 from pathlib import Path
 import re
 import tokenize
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "evpinn_ros"
@@ -37,6 +36,11 @@ PATH = re.compile(r"(?<![\w/.:{<*])((?:[\w.-]+/)+[\w-]+\.(?:py|md|yaml|csv|js|sh
 HOMES = (ROOT, PACKAGE, ROOT / "docs", ROOT / "test")
 
 
+@cache
+def tree_of(file: str) -> ast.Module:
+    return ast.parse(FILES[file].read_text())
+
+
 def documented(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Line and text of every docstring, those below a constant or an attribute too."""
     for node in ast.walk(tree):
@@ -63,37 +67,44 @@ def parts(name: str) -> set[str]:
     return {each.lower() for each in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)}
 
 
-@pytest.mark.parametrize("file", FILES)
-def test_a_docstring_begins_with_its_thing(file: str) -> None:
-    tree = ast.parse(FILES[file].read_text())
-    assert [(line, text) for line, text in documented(tree) if QUESTIONS.match(text)] == []
+def test_a_docstring_begins_with_its_thing() -> None:
+    texts = [(file, *found) for file in FILES for found in documented(tree_of(file))]
+    assert [each for each in texts if QUESTIONS.match(each[-1])] == []
 
 
-@pytest.mark.parametrize("file", FILES)
-def test_words_that_went_stay_away(file: str) -> None:
-    tree = ast.parse(FILES[file].read_text())
+def gone(file: str) -> Iterator[tuple[str, int, str]]:
+    """Place and text of what should not be there."""
     kept = {word for where, word in KEPT if where == file}
-    found = [(line, name) for line, name in names(tree) if parts(name) & (GONE_NAMES - kept)]
-    for line, text in documented(tree):
+    for line, name in names(tree_of(file)):
+        if parts(name) & (GONE_NAMES - kept):
+            yield file, line, name
+    for line, text in documented(tree_of(file)):
         plain = re.sub(r"`[^`]*`|^ +\w+:", "", text, flags=re.MULTILINE)
         words = {each.lower() for each in re.findall(r"\w+", plain)}
-        found += [(line, word) for word in words & GONE]
-        found += [(line, phrase) for phrase in GONE_PHRASES if phrase in " ".join(plain.split())]
-    assert found == []
+        phrases = [phrase for phrase in GONE_PHRASES if phrase in " ".join(plain.split())]
+        yield from ((file, line, found) for found in (*(words & GONE), *phrases))
+
+
+def test_words_that_went_stay_away() -> None:
+    assert [found for file in FILES for found in gone(file)] == []
 
 
 def test_no_exception_is_left_over() -> None:
     """A word that a file no longer has needs no exception."""
     for file, word in KEPT:
-        assert any(word in parts(name) for _, name in names(ast.parse(FILES[file].read_text())))
+        assert any(word in parts(name) for _, name in names(tree_of(file)))
 
 
-@pytest.mark.parametrize("file", sorted(FILES))
-def test_paths_in_docstrings_and_comments_exist(file: str) -> None:
-    source = FILES[file].read_text()
-    texts = [text for _, text in documented(ast.parse(source))]
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+def missing(file: str) -> Iterator[tuple[str, str]]:
+    """Paths that a file names and that are nowhere."""
+    texts = [text for _, text in documented(tree_of(file))]
+    tokens = tokenize.generate_tokens(io.StringIO(FILES[file].read_text()).readline)
     texts += [token.string for token in tokens if token.type == tokenize.COMMENT]
     homes = (*HOMES, FILES[file].parent)
-    named = {found for text in texts for found in PATH.findall(text)}
-    assert {each for each in named if not any((home / each).exists() for home in homes)} == set()
+    for named in {found for text in texts for found in PATH.findall(text)}:
+        if not any((home / named).exists() for home in homes):
+            yield file, named
+
+
+def test_paths_in_docstrings_and_comments_exist() -> None:
+    assert [found for file in FILES for found in missing(file)] == []
