@@ -18,7 +18,7 @@ from evpinn_ros.can.request import Address
 
 NOT_QUICK = frozenset(
     {
-        *("api", "bench", "cli", "fleet", "nodes", "reproduction"),
+        *("api", "benchmarks", "cli", "fleet", "nodes", "reproduction"),
         *("test_docs.py", "test_executables.py", "test_guides.py", "test_notebooks.py"),
         *("test_packaging.py", "test_reproduction_page.py", "test_site.py"),
         *("test_browser.py", "test_drive_page.py", "test_captures.py", "test_logs_fuzz.py"),
@@ -29,7 +29,9 @@ NOT_QUICK = frozenset(
         *("test_robustness.py", "test_state.py", "estimation/test_stuck.py"),
         *("test_codec_properties.py", "test_mcap_file.py"),
         *("test_power_loss.py", "test_stream_properties.py", "test_any_format.py"),
-        *("test_gauss_newton.py", "test_network.py", "test_pinn.py"),
+        *("test_gauss_newton.py", "test_network.py", "test_pinn.py", "test_first_change.py"),
+        *("test_car_filter.py", "test_comparison.py", "test_grade_detector.py"),
+        *("test_inspection.py", "test_owner_text.py"),
     }
 )
 """Folders and files that start ROS, a browser, colcon or processes, load torch, or take long.
@@ -64,7 +66,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=turn)
 
 
-LONG = ("launch", "nodes", "cli", "benchmarks", "estimation", "replay", "fleet", "reproduction")
+LONG = ("launch", "nodes", "cli", "benchmarks", "estimation", "replays", "fleet", "reproduction")
 """Folders of long files: begun first, they leave no worker alone with one in the end."""
 
 ROOT = Path(__file__).resolve().parents[1]

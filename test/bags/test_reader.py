@@ -214,6 +214,7 @@ def test_damage_says_how_much_was_lost(drive, tmp_path):
         )
 
 
+@pytest.mark.slow
 @settings(
     max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

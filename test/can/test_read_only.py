@@ -157,6 +157,7 @@ def test_every_request_of_every_profile_passes():
             assert sent(CanFrame(0, address.tx_id, data.ljust(8, b"\0"), address.extended))
 
 
+@pytest.mark.slow
 def test_a_bus_is_sent_to_in_one_place_alone():
     """Only the bus reader may call the `send` of python-can, and benchmarks on a bus of theirs."""
     package, callers = Path(evpinn_ros.__file__).parent, set()

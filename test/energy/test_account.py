@@ -77,6 +77,7 @@ def test_a_reset_of_the_trip_leaves_the_lifetime_and_the_charge():
     assert counted.summary().consumption["10"] == pytest.approx(500.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_silence_is_reconciled_with_the_state_of_charge():
     """The prediction is 20 % low over a silence of 20 minutes; charge tells most of that."""
     counted = drive(account(), range(3600))  # learns the capacity

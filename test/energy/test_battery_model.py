@@ -122,6 +122,7 @@ def test_readings_of_no_battery_change_nothing(wrong):
     assert model.export() == sound.export()
 
 
+@pytest.mark.slow
 def test_saved_and_restored_it_forecasts_the_same():
     account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
     charge = drive(account.add_battery, 3000)

@@ -37,7 +37,8 @@ def taught():
 
 
 CONSTANT, DRIFT = FEATURES.index("constant"), FEATURES.index("present_drift")
-MODELS = pytest.mark.parametrize("model", ["combinations", "learned"], indirect=True)
+LEARNED = pytest.param("learned", marks=pytest.mark.slow)
+MODELS = pytest.mark.parametrize("model", ["combinations", LEARNED], indirect=True)
 
 
 @pytest.fixture(scope="module")

@@ -90,6 +90,7 @@ def test_a_series_is_its_steps(rknn):
     assert rknn.integrate(time, power) == pytest.approx([0.0, *np.cumsum(steps)], rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.02, 0.1, 1.0])
 def test_an_hour_at_standstill_accumulates_no_bias(rknn, dt):
     time = np.arange(0, 3600 + dt / 2, dt)

@@ -37,6 +37,7 @@ def drawn(seed: int, motor: bool) -> tuple[np.ndarray, Steps]:
     return PRIOR.mean + rng.normal(0.0, 1.0, SIZE) * spread, steps
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**31), st.booleans(), surroundings)
 def test_the_parts_are_the_whole_to_rounding(seed, motor, conditions):

@@ -25,6 +25,7 @@ def breakdowns(seeds: tuple[int, ...], keep: bool = True) -> Breakdowns:
     return filter_.parts.breakdowns(filter_.weights, 2e4, filter_.hilliness)
 
 
+@pytest.mark.slow
 def test_kept_drives_may_have_other_tyres_and_change_nothing_else():
     kept, alone = breakdowns((1, 2)), breakdowns((1, 2), keep=False)
     assert len(kept.drives) == 2 and len(alone.drives) == 1

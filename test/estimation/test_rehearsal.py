@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 
+import pytest
+
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.rehearsal import LENGTH, Rehearsal
 from evpinn_ros.simulation.drive import DriveKind
@@ -21,6 +23,7 @@ def rehearsed(vehicle, intervals, energy) -> Rehearsal:
     return rehearsal
 
 
+@pytest.mark.slow
 def test_energy_that_strays_for_minutes_widens_sigma(vehicle, intervals):
     """Eight kilowatts that come and go are no load that the filter knows of; two hundred are."""
     period = LENGTH / 3.0

@@ -83,6 +83,7 @@ def far_from_bends(mean: np.ndarray, steps: Steps, around: Conditions, warmth: W
     return all(float(np.minimum.reduce(f.throughput)) > 100.0 for f in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motor", [False, True])
 @given(st.integers(0, 10_000), surroundings, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)

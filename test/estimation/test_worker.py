@@ -126,6 +126,7 @@ def test_an_update_that_fails_is_counted_and_the_next_begins(new_estimator, play
     assert status.rejected["failed_ArithmeticError"] >= status.updates - 1
 
 
+@pytest.mark.slow
 def test_a_thread_that_is_waited_for_gives_the_numbers_of_a_replay(
     new_estimator, play, thread_worker, readings
 ):

@@ -58,6 +58,7 @@ def test_a_slope_no_road_has_is_not_believed():
     assert road.grade(climb(road, 0.4, seconds=200)) == 0.0
 
 
+@pytest.mark.slow
 def test_a_parked_car_piles_up_no_altitudes():
     """Ten hours at 10 Hz on one spot, then off: still quick, and the grade of the new road."""
     road = Road(GradeSource.FIX, 1.2)
