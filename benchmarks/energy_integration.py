@@ -37,6 +37,7 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 DAY = 24 * 3600  # s
 STRIDE, DROPOUT = 150.0, 600.0  # s
+SIMULATED_TIME = 1800.0  # s of each simulated drive
 SEED = 0
 GAP_SHARE, LONGEST_GAP = 0.1, 20  # of the seconds of a 1 Hz battery; s
 NOISE, NOISE_TIME = 1e3, 0.5  # 1-sigma, W, and correlation time, s, of predictions of real drives
@@ -91,7 +92,7 @@ def simulated_rows() -> Iterator[IntegrationRow]:
     """Samples of simulated drives against all of their 100 Hz."""
     errors, gappy = [], []
     for kind in DriveKind:
-        power = simulate(kind, load_vehicle("tesla_model_3_lr"), 1800.0, SEED).trace.power
+        power = simulate(kind, load_vehicle("tesla_model_3_lr"), SIMULATED_TIME, SEED).trace.power
         exact, coarse = (
             _integral(np.arange(0, len(power), skip) / SAMPLE_RATE, power[::skip])
             for skip in (1, 10)

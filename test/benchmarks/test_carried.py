@@ -17,15 +17,21 @@ def benchmark(vehicle, *, speed_only=False) -> CarriedBenchmark:
     return CarriedBenchmark(vehicle, lambda: 0.0, speed_only=speed_only)
 
 
-def test_a_drive_is_forecast_without_its_battery(vehicle, drive):
+@pytest.fixture(scope="module")
+def forecast(vehicle, drive) -> CarriedForecast:
+    """Of the drive, by a car of which nothing was learned."""
+    return benchmark(vehicle).drive(lambda: drive)
+
+
+def test_a_drive_is_forecast_without_its_battery(vehicle, drive, forecast):
     """Twice the current: twice the energy measured, and the very same forecast."""
     double = [
         replace(each, current=2 * each.current) if isinstance(each, BatteryReading) else each
         for each in drive
     ]
-    one, other = (benchmark(vehicle).drive(lambda r=r: r) for r in (drive, double))
-    assert other.measured_j == pytest.approx(2 * one.measured_j)
-    assert other.predicted_j == one.predicted_j
+    other = benchmark(vehicle).drive(lambda: double)
+    assert other.measured_j == pytest.approx(2 * forecast.measured_j)
+    assert other.predicted_j == forecast.predicted_j
 
 
 def test_what_one_drive_taught_improves_the_next_forecast(vehicle, drive):
@@ -35,12 +41,12 @@ def test_what_one_drive_taught_improves_the_next_forecast(vehicle, drive):
     assert again.rmse_w < first.rmse_w
 
 
-def test_speed_only_hears_nothing_else(vehicle, drive):
+def test_speed_only_hears_nothing_else(vehicle, drive, forecast):
     bare = [each for each in drive if isinstance(each, (SpeedReading, BatteryReading))]
     assert len(bare) < len(drive)
     hidden = benchmark(vehicle, speed_only=True).drive(lambda: drive)
     assert hidden == benchmark(vehicle).drive(lambda: bare)
-    assert hidden != benchmark(vehicle).drive(lambda: drive)
+    assert hidden != forecast
 
 
 def test_the_first_drive_does_not_count():

@@ -72,6 +72,7 @@ def test_counting_alone(tmp_path, monkeypatch):
     """In this process, so that a day, the silences and the simulated drives can be less."""
     monkeypatch.setattr(energy_integration, "DAY", 60)
     monkeypatch.setattr(energy_integration, "DriveKind", [DriveKind.URBAN])
+    monkeypatch.setattr(energy_integration, "SIMULATED_TIME", 120.0)
     monkeypatch.setattr(energy_integration, "STRIDE", 20.0)
     monkeypatch.setattr(energy_integration, "DROPOUT", 20.0)
     write_drive(tmp_path / "drive.csv")

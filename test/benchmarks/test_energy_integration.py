@@ -31,13 +31,14 @@ def test_a_drive_without_a_battery_gives_no_figures_of_a_car(tmp_path, monkeypat
 
 def test_a_drive_gives_every_figure_of_a_car(tmp_path, monkeypatch):
     monkeypatch.setattr(energy_integration, "DAY", 60)
-    monkeypatch.setattr(energy_integration, "STRIDE", 40.0)
-    monkeypatch.setattr(energy_integration, "DROPOUT", 40.0)
+    monkeypatch.setattr(energy_integration, "simulated_rows", list)
+    monkeypatch.setattr(energy_integration, "STRIDE", 30.0)
+    monkeypatch.setattr(energy_integration, "DROPOUT", 30.0)
     vehicle = load_vehicle("tesla_model_3_lr")
-    write(simulate(DriveKind.URBAN, vehicle, 130.0, 1), tmp_path / "drive")
+    write(simulate(DriveKind.URBAN, vehicle, 100.0, 1), tmp_path / "drive")
     logs = find_logs(str(tmp_path / "drive"), vehicle.key)
     rows = {row.name: row for row in integration_rows([logs], time.thread_time)}
-    silent = "tesla_model_3_lr, battery dropout of 40 s"
+    silent = "tesla_model_3_lr, battery dropout of 30 s"
     assert rows[f"{silent}: median"].cases >= 2
     assert 0.0 < rows[f"{silent}: median"].figure <= rows[f"{silent}: worst"].figure < 50.0
     assert 0.0 <= rows[f"{silent}: in the 90 % band"].figure <= 100.0

@@ -17,7 +17,9 @@ from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
 
 CONFIG = share_directory() / "config" / "can"
-PROFILES = {profile.key: profile for profile in bundled_profiles() if profile.messages}
+ALL = bundled_profiles()
+PROFILES = {profile.key: profile for profile in ALL if profile.messages}
+ASKING = {profile.key: profile for profile in ALL if profile.requests}
 SECONDS = 120.0
 
 

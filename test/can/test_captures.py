@@ -5,7 +5,7 @@ The data is not part of the package: without it these tests are skipped.
 
 import csv
 from dataclasses import replace
-import itertools
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,9 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.can.profile import MOTORS, bundled_profiles, load_profile
+from evpinn_ros.can.profile import MOTORS, load_profile
 from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
+from test.can.conftest import ALL
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "can"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no captures beside the checkout")
@@ -37,6 +38,12 @@ TESLA = [
 ]
 
 
+@cache
+def frames(path):
+    """Of a capture, which many tests here look at."""
+    return list(LogFile(path).frames())
+
+
 def without_motors(profile):
     return {name: rule for name, rule in profile.messages.items() if name not in MOTORS}
 
@@ -46,7 +53,7 @@ def decode(profile, path):
     profile = load_profile(profile)
     decoder = Decoder(replace(profile, messages=without_motors(profile)))
     speed, battery, start = [], [], None
-    for frame in LogFile(path).frames():
+    for frame in frames(path):
         start = frame.stamp_ns if start is None else start
         for reading in decoder.decode(frame):
             time = (reading.stamp_ns - start) / 1e9
@@ -106,7 +113,7 @@ def test_profiles_of_other_cars_do_not_fit():
         others = {"tesla_model_s", "tesla_model_3", "nissan_leaf"} - {profile}
         for other in others:
             bridge = CanBridge(load_profile(other))
-            for frame in itertools.islice(LogFile(log).frames(), 5000):
+            for frame in frames(log)[:5000]:
                 bridge.decode(frame)
             status = bridge.status(frame.stamp_ns)
             assert not status.ok, (profile, other, status)
@@ -120,8 +127,8 @@ CAPTURES = [
 
 @pytest.mark.parametrize(("right", "log"), CAPTURES, ids=lambda value: Path(value).stem)
 def test_inspection_names_the_profile(right, log):
-    inspection = Inspection(bundled_profiles(), 500_000)
-    for frame in LogFile(log).frames():
+    inspection = Inspection(ALL, 500_000)
+    for frame in frames(log):
         inspection.add_frame(frame)
     report = inspection.report()
     assert report.best.fit.profile == right and report.best.fit.score > 0.99
@@ -133,14 +140,13 @@ def test_inspection_names_the_profile(right, log):
 @pytest.mark.parametrize("patient", [False, True])
 @pytest.mark.parametrize(("right", "log"), CAPTURES, ids=lambda value: Path(value).stem)
 def test_the_guard_lets_out_the_right_profile_alone(right, log, patient):
-    frames = list(LogFile(log).frames())
-    for profile in bundled_profiles():
+    for profile in ALL:
         plain = CanBridge(profile)
-        bridge = CanBridge(profile, guard=FitGuard(profile, bundled_profiles(), patient=patient))
-        got = [reading for frame in frames for reading in bridge.decode(frame)]
+        bridge = CanBridge(profile, guard=FitGuard(profile, ALL, patient=patient))
+        got = [reading for frame in frames(log) for reading in bridge.decode(frame)]
         got += bridge.finish()
         if profile.key == right:
-            assert repr(got) == repr([r for frame in frames for r in plain.decode(frame)])
+            assert repr(got) == repr([r for frame in frames(log) for r in plain.decode(frame)])
         else:
             assert not got, profile.key
 
@@ -160,8 +166,8 @@ TORQUE = [
 @pytest.mark.parametrize(("profile", "log", "gear", "lag", "alike", "driving", "braking"), TORQUE)
 def test_motor_power_explains_battery_power(profile, log, gear, lag, alike, driving, braking):
     decoder = Decoder(load_profile(profile))
-    frames = LogFile(DATA / f"{log}.candump.log").frames()
-    readings = [reading for frame in frames for reading in decoder.decode(frame)]
+    path = DATA / f"{log}.candump.log"
+    readings = [reading for frame in frames(path) for reading in decoder.decode(frame)]
 
     def rows(kind, *names):
         found = [each for each in readings if isinstance(each, kind)]

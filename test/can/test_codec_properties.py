@@ -14,11 +14,10 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.inspection import Inspection
-from evpinn_ros.can.profile import bundled_profiles
 from evpinn_ros.cli.can_tables import as_json
 from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
+from test.can.conftest import PROFILES
 
-PROFILES = {profile.key: profile for profile in bundled_profiles() if profile.messages}
 WHOLE = sorted(key for key in PROFILES if {"speed", "battery"} <= PROFILES[key].messages.keys())
 
 

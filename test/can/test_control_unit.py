@@ -15,17 +15,16 @@ from evpinn_ros.can.control_unit import (
     ControlUnit,
 )
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import load_profile, profile_names
 from evpinn_ros.can.read_only import ReadOnlyGate
 from evpinn_ros.can.request import Address, RequestRule
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.can.conftest import ASKING
 
 ADDRESS = Address(0x7E4, 0x7EC, False, None, None)
 FIRST = RequestRule("first", ADDRESS, b"\x22\x01\x01", 3, 0.2)
 SECOND = RequestRule("second", ADDRESS, b"\x22\x01\x05", 1, 0.2)
 ALL = ("first", "second", "voltage")
 FLOW_CONTROL = bytes.fromhex("3000000000000000")
-PROFILES = {name: load_profile(name) for name in profile_names() if load_profile(name).requests}
 
 
 class Desk:
@@ -199,7 +198,7 @@ def test_a_failing_driver_is_counted():
 @st.composite
 def conversations(draw):
     """A profile and a row of frames with the ids of its answers, half of them well-formed."""
-    profile = PROFILES[draw(st.sampled_from(sorted(PROFILES)))]
+    profile = ASKING[draw(st.sampled_from(sorted(ASKING)))]
     frames = []
     for _ in range(draw(st.integers(1, 6))):
         request = draw(st.sampled_from(profile.requests))
@@ -231,7 +230,7 @@ def bounds(profile, quantity, index=0):
 
 @pytest.mark.slow
 @given(conversations(), st.booleans())
-@example((PROFILES["obd2_speed"], [(PROFILES["obd2_speed"].requests[0].address, b"")]), True)
+@example((ASKING["obd2_speed"], [(ASKING["obd2_speed"].requests[0].address, b"")]), True)
 @settings(max_examples=500, deadline=None)
 def test_whatever_comes_is_a_plausible_reading_or_none(case, asking):
     profile, frames = case

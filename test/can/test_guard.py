@@ -9,11 +9,10 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard, ProfileVerdict
-from evpinn_ros.can.profile import bundled_profiles, load_profile
+from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.can.conftest import ALL, PROFILES
 
-ALL = bundled_profiles()
-PROFILES = {profile.key: profile for profile in ALL if profile.messages}
 SECOND = 10**9
 
 

@@ -7,10 +7,10 @@ from evpinn_ros.can.bus_load import frame_bits
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.inspection import MOST_IDS, Inspection
-from evpinn_ros.can.profile import MOTORS, bundled_profiles, load_profile
+from evpinn_ros.can.profile import MOTORS, load_profile
 from evpinn_ros.signals.readings import BatteryReading
+from test.can.conftest import ALL, PROFILES
 
-PROFILES = {profile.key: profile for profile in bundled_profiles() if profile.messages}
 MS = 1_000_000
 
 
@@ -102,7 +102,7 @@ KONA = """
 
 
 def test_what_another_tester_asks_for_is_told():
-    inspection = Inspection(bundled_profiles(), 500_000)
+    inspection = Inspection(ALL, 500_000)
     for stamp, data in enumerate(KONA.split() * 3):
         inspection.add_frame(CanFrame(stamp * 10 * MS, 0x7EC, bytes.fromhex(data)))
     best = inspection.report().best
@@ -113,7 +113,7 @@ def test_what_another_tester_asks_for_is_told():
 
 
 def test_answers_of_another_car_fit_nothing():
-    inspection = Inspection(bundled_profiles(), 500_000)
+    inspection = Inspection(ALL, 500_000)
     for stamp in range(50):
         inspection.add_frame(CanFrame(stamp * 10 * MS, 0x7BB, bytes.fromhex("0361010000000000")))
     report = inspection.report()

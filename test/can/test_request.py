@@ -8,14 +8,14 @@ from evpinn_ros.can.answers import AnswerDecoder
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.control_unit import SERVICES, Answer
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.profile import load_profile, profile_names
+from evpinn_ros.can.profile import load_profile
 from evpinn_ros.can.request import READ_SERVICES
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.can.conftest import ASKING
 
 CONFIG = share_directory() / "config" / "can"
-ASKING = [name for name in profile_names() if load_profile(name).requests]
 
 # As quoted in issue 44 of JejuSoul/OBD-PIDs-for-HKMC-EVs.
 KONA = """

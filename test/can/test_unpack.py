@@ -5,12 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.can.profile import load_profile, profile_names
 from evpinn_ros.can.unpack import unpacker
+from test.can.conftest import ALL
 
-MESSAGES = [
-    rule.message for name in profile_names() for rule in load_profile(name).messages.values()
-]
+MESSAGES = [rule.message for profile in ALL for rule in profile.messages.values()]
 
 OVERLAPPING = """VERSION ""
 
@@ -47,6 +45,7 @@ def layouts(draw):
     return cantools.database.load_string(text, database_format="dbc").messages[0]
 
 
+@pytest.mark.slow
 @given(message=layouts(), data=st.binary(max_size=12))
 @settings(max_examples=500, deadline=None)
 def test_any_layout_reads_as_by_cantools(message, data):

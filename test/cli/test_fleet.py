@@ -29,7 +29,7 @@ def recorded(tmp_path_factory) -> Path:
     """A folder of two Leafs, one with a bag that is none."""
     folder = tmp_path_factory.mktemp("data")
     for index, name in enumerate(("ann/monday", "ann/tuesday", "bob/monday")):
-        write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 40.0, index), folder / name)
+        write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 20.0, index), folder / name)
     (folder / "bob" / "bad.mcap").write_bytes(b"no bag")
     return folder
 
@@ -82,7 +82,7 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
 def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path):
     data, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(recorded, data)
-    write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 1200.0, 9), data / "cy" / "long")
+    write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 300.0, 9), data / "cy" / "long")
     arguments = [data, "--vehicle", "nissan_leaf", "--out", out, "--workers", "1"]
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)],

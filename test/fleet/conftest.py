@@ -11,7 +11,7 @@ from evpinn_ros.simulation.output import write
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
-SECONDS = 40.0
+SECONDS = 20.0
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ from evpinn_ros.topics.messages import (
 )
 
 START = 1_700_000_000
-SPEED = 25.0  # m/s
+SPEED = 50.0  # m/s
 POWER = 15e3  # W
 SUMMARY = (topics.ENERGY_TOTALS, topics.ENERGY_CONSUMPTION, topics.ENERGY_RANGE)
 
@@ -143,13 +143,13 @@ def test_a_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, content):
 def test_planners_hear_consumption_and_range_only_when_known(bench):
     node = bench.start(EnergyNode)
     bench.listen(*SUMMARY)
-    drive(bench, node, range(30))
+    drive(bench, node, range(15))
     bench.settle()
     consumption = values(bench.heard[topics.ENERGY_CONSUMPTION][-1])
     assert set(consumption) == {"distance_trip", "distance_lifetime"}
     known = values(bench.heard[topics.ENERGY_RANGE][-1])
     assert set(known) == {"usable_energy", "state_of_charge", "capacity"}
-    drive(bench, node, range(30, 411))  # 10 km are full
+    drive(bench, node, range(15, 211))  # 10 km are full
     bench.settle()
     consumption = values(bench.heard[topics.ENERGY_CONSUMPTION][-1])
     cost = POWER / SPEED / 3.6  # energy is known one sample later than speed
@@ -192,18 +192,18 @@ def test_a_jump_of_time_never_takes_from_the_lifetime(bench, tmp_path, policy):
     """The default policy used to go back to what was loaded, and the next save wrote that."""
     path = str(tmp_path / "energy.json")
     first = bench.start(EnergyNode, energy_file=path, time_jump_policy=policy)
-    drive(bench, first, range(60))
+    drive(bench, first, range(30))
     stop(bench, first)
     node = bench.start(EnergyNode, energy_file=path, time_jump_policy=policy)
     for _ in range(3):  # two jumps back, and the first drive of this node one more
-        drive(bench, node, range(60))
+        drive(bench, node, range(30))
     lifetime = node.account.lifetime()
-    assert lifetime.net.value == pytest.approx((4 * 59) * POWER)
+    assert lifetime.net.value == pytest.approx((4 * 29) * POWER)
     # Speed jumps before power does, and at the jump of power distance joins nothing once more.
-    assert lifetime.distance == pytest.approx((4 * 59 - 2) * SPEED)
+    assert lifetime.distance == pytest.approx((4 * 29 - 2) * SPEED)
     trip = node.account.since_reset()
     drives = {"reset": 1, "hold": 4}[policy]
-    assert trip.net.value == pytest.approx(drives * 59 * POWER)
+    assert trip.net.value == pytest.approx(drives * 29 * POWER)
     assert bench.call(Trigger, "/ev/energy/save").success
     stop(bench, node)
     last = bench.start(EnergyNode, energy_file=path)

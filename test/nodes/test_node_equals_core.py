@@ -30,7 +30,7 @@ HEARD = (
     topics.ENERGY_STATE,
     topics.ENERGY_CONSUMED,
 )
-SECONDS = 40.0  # of each bag; one message in flight takes milliseconds
+SECONDS = 25.0  # of each bag; one message in flight takes milliseconds
 POWERS = (topics.POWER_MEASURED, topics.POWER_SMOOTHED)
 
 

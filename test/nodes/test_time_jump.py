@@ -34,7 +34,7 @@ def test_a_bag_in_a_loop_gives_the_same_numbers_again(bench, urban):
     estimator = bench.start(EstimatorNode)
     energy = bench.start(EnergyNode)
     bench.listen(*OUTPUTS)
-    drive = [(topic, message) for topic, _, message in urban(30.0)]
+    drive = [(topic, message) for topic, _, message in urban(20.0)]
     play(bench, estimator, energy, drive * 2)
     assert estimator.estimator.status().accepted > 2
     for topic in OUTPUTS:

@@ -1,4 +1,4 @@
-"""Minutes of a bundled bag whose battery readings are held up on their way, each differently."""
+"""Part of a bundled bag whose battery readings are held up on their way, each differently."""
 
 from collections.abc import Iterable
 import random
@@ -15,7 +15,7 @@ from evpinn_ros.signals.stream import StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
 from test.replays.conftest import URBAN
 
-SECONDS = 180.0  # of the bag
+SECONDS = 90.0  # of the bag
 MARGIN = 0.011  # s: stamps within a hundredth are of one moment
 
 
