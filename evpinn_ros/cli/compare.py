@@ -38,9 +38,7 @@ def compare(
     ],
     vehicle: VehicleOption = "generic",
     report: Annotated[Path | None, typer.Option(help="Write a page: one HTML file.")] = None,
-    state: Annotated[
-        Path | None, typer.Option(help="Of an earlier replay.")
-    ] = None,
+    state: Annotated[Path | None, typer.Option(help="Of an earlier replay.")] = None,
     start: StartOption = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=0.0, help="Compare this much of each drive, s.")

@@ -40,12 +40,8 @@ CanProfileOption = Annotated[
     str | None,
     typer.Option(help="Another CAN profile.", autocompletion=complete_profile),
 ]
-TrustProfileOption = Annotated[
-    bool, typer.Option("--trust-profile", help="Use it in any case.")
-]
-ParamsOption = Annotated[
-    Path | None, typer.Option(help="Parameter file.")
-]
+TrustProfileOption = Annotated[bool, typer.Option("--trust-profile", help="Use it in any case.")]
+ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file.")]
 ColumnOption = Annotated[
     list[str] | None,
     typer.Option(help="Of a table, as speed=NAME:km/h; evpinn convert tells more."),
