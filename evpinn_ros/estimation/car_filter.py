@@ -49,6 +49,7 @@ from evpinn_ros.estimation.gaussian import (
     mixture,
     outlier_variance,
     predict,
+    raise_to_zero,
     replace_states,
 )
 from evpinn_ros.estimation.interval_noise import (
@@ -310,10 +311,8 @@ class CarFilter(Saveable[SavedFilter]):
     def _scales(self) -> tuple[np.ndarray, np.ndarray]:
         """1-sigma of slope and force of each hypothesis, shape (K,) each."""
         level, forces = self._hypotheses.T
-        if self._height_known:
-            slopes = np.array(HEIGHT_ERRORS) * math.sqrt(3.0) / HEIGHT_ERROR_LENGTH
-        else:
-            slopes = np.array(SLOPES)
+        errors = np.array(HEIGHT_ERRORS) * math.sqrt(3.0) / HEIGHT_ERROR_LENGTH
+        slopes = errors if self._height_known else np.array(SLOPES)
         return slopes[level.astype(int)], forces
 
     def _pass(self, interval: Interval) -> None:
@@ -376,19 +375,10 @@ class CarFilter(Saveable[SavedFilter]):
         return seen
 
     def _keep_losses_positive(self) -> None:
-        """Move the states as one that is below zero has to, as far as they know of each other.
-
-        Nothing gains energy by turning. A loss below zero would be rolling resistance too much.
-        The covariance stays, so that the loss may rise again (Simon 2010, estimate projection).
-        """
-        for state in (State.NO_LOAD, State.COPPER):
-            missing = np.maximum(-self.state.mean[:, state], 0.0)
-            if missing.any():
-                share = missing / self.state.covariance[:, state, state]
-                along = self.state.covariance[:, :, state]
-                mean = self.state.mean + share[:, None] * along
-                self.state = Gaussian(mean, self.state.covariance)
-                self.parts = self.parts and self.parts.moved(state, share)
+        """Nothing gains energy by turning: what that would explain is rolling resistance."""
+        for loss in (State.NO_LOAD, State.COPPER):
+            self.state, share = raise_to_zero(self.state, loss)
+            self.parts = self.parts and self.parts.moved(loss, share)
 
     def _accumulate(self, found: Spent, noise: np.ndarray) -> None:
         """Add the energy of an interval to what is predicted, with its covariances."""

@@ -78,6 +78,21 @@ def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
     return Gaussian(mean, state.covariance - change)
 
 
+def raise_to_zero(state: Gaussian, index: int) -> tuple[Gaussian, np.ndarray]:
+    """The state with an entry that is not below zero, and by how much of its variance it moved.
+
+    Entries correlated with it move along; the covariance stays, so that it may rise again (the
+    projection of an estimate of Simon, Kalman filtering with state constraints, 2010).
+
+    Args:
+        state: before it; the entry has a variance.
+        index: of the entry.
+    """
+    share = np.maximum(-state.mean[..., index], 0.0) / state.covariance[..., index, index]
+    mean = state.mean + share[..., None] * state.covariance[..., index]
+    return Gaussian(mean, state.covariance), share
+
+
 def replace_states(state: Gaussian, variances: Mapping[Any, Any]) -> Gaussian:
     """The state with some entries forgotten: zero, and without correlation.
 
