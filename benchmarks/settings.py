@@ -49,7 +49,7 @@ SETTINGS = (
     Setting(constant("SLOPE_LENGTH"), (300.0, 600.0, 1200.0)),
     Setting(constant("LOAD_STD"), (75.0, 150.0, 300.0)),
     Setting(constant("LOAD_TIME"), (150.0, 300.0, 600.0)),
-    Setting(constant("LEAST_SCALE"), (0.05, 0.3, 1.0)),
+    Setting(constant("LEAST_SCALE"), (0.05, 1.0)),
     Setting(constant("GROWTH"), (0.05**2, 0.1**2, 0.2**2, 0.4**2)),
     Setting(constant("DRIVE_KEPT"), (0.0, 0.5, 0.8, 0.9)),
     Setting(Place("DRIVE_STD", State.ROLL_DRIVE), (0.05, 0.10, 0.15)),

@@ -274,6 +274,11 @@ raise SystemExit(run(json.loads(parameters), record=Path(record)))
 """
 
 
+def learning(level: Level, text: str) -> bool:
+    """True of an estimator that learns, be the computer busy or not."""
+    return level is Level.OK or "too slow or busy" in text
+
+
 def test_all_in_one_plays_a_log_and_records_everything(bench, urban, tmp_path):
     encoder, frames = Encoder(PROFILE), []
     for topic, message, _ in urban(20.0):
@@ -284,12 +289,12 @@ def test_all_in_one_plays_a_log_and_records_everything(bench, urban, tmp_path):
     values = {
         "vehicle": "tesla_model_3_lr",
         "log_file": str(tmp_path / "drive.log"),
-        "log_rate": 5.0,
+        "log_rate": 2.5,
     }
     with process("-c", ALL_IN_ONE, json.dumps(values), tmp_path / "bag"):
         bench.listen(topics.DIAGNOSTICS)
         bench.pump(lambda: "at its end" in said(bench, "can_bridge").get("log", ("", ""))[1])
-        bench.pump(lambda: said(bench, "estimator")["estimate"][0] is Level.OK)
+        bench.pump(lambda: learning(*said(bench, "estimator")["estimate"]))
     with BagReader(tmp_path / "bag") as bag:
         assert bag.problem is None
         counts = {name: info.count for name, info in bag.topics.items()}
