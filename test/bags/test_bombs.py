@@ -99,7 +99,6 @@ def test_chunks_that_overlap_are_put_in_order_once(tmp_path, monkeypatch):
     assert time.process_time() - begun < 10.0  # it takes 1 s
 
 
-@pytest.mark.slow
 def test_messages_packed_into_nothing_are_bounded(tmp_path):
     """3 kB of chunks that unpack to 64 MB of the smallest messages there are."""
     message = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(12))

@@ -95,7 +95,6 @@ def test_bytes_that_are_overwritten_or_missing_cost_what_they_hit(wholes, tmp_pa
         assert found[-1] == whole[-1] and found[0] == whole[0]
 
 
-@pytest.mark.slow
 @settings(
     max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

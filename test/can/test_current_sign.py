@@ -43,7 +43,6 @@ def test_a_drive_of_the_wrong_sign(drive):
     )
 
 
-@pytest.mark.slow
 def test_a_hundred_a_second_say_the_same(drive):
     """Each reading ten times over, 10 ms apart, as a whole bus tells them."""
     dense = [
