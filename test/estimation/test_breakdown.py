@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, Breakdown
+from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, Breakdown, PartSums
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import SIZE, State, prior_of
 from evpinn_ros.estimation.energy_parts import COUNT, WHOLE, Part, parts
@@ -167,3 +167,11 @@ def test_nothing_is_shared_of_nothing():
     assert found.of(Part.AIR).share is None
     assert found.of(Part.AIR).kwh_per_100km is None
     assert found.together() == []
+
+
+def test_a_state_that_is_moved_takes_along_the_parts_that_depend_on_it():
+    cross = np.arange(2.0 * COUNT * SIZE).reshape(2, COUNT, SIZE)
+    sums = replace(PartSums.none(2), cross=cross).moved(State.NO_LOAD, np.array([0.0, 0.5]))
+    assert np.array_equal(sums.mean[0], np.zeros(COUNT))
+    assert np.array_equal(sums.mean[1], 0.5 * cross[1, :, State.NO_LOAD])
+    assert np.array_equal(sums.cross, cross)
