@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from evpinn_ros.estimation.network import PAPER_WIDTHS
-from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PHYSICS_LOSS
+from evpinn_ros.paper.log_parameters import LEARNED
+from evpinn_ros.paper.network import NETWORK_RATE, PAPER_WIDTHS, PHYSICS_LOSS
 from evpinn_ros.reproduction.problem import PhysicsInputs, Problem
 
 

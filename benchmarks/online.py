@@ -15,9 +15,10 @@ import numpy as np
 from benchmarks.methods import PEERS, OnlineMethod, peers
 from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
+from evpinn_ros.estimation.estimator import Mode, OnlineEstimator
 from evpinn_ros.estimation.learner import gate
 from evpinn_ros.estimation.worker import Clock, InlineWorker
+from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.replays.history import Columns, Drive, History, PowerSeries
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.signals.sample import MeasuredSample, NewestSample, SmoothedSample, StreamEvent
@@ -76,7 +77,7 @@ class OnlineBenchmark:
         self._names = list(names)
         self._peers: dict[str, OnlineMethod] = peers(self._names, vehicle)
         self._estimators = {
-            mode.value: OnlineEstimator(vehicle, EstimatorSettings(mode), InlineWorker(clock))
+            mode.value: OnlineEstimator(vehicle, SETTINGS[mode](), InlineWorker(clock))
             for mode in Mode
             if mode.value in self._names
         }

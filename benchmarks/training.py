@@ -16,15 +16,15 @@ from typing import NamedTuple, Protocol
 import torch
 
 from benchmarks.deepxde_peer import DeepXdeTraining, deepxde_version
-from evpinn_ros.estimation.network import spread_over_time
+from evpinn_ros.paper.network import spread_over_time
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.optimizers import (
     INPUTS,
     KINK_SHARPNESS,
+    OPTIMIZERS,
     Adam,
     Optimizer,
     OptimizerName,
-    make_optimizer,
 )
 from evpinn_ros.reproduction.problem import InputForm, Problem, random_split
 from evpinn_ros.vehicle.files import Vehicle
@@ -96,7 +96,7 @@ def _contenders(log: DriveLog, vehicle: Vehicle, seed: int) -> Iterator[Contende
         problem = raw if INPUTS[name] is InputForm.RAW else unit
         return Contender(
             TITLES[name],
-            lambda: _Ours(problem, make_optimizer(name, problem, seed)),
+            lambda: _Ours(problem, OPTIMIZERS[name](problem, seed)),
             CHECK_EVERY.get(name, CHECK_OTHERS_EVERY),
         )
 

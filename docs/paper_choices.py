@@ -14,7 +14,6 @@ from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.reproduction import optimizers, problem
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
 from evpinn_ros.reproduction.optimizers import Adam
-from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import (
     InputForm,
     PhysicsInputs,
@@ -111,7 +110,7 @@ def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
     rows = []
     for form in RegenForm:
         one = Problem(log, vehicle, random_split(len(log.time), 0), form=form, dtype=torch.float64)
-        fit = fit_parameters(one, one.training, one.training.power)
+        fit = one.fit(one.training, one.training.power)
         values = one.values(fit.log_scale)
         found = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
         held = log.part(one.split.validation)

@@ -18,18 +18,18 @@ from evpinn_ros.can.request import Address
 
 NOT_QUICK = frozenset(
     {
-        *("api", "benchmarks", "cli", "fleet", "nodes", "reproduction"),
+        *("api", "benchmarks", "cli", "fleet", "nodes", "paper", "reproduction"),
         *("test_docs.py", "test_executables.py", "test_guides.py", "test_notebooks.py"),
         *("test_packaging.py", "test_reproduction_page.py", "test_site.py"),
         *("test_browser.py", "test_drive_page.py", "test_captures.py", "test_logs_fuzz.py"),
         *("test_golden.py", "test_order.py", "test_replay.py", "test_output.py"),
         *("test_drives.py", "test_estimator.py", "test_evidence.py", "test_faults.py"),
-        *("test_paper.py", "test_payload.py", "test_published.py", "test_state_schema.py"),
+        *("test_payload.py", "test_published.py", "test_state_schema.py"),
         *("test_metric_table.py", "test_recorded.py", "test_rknn_training.py"),
         *("test_robustness.py", "test_state.py", "estimation/test_stuck.py"),
         *("test_codec_properties.py", "test_mcap_file.py"),
         *("test_power_loss.py", "test_stream_properties.py", "test_any_format.py"),
-        *("test_gauss_newton.py", "test_network.py", "test_pinn.py", "test_first_change.py"),
+        *("test_pinn.py", "test_first_change.py"),
         *("test_car_filter.py", "test_comparison.py", "test_grade_detector.py"),
         *("test_inspection.py", "test_owner_text.py", "test_current_sign.py"),
         *("test_bombs.py", "test_recover.py", "test_storage.py"),

@@ -20,6 +20,7 @@ LAYERS = [
     {"vehicle"},
     {"signals"},
     {"can", "energy", "estimation"},
+    {"paper"},  # a mode of the estimator that it does not know
     {"topics"},  # the contract and its messages, without ROS: bags share it
     {"bags"},
     {"drives"},
@@ -36,7 +37,7 @@ LAYERS = [
     {"benchmarks"},  # beside the package, in a checkout alone
 ]
 RANKS = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
-CORES = {"vehicle", "signals", "estimation", "energy"}
+CORES = {"vehicle", "signals", "estimation", "energy", "paper"}
 
 LONGEST_FILE = 400
 CLOCKS = {"time", "datetime"}

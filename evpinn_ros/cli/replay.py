@@ -32,7 +32,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.owner_text import owner_line

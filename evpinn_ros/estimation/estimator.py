@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 from evpinn_ros.common.saved_fields import SAME, Saveable
 from evpinn_ros.estimation.breakdown import Breakdown, Breakdowns
@@ -28,7 +28,6 @@ from evpinn_ros.estimation.learner import (
     gate,
 )
 from evpinn_ros.estimation.operating_range import OperatingRange
-from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.worker import InlineWorker, Worker
 from evpinn_ros.signals.interval import Interval
@@ -45,7 +44,6 @@ from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckSuspicion
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
-from evpinn_ros.vehicle.physics import RegenForm
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
 BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
@@ -57,7 +55,7 @@ Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class Mode(str, Enum):
-    """Choice of learner: `estimation.pinn` or `estimation.paper`."""
+    """Choice of learner: `estimation.pinn` or `paper.learner`."""
 
     HYBRID = "hybrid"
     PAPER = "paper"
@@ -74,23 +72,22 @@ class Activity(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorSettings:
-    """Settings of an estimator.
+    """Settings of an estimator in the mode hybrid; `paper.settings` has those of the other.
 
     Attributes:
-        mode: hybrid or paper.
-        regen_form: reading of eq. 21; `paper` alone has the choice.
-        paper_optimizer: of `paper`.
         seed: of the networks.
         stream: how readings become samples.
         keep_drives: whether breakdowns of earlier drives are kept, to be compared.
     """
 
-    mode: Mode = Mode.HYBRID
-    regen_form: RegenForm = RegenForm.RECOVERY
-    paper_optimizer: PaperOptimizer = PaperOptimizer.ADAM
+    mode: ClassVar[Mode] = Mode.HYBRID
     seed: int = 0
     stream: StreamSettings = field(default_factory=StreamSettings)
     keep_drives: bool = False
+
+    def new_learner(self, vehicle: Vehicle) -> Learner:
+        """A learner that knows the vehicle file alone."""
+        return PinnLearner(vehicle, seed=self.seed, keep_drives=self.keep_drives)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +155,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def reset(self) -> None:
         """Forget all that was learned; counters are kept."""
         self._worker.cancel()
-        self._learner = _learner(self._vehicle, self._settings)
+        self._learner = self._settings.new_learner(self._vehicle)
         self._stream = SampleStream(
             self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
         )
@@ -269,7 +266,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def take(self, saved: SavedEstimator) -> None:
         """Go on from a saved state; when that raises nothing is changed."""
-        learner = _learner(self._vehicle, self._settings)
+        learner = self._settings.new_learner(self._vehicle)
         learner.gated = self._learner.gated
         learner.take(saved.learner)
         self.handle_time_jump()
@@ -384,13 +381,3 @@ def evidence_of_state(vehicle: Vehicle, state: Mapping[str, Any]) -> Evidence:
     estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
     estimator.restore(state)
     return estimator.evidence()
-
-
-def _learner(vehicle: Vehicle, settings: EstimatorSettings) -> Learner:
-    if settings.mode is Mode.PAPER:
-        # Imported here: it alone needs torch, which takes longer to load than all else together.
-        from evpinn_ros.estimation.paper import PaperLearner
-
-        form, optimizer = settings.regen_form, settings.paper_optimizer
-        return PaperLearner(vehicle, seed=settings.seed, form=form, optimizer=optimizer)
-    return PinnLearner(vehicle, seed=settings.seed, keep_drives=settings.keep_drives)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.estimation.evidence import Evidence
+from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.sample import Sample
@@ -52,12 +52,16 @@ class LearnerReport(NamedTuple):
 
 
 class Learner(Protocol):
-    """A mode of learning. Time enters only through the samples' stamps."""
+    """A mode of learning. Time enters only through the samples' stamps.
+
+    What a mode need not do has a body here: who derives from this does none of it.
+    """
 
     gated: Counter[str]
 
     def advance(self, sample: Sample) -> None:
         """Let time pass up to a smoothed sample."""
+        return
 
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power at a sample from what was learned from earlier samples and speed alone."""
@@ -67,6 +71,7 @@ class Learner(Protocol):
 
     def add_interval(self, interval: Interval) -> bool:
         """Take an interval, its battery measured or not; gives whether an update is due."""
+        return False
 
     def prepare_update(self) -> Callable[[], Any] | None:
         """Work of one windowed update on a snapshot, safe to run in another thread, or None."""
@@ -79,27 +84,32 @@ class Learner(Protocol):
 
     def evidence(self) -> Evidence:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
+        return NO_EVIDENCE
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went.
 
         None where that is not known.
         """
+        return None
 
     def linear_power(self, celsius: float | None) -> LinearPower | None:
         """Linear power model for forecasts at an ambient temperature, None where unknown.
 
         None when it is no linear model.
         """
+        return None
 
     def report(self) -> LearnerReport:
         """Detections so far."""
+        return LearnerReport()
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time; keep what was learned."""
 
     def end_drive(self) -> None:
         """Let what comes be another drive, wherever its stamps lie."""
+        return
 
     def saved(self) -> Any:
         """State to save (see `common.saved_fields`)."""

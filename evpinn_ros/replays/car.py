@@ -12,9 +12,9 @@ from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source, open_source
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
 from evpinn_ros.signals.time_jump import JumpPolicy

@@ -24,12 +24,11 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
     Raises:
         InputError: it cannot be written.
     """
-    arrays = {f"state/{name}": tensor.detach().cpu().numpy() for name, tensor in state.items()}
-    names = np.array(sorted(arrays))
+    arrays = {name: tensor.detach().cpu().numpy() for name, tensor in state.items()}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replaced(path) as draft, draft.open("wb") as file:
-            np.savez(file, settings=np.array(settings), names=names, **arrays)  # type: ignore[arg-type]
+            np.savez(file, settings=np.array(settings), **arrays)  # type: ignore[arg-type]
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
@@ -60,11 +59,8 @@ def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None
     """The state saved for these settings; None when there is none, or it cannot be read."""
     try:
         arrays = read_arrays(path, MOST_BYTES)
-        if str(arrays["settings"]) != settings:
+        if str(arrays.pop("settings")) != settings:
             return None
-        return {
-            name.removeprefix("state/"): torch.from_numpy(arrays[name])
-            for name in arrays["names"].tolist()
-        }
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}
     except (OSError, KeyError, ValueError, TypeError):
         return None

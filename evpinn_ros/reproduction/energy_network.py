@@ -6,8 +6,8 @@ steps, on the same random 80/20 split. What the paper leaves open is settled so:
 
 - **Reference.** Eq. 30 compares E_RK4 with "E_pred" and does not say which one is given. Here it
   is classical Runge-Kutta on the measured power. As dE/dt = P knows no E, that is Simpson's rule,
-  and with P(t + dt/2) between samples by linear interpolation, the default, the trapezoid.
-- **P(t + dt/2)** is not measured: the mean of both ends, or what the caller passes, say a spline.
+  and with P(t + dt/2) between samples by linear interpolation the trapezoid.
+- **P(t + dt/2)** is not measured: the mean of both ends.
 - **Loss.** Eq. 30 is a sum; Table IV can only be a mean, which Adam cannot tell apart. E(t) is the
   true one, the same in both terms, and cancels: each loss is that of the energy of a step.
 - **Units.** The mean dt is the unit of time and the RMS energy of a step that of energy, so that
@@ -60,20 +60,17 @@ class StepData(NamedTuple):
     step_energy: np.ndarray  # E(t + dt) - E(t), J
 
 
-def step_data(
-    time: np.ndarray, power: np.ndarray, power_mid: np.ndarray | None = None
-) -> StepData:
+def step_data(time: np.ndarray, power: np.ndarray) -> StepData:
     """The steps of a series to train on, with their energy by classical Runge-Kutta.
 
     Steps longer than `MAX_GAP`, not forward in time or not finite are left out.
 
-    Time, s, and power, W, have shape (n,); `power_mid`, W in the middle of each step, shape (n -
-    1,), None for linear.
+    Time, s, and power, W, have shape (n,).
 
     Raises:
         InputError: fewer than `MIN_STEPS` steps are left, or their energy is zero throughout.
     """
-    steps, _ = _usable_steps(time, power, power_mid)
+    steps, _ = _usable_steps(time, power)
     if len(steps.dt) < MIN_STEPS:
         raise InputError(f"{len(steps.dt)} usable steps of power, expected {MIN_STEPS} or more")
     if not steps.step_energy.any():
@@ -81,15 +78,13 @@ def step_data(
     return steps
 
 
-def _usable_steps(
-    time: np.ndarray, power: np.ndarray, power_mid: np.ndarray | None
-) -> tuple[StepData, np.ndarray]:
+def _usable_steps(time: np.ndarray, power: np.ndarray) -> tuple[StepData, np.ndarray]:
     """The steps that can be integrated, and the index of the sample at which each begins."""
-    middle = (power[:-1] + power[1:]) / 2 if power_mid is None else power_mid
     dt = np.diff(time)
-    known = np.isfinite(power[:-1]) & np.isfinite(middle) & np.isfinite(power[1:])
+    known = np.isfinite(power[:-1]) & np.isfinite(power[1:])
     starts = np.flatnonzero(known & (dt > 0) & (dt <= MAX_GAP))
-    start, middle, end, dt = power[starts], middle[starts], power[starts + 1], dt[starts]
+    start, end, dt = power[starts], power[starts + 1], dt[starts]
+    middle = (start + end) / 2
     gained = energy_step((start, middle, middle, end), dt)
     energy = np.cumsum(gained) - gained
     return StepData(time[starts], start, middle, end, dt, energy, gained), starts
@@ -177,13 +172,14 @@ class EnergyTraining:
     """Training of both networks that can be left and taken up again, to the same numbers.
 
     Attributes:
+        epoch: epochs trained.
         losses: of every epoch in `CURVE_EPOCHS` so far.
     """
 
     def __init__(self, data: StepData, *, seed: int, device: str = "cpu") -> None:
         """Untrained networks on a device of torch; the seed draws their weights and the split."""
         self.losses: list[EnergyRow] = []
-        self._epoch = 0
+        self.epoch = 0
         self._units = _Units(float(data.dt.mean()), float((data.step_energy**2).mean() ** 0.5))
         steps = self._units.scaled(data, torch.float32)
         with torch.random.fork_rng(devices=[]):  # the caller's random numbers stay as they were
@@ -198,11 +194,6 @@ class EnergyTraining:
         # One Adam serves both: it treats every weight by itself.
         self._adam = torch.optim.Adam(self._networks.parameters(), LEARNING_RATE, foreach=True)
 
-    @property
-    def epoch(self) -> int:
-        """Epochs trained."""
-        return self._epoch
-
     def run_to(self, epoch: int, on_epoch: Callable[[int, float], None] | None = None) -> None:
         """Train on eq. 30 until this many epochs in all are done.
 
@@ -211,9 +202,9 @@ class EnergyTraining:
         Raises:
             InputError: a loss is no longer finite; the epochs before stay counted.
         """
-        while self._epoch < epoch:
+        while self.epoch < epoch:
             losses = self._networks.losses(self._train)
-            number, (rknn, dnn) = self._epoch + 1, losses.tolist()
+            number, (rknn, dnn) = self.epoch + 1, losses.tolist()
             if not np.isfinite((rknn, dnn)).all():
                 raise InputError(f"training of energy diverged at epoch {number}")
             if number in CURVE_EPOCHS:
@@ -223,13 +214,13 @@ class EnergyTraining:
             self._adam.zero_grad()
             losses.sum().backward()  # type: ignore[no-untyped-call]
             self._adam.step()
-            self._epoch = number
+            self.epoch = number
             if on_epoch is not None:
                 on_epoch(number, rknn)
 
     def state(self) -> dict[str, Tensor]:
         """State that training has made."""
-        state = {"epoch": torch.tensor(self._epoch)}
+        state = {"epoch": torch.tensor(self.epoch)}
         state["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 5)
         for name, value in self._networks.state_dict().items():
             state[f"networks_{name}"] = value.clone()
@@ -237,16 +228,14 @@ class EnergyTraining:
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a `state` of the same data and seed."""
-        self._epoch = int(state["epoch"])
+        self.epoch = int(state["epoch"])
         self.losses = [EnergyRow(int(row[0]), *row[1:]) for row in state["losses"].tolist()]
         own = self._networks.state_dict()
         self._networks.load_state_dict({name: state[f"networks_{name}"] for name in own})
         load_adam_state(self._adam, self._networks.parameters(), state)
 
     @torch.no_grad()
-    def integrate(
-        self, time: np.ndarray, power: np.ndarray, power_mid: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def integrate(self, time: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Energy since the first sample by RKNN and by DNN, J, shape (n,) each (Fig. 9).
 
         A true roll-out: every step starts from the network's own energy so far. Steps that
@@ -255,7 +244,7 @@ class EnergyTraining:
         Raises:
             InputError: the last update broke a network.
         """
-        steps, starts = _usable_steps(time, power, power_mid)
+        steps, starts = _usable_steps(time, power)
         networks = deepcopy(self._networks).cpu().double()
         gained = np.zeros((2, len(time)))
         gained[:, starts + 1] = networks.rolled_out(self._units.scaled(steps, torch.float64))

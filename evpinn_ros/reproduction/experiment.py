@@ -16,19 +16,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.paper.log_parameters import standing_load
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.energy_network import EnergyTraining, StepData, step_data
 from evpinn_ros.reproduction.optimizers import INPUTS, OptimizerName
-from evpinn_ros.reproduction.parameter_fit import laplace_covariance
 from evpinn_ros.reproduction.power_training import PowerTraining
 from evpinn_ros.reproduction.problem import (
-    PowerScale,
     Problem,
     SampleSplit,
+    Scale,
     chronological_split,
     random_split,
-    standstill_power,
 )
 from evpinn_ros.reproduction.published import PREDICTED, EnergyRow, LossRow
 from evpinn_ros.reproduction.scores import (
@@ -37,10 +36,8 @@ from evpinn_ros.reproduction.scores import (
     combination_rows,
     drift_included,
     exact_energy,
-    interpolated_power,
     least_squares_power,
     parameter_rows,
-    physics_power,
     power_score,
 )
 from evpinn_ros.vehicle.files import Vehicle
@@ -48,7 +45,7 @@ from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm
 
 CHECKPOINT_EVERY = 100  # epochs
-CHECKPOINT_VERSION = 1  # of what a file holds and of the constants it was trained with
+CHECKPOINT_VERSION = 2  # of what a file holds and of the constants it was trained with
 PROGRESS_EVERY = 10  # epochs
 RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
 NETWORK, TIME_HELD = "network", "network, time held"
@@ -140,9 +137,7 @@ class Experiment:
         later = self._power("chronological split", chronological_split(count), on_progress)
         energy = self._energy(steps, on_progress)
         problem, optimizer = training.problem, training.optimizer
-        covariance = laplace_covariance(
-            problem, problem.training, problem.training.power, optimizer.log_scale.detach()
-        )
+        covariance = problem.covariance(optimizer.log_scale)
         if settings.optimizer is not OptimizerName.GAUSS_NEWTON:
             covariance = drift_included(self._vehicle, optimizer.log_scale, covariance)
         values = problem.values(optimizer.log_scale)
@@ -230,37 +225,36 @@ class Experiment:
     def _whole_drive(self) -> list[Scored]:
         """Parameters that were not fitted to this log, on all of it."""
         vehicle, log = self._vehicle, self._log
-        p_aux = standstill_power(log, vehicle)
+        p_aux = standing_load(log.speed, log.power, vehicle.initial.p_aux)
         candidates: Mapping[str, Parameters] = {
             "initial guess": vehicle.initial._replace(p_aux=p_aux)
         }
         if vehicle.key in PREDICTED:
             published = PREDICTED[vehicle.key]._replace(p_aux=p_aux)
             candidates = {**candidates, "Table V": published}
-        scale = PowerScale.of(log.power)
-        return [
-            Scored(
-                f"{title}, {form.value}",
-                WHOLE,
-                power_score(physics_power(log, vehicle, parameters, form), log.power, scale),
-            )
-            for title, parameters in candidates.items()
-            for form in (RegenForm.PRINTED, RegenForm.RECOVERY)
-        ]
+        scale = Scale.of(log.power)
+        found = []
+        for title, parameters in candidates.items():
+            for form in (RegenForm.PRINTED, RegenForm.RECOVERY):
+                power = vehicle.power(log.speed, log.acceleration, parameters, form)
+                score = power_score(power, log.power, scale)
+                found.append(Scored(f"{title}, {form.value}", WHOLE, score))
+        return found
 
 
 def _scores(training: PowerTraining, split: str) -> list[Scored]:
     """Network and regression on the validation data of a training, and its baseline."""
     problem = training.problem
     log, rows = problem.log, problem.split
-    held = log.part(rows.validation)
+    trained, held = log.part(rows.training), log.part(rows.validation)
     powers = {
         NETWORK: problem.predicted_power(training.optimizer.network, held),
         REGRESSION: least_squares_power(problem)[0],
-        BASELINES[split]: interpolated_power(log.part(rows.training), held),
+        # Between the neighbours trained on a line; after the last of them its power is held.
+        BASELINES[split]: np.interp(held.time, trained.time, trained.power),
     }
     if split == CHRONOLOGICAL:
-        last = held._replace(time=np.minimum(held.time, log.time[rows.training[-1]]))
+        last = held._replace(time=np.minimum(held.time, trained.time[-1]))
         powers[TIME_HELD] = problem.predicted_power(training.optimizer.network, last)
     return [
         Scored(method, split, power_score(power, held.power, problem.scale))

@@ -2,7 +2,7 @@
 
 - `Adam`: as published, full batch, a learning rate for the layers and one for the parameters.
 - `AdamThenLbfgs`: the usual improvement on it in the literature of PINNs.
-- `GaussNewton`: ours. The parameters are solved for (`parameter_fit`), so what is left is a plain
+- `GaussNewton`: ours. The parameters are solved for (`Problem.fit`), so what is left is a plain
   regression of the network on (P_data + lambda P_physics) / (1 + lambda), which minimises eq. 22
   at these parameters. Steps are dual Gauss-Newton (`gauss_newton`) on random batches.
   The first layer starts with its units spread over the drive, each bending at a moment of its
@@ -14,17 +14,22 @@ the same numbers (L-BFGS alone begins its memory of curvature anew).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from enum import Enum
-from typing import Any, Protocol
 
 import torch
 
-from evpinn_ros.estimation.gauss_newton import gauss_newton_step
-from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
-from evpinn_ros.estimation.paper import LEARNED, NETWORK_RATE, PARAMETER_RATE, PHYSICS_LOSS
+from evpinn_ros.paper.gauss_newton import gauss_newton_step
+from evpinn_ros.paper.log_parameters import LEARNED
+from evpinn_ros.paper.network import (
+    PAPER_WIDTHS,
+    PHYSICS_LOSS,
+    PowerNetwork,
+    paper_adam,
+    spread_over_time,
+)
 from evpinn_ros.reproduction.checkpoint import adam_state, load_adam_state
-from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import InputForm, Problem
 
 ADAM_EPOCHS_BEFORE_LBFGS = 1000
@@ -61,54 +66,43 @@ INPUTS = {
 }
 
 
-class Optimizer(Protocol):
-    """Trains `network` and `log_scale`, z of the five parameters, shape (5,)."""
+class Optimizer(ABC):
+    """Trains on a problem.
 
-    network: PowerNetwork
-    log_scale: torch.Tensor
+    Attributes:
+        network: of Fig. 4, by Glorot's rule, on the problem's device.
+        log_scale: z of the five parameters, shape (5,).
+    """
 
+    def __init__(self, problem: Problem, seed: int) -> None:
+        """Start at the initial values of eq. 24, 25 and a fresh network."""
+        self.problem = problem
+        network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype)
+        self.network = network.to(problem.device)
+        self.log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
+
+    @abstractmethod
     def step(self) -> None:
         """One epoch."""
 
     def state(self) -> dict[str, torch.Tensor]:
         """State that a resumed training needs, besides the problem and the seed."""
+        return {"weights": self.network.vector(), "log_scale": self.log_scale.detach().clone()}
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
+        self.network.load_vector(state["weights"].to(self.problem.device))
+        with torch.no_grad():
+            self.log_scale.copy_(state["log_scale"])
 
 
-def make_optimizer(name: OptimizerName, problem: Problem, seed: int) -> Optimizer:
-    """A fresh optimiser and network of this seed."""
-    kinds: dict[OptimizerName, Any] = {
-        OptimizerName.ADAM: Adam,
-        OptimizerName.ADAM_LBFGS: AdamThenLbfgs,
-        OptimizerName.GAUSS_NEWTON: GaussNewton,
-    }
-    optimizer: Optimizer = kinds[name](problem, seed)
-    return optimizer
-
-
-def paper_network(problem: Problem, seed: int) -> PowerNetwork:
-    """The 4 x 128 network of Fig. 4 by Glorot's rule, on the problem's device."""
-    return PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype).to(problem.device)
-
-
-class Adam:
+class Adam(Optimizer):
     """Adam as published (section III.D)."""
 
     def __init__(self, problem: Problem, seed: int) -> None:
-        """Start at the initial values of eq. 24, 25 and a fresh network."""
-        self.problem = problem
-        self.network = paper_network(problem, seed)
-        self.log_scale = torch.zeros(
-            len(LEARNED), dtype=problem.dtype, device=problem.device, requires_grad=True
-        )
-        self._adam = torch.optim.Adam(
-            [
-                {"params": list(self.network.parameters()), "lr": NETWORK_RATE},
-                {"params": [self.log_scale], "lr": PARAMETER_RATE},
-            ]
-        )
+        super().__init__(problem, seed)
+        self.log_scale.requires_grad_()
+        self._adam = paper_adam(self.network, self.log_scale)
 
     def loss(self) -> torch.Tensor:
         """Eq. 22 on the training data with gradients at hand."""
@@ -129,14 +123,11 @@ class Adam:
 
     def state(self) -> dict[str, torch.Tensor]:
         """Weights, z and Adam's moments."""
-        state = {"weights": self.network.vector(), "log_scale": self.log_scale.detach().clone()}
-        return state | adam_state(self._adam, self.trained())
+        return super().state() | adam_state(self._adam, self.trained())
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
-        self.network.load_vector(state["weights"].to(self.problem.device))
-        with torch.no_grad():
-            self.log_scale.copy_(state["log_scale"])
+        super().load_state(state)
         load_adam_state(self._adam, self.trained(), state)
 
 
@@ -172,18 +163,15 @@ class AdamThenLbfgs(Adam):
         self._epoch = int(state["epoch"])
 
 
-class GaussNewton:
+class GaussNewton(Optimizer):
     """Parameters solved for, network by dual Gauss-Newton on random batches."""
 
     def __init__(self, problem: Problem, seed: int) -> None:
         """Start with the parameters that fit the data and units spread over the drive."""
-        self.problem = problem
-        self.network = paper_network(problem, seed)
+        super().__init__(problem, seed)
         self._generator = torch.Generator().manual_seed(seed)
         spread_over_time(self.network, self._generator, -1.0, 1.0, KINK_SHARPNESS)
-        self.log_scale = fit_parameters(
-            problem, problem.training, problem.training.power
-        ).log_scale
+        self.log_scale = problem.fit(problem.training, problem.training.power).log_scale
         self._steps = 0
 
     @torch.no_grad()
@@ -191,9 +179,8 @@ class GaussNewton:
         """One batch; now and then the parameters too."""
         samples, network = self.problem.training, self.network
         if self._steps % PARAMETERS_EVERY == 0 and self._steps > 0:
-            self.log_scale = fit_parameters(
-                self.problem, samples, network(samples.inputs), self.log_scale
-            ).log_scale
+            fit = self.problem.fit(samples, network(samples.inputs), self.log_scale)
+            self.log_scale = fit.log_scale
         self._steps += 1
         rows = torch.randperm(len(samples), generator=self._generator)[:BATCH]
         rows = rows.to(self.problem.device)
@@ -205,16 +192,18 @@ class GaussNewton:
 
     def state(self) -> dict[str, torch.Tensor]:
         """Weights, z, and where in the draw of batches it is."""
-        return {
-            "weights": self.network.vector(),
-            "log_scale": self.log_scale.clone(),
-            "steps": torch.tensor(self._steps),
-            "generator": self._generator.get_state(),
-        }
+        drawn = {"steps": torch.tensor(self._steps), "generator": self._generator.get_state()}
+        return super().state() | drawn
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
-        self.network.load_vector(state["weights"].to(self.problem.device))
-        self.log_scale = state["log_scale"].to(self.problem.device)
+        super().load_state(state)
         self._steps = int(state["steps"])
         self._generator.set_state(state["generator"])
+
+
+OPTIMIZERS: Mapping[OptimizerName, type[Optimizer]] = {
+    OptimizerName.ADAM: Adam,
+    OptimizerName.ADAM_LBFGS: AdamThenLbfgs,
+    OptimizerName.GAUSS_NEWTON: GaussNewton,
+}

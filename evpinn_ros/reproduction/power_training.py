@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.reproduction.optimizers import OptimizerName, make_optimizer
+from evpinn_ros.reproduction.optimizers import OPTIMIZERS, OptimizerName
 from evpinn_ros.reproduction.problem import Problem
 from evpinn_ros.reproduction.published import LOGGED_EPOCHS, Losses, LossRow
 
@@ -34,7 +34,7 @@ class PowerTraining:
     def __init__(self, name: OptimizerName, problem: Problem, epochs: int, seed: int) -> None:
         """Begin at epoch 0 of `epochs`."""
         self.problem = problem
-        self.optimizer = make_optimizer(name, problem, seed)
+        self.optimizer = OPTIMIZERS[name](problem, seed)
         self.epoch = 0
         self.epochs = epochs
         self.rows: list[LossRow] = []

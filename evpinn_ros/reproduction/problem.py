@@ -5,27 +5,26 @@ What the paper leaves open is settled here; the effects are in `docs/explanation
 - inputs are speed in m/s and time in s since the start, as they are, or each mapped to [-1, 1];
 - power is mapped to [-1, 1] between its extremes on the drive, for both terms alike;
 - both terms are means over the samples, and lambda is inside the term called physics;
-- a parameter is its initial value (eq. 24, 25) times exp(z), and z is learned: it stays positive,
-  and one learning rate serves all five;
+- parameters are learned as logarithms z over their initial values (`paper.log_parameters`);
 - P_aux is the median power at standstill (section III.C), else the vehicle file's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 
-from evpinn_ros.estimation.paper import LEARNED, PHYSICS_LOSS
+from evpinn_ros.paper.log_parameters import LEARNED, LogParameters, ParameterFit, standing_load
+from evpinn_ros.paper.network import PHYSICS_LOSS
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.published import Losses
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.parameters import LIMITS, Parameters
-from evpinn_ros.vehicle.physics import RegenForm, auxiliary_power
+from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.vehicle.physics import RegenForm
 
 VALIDATION_SHARE = 0.2
 
@@ -40,8 +39,7 @@ class InputForm(str, Enum):
     UNIT = "unit"  # each mapped to [-1, 1] over the drive
 
 
-@dataclass(frozen=True, slots=True)
-class SampleSplit:
+class SampleSplit(NamedTuple):
     """Indices of the samples to train on and of those to validate on, each rising."""
 
     training: np.ndarray
@@ -61,38 +59,28 @@ def chronological_split(samples: int) -> SampleSplit:
     return SampleSplit(np.arange(border), np.arange(border, samples))
 
 
-@dataclass(frozen=True, slots=True)
-class PowerScale:
-    """Power, W, mapped to [-1, 1] between the extremes of a drive."""
+class Scale(NamedTuple):
+    """A quantity as the network takes or gives it: (value - middle) / half_range."""
 
     middle: float
     half_range: float
 
     @classmethod
-    def of(cls, power: np.ndarray) -> PowerScale:
-        """The scale of a drive; constant power counts as a range of 1 W."""
-        low, high = float(power.min()), float(power.max())
+    def of(cls, values: np.ndarray) -> Scale:
+        """The scale that maps a drive's values to [-1, 1]; a constant counts as a range of 1."""
+        low, high = float(values.min()), float(values.max())
         return cls((high + low) / 2, max((high - low) / 2, 1.0))
 
+    def normalised(self, values: torch.Tensor) -> torch.Tensor:
+        """Values in the units of the network."""
+        return (values - self.middle) / self.half_range
 
-@dataclass(frozen=True, slots=True)
-class InputScale:
-    """Speed, m/s, and time, s, as the network takes them: (input - middle) / half_range."""
+    def restored(self, values: torch.Tensor) -> np.ndarray:
+        """Values of the network in their own unit, float64."""
+        return np.asarray(self.middle + self.half_range * values.double().cpu().numpy())
 
-    middle: tuple[float, float]
-    half_range: tuple[float, float]
 
-    @classmethod
-    def of(cls, log: DriveLog, form: InputForm) -> InputScale:
-        """The scale of a drive; a constant input counts as a range of one unit."""
-        if form is InputForm.RAW:
-            return cls((0.0, 0.0), (1.0, 1.0))
-        ends = [(float(c.min()), float(c.max())) for c in (log.speed, log.time)]
-        speed, time = ends
-        return cls(
-            (sum(speed) / 2, sum(time) / 2),
-            (max((speed[1] - speed[0]) / 2, 1.0), max((time[1] - time[0]) / 2, 1.0)),
-        )
+RAW = Scale(0.0, 1.0)  # as it is
 
 
 class PhysicsInputs(NamedTuple):
@@ -108,17 +96,17 @@ class Samples:
     def __init__(
         self,
         log: DriveLog,
-        inputs: InputScale,
-        scale: PowerScale,
+        inputs: tuple[Scale, Scale],
+        scale: Scale,
         device: torch.device,
         dtype: torch.dtype,
     ) -> None:
         columns = (torch.as_tensor(column, dtype=dtype, device=device) for column in log)
         time, speed, acceleration, power = columns
         self.motion = PhysicsInputs(speed, acceleration)
-        raw = torch.stack((speed, time), dim=1)
-        self.inputs = (raw - raw.new_tensor(inputs.middle)) / raw.new_tensor(inputs.half_range)
-        self.power = (power - scale.middle) / scale.half_range
+        scaled = (one.normalised(raw) for one, raw in zip(inputs, (speed, time), strict=True))
+        self.inputs = torch.stack(list(scaled), dim=1)
+        self.power = scale.normalised(power)
 
     def __len__(self) -> int:
         return len(self.power)
@@ -141,30 +129,48 @@ class Problem:
         self.vehicle = vehicle = vehicle.as_published
         self.log, self.split, self.form = log, split, form
         self.device, self.dtype = torch.device(device), dtype
-        self.inputs = InputScale.of(log, inputs)
-        self.scale = PowerScale.of(log.power)
-        self.p_aux = standstill_power(log.part(split.training), vehicle)
-        self.training = self._samples(log.part(split.training))
+        raw = inputs is InputForm.RAW
+        self.inputs = (RAW, RAW) if raw else (Scale.of(log.speed), Scale.of(log.time))
+        self.scale = Scale.of(log.power)
+        trained = log.part(split.training)
+        self.p_aux = standing_load(trained.speed, trained.power, vehicle.initial.p_aux)
+        self.training = self._samples(trained)
         self.validation = self._samples(log.part(split.validation))
-        self._initial = torch.tensor(
-            [getattr(vehicle.initial, name) for name in LEARNED], dtype=dtype, device=self.device
-        )
-
-    def parameters(self, log_scale: torch.Tensor) -> Parameters:
-        """The parameters at z, shape (5,), as tensors; P_aux is no free one."""
-        return Parameters._make([*(self._initial * torch.exp(log_scale)), self.p_aux])
+        self._parameters = LogParameters(vehicle)
 
     def values(self, log_scale: torch.Tensor) -> Parameters:
-        """The parameters at z as numbers; at z = 0 the initial values of eq. 24 and 25."""
-        initial = self._initial.double() * torch.exp(log_scale.detach().double())
-        return Parameters._make([*initial.tolist(), self.p_aux])
+        """The parameters at z, shape (5,)."""
+        return self._parameters.values(log_scale, self.p_aux)
 
     def physics(self, motion: PhysicsInputs, log_scale: torch.Tensor) -> torch.Tensor:
         """Normalised P_physics of eq. 21 and 23, shape (n,)."""
-        parameters = self.parameters(log_scale)
+        parameters = self._parameters.tensors(log_scale, self.p_aux)
         power = self.vehicle.power(motion.speed, motion.acceleration, parameters, self.form)
-        normalised: torch.Tensor = (power - self.scale.middle) / self.scale.half_range
-        return normalised
+        return self.scale.normalised(power)
+
+    def fit(
+        self, samples: Samples, power: torch.Tensor, start: torch.Tensor | None = None
+    ) -> ParameterFit:
+        """The z at which the physics fits a power best.
+
+        `power`, normalised, shape (n,), is measured or what a network says at the samples; `start`
+        is the z to begin at, the initial values if None.
+        """
+        if start is None:
+            start = torch.zeros(len(LEARNED), dtype=self.dtype, device=self.device)
+        return self._parameters.fit(
+            lambda z: self.physics(samples.motion, z), power, start, self.scale.half_range
+        )
+
+    def covariance(self, log_scale: torch.Tensor) -> np.ndarray:
+        """Covariance of z, shape (5, 5), by the power that was trained on and the priors."""
+        training = self.training
+        return self._parameters.covariance(
+            lambda z: self.physics(training.motion, z),
+            training.power,
+            log_scale,
+            self.scale.half_range,
+        )
 
     def terms(
         self, samples: Samples, network: Network, log_scale: torch.Tensor
@@ -184,14 +190,7 @@ class Problem:
     @torch.no_grad()
     def predicted_power(self, network: Network, log: DriveLog) -> np.ndarray:
         """Power the network predicts, W, shape (n,)."""
-        output = network(self._samples(log).inputs).double().cpu().numpy()
-        return np.asarray(self.scale.middle + self.scale.half_range * output)
+        return self.scale.restored(network(self._samples(log).inputs))
 
     def _samples(self, log: DriveLog) -> Samples:
         return Samples(log, self.inputs, self.scale, self.device, self.dtype)
-
-
-def standstill_power(log: DriveLog, vehicle: Vehicle) -> float:
-    """P_aux, W: the median power at standstill, else the vehicle file's."""
-    standing = auxiliary_power(log.speed, log.power)
-    return vehicle.initial.p_aux if np.isnan(standing) else max(standing, LIMITS["p_aux"].lower)

@@ -10,13 +10,14 @@ import numpy as np
 import torch
 
 from evpinn_ros.common.saved_fields import plain
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
-from evpinn_ros.estimation.network import PowerNetwork
-from evpinn_ros.estimation.paper import LEARNED, POWER_SCALE, SPEED_SCALE, WINDOW, SavedPaper
+from evpinn_ros.estimation.estimator import OnlineEstimator
 from evpinn_ros.estimation.state_file import write_state
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.paper.learner import POWER_SCALE, SPEED_SCALE, WINDOW, SavedPaper
+from evpinn_ros.paper.log_parameters import LEARNED
+from evpinn_ros.paper.network import PowerNetwork
+from evpinn_ros.paper.settings import PaperSettings
 from evpinn_ros.reproduction.experiment import Outcome
-from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
 from evpinn_ros.vehicle.physics import RegenForm
@@ -27,7 +28,7 @@ LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one da
 
 @torch.no_grad()
 def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
-    """The same function in the units of `estimation.paper`, float32.
+    """The same function in the units of `paper.learner`, float32.
 
     There speed comes over `SPEED_SCALE`, time as -age / `WINDOW` before the newest sample (here
     the end of the log), and power leaves over `POWER_SCALE`. All three are affine, so the first
@@ -36,9 +37,8 @@ def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
     found = deepcopy(network).cpu().double()
     first, last = found.layers[0], found.layers[-1]
     end = float(problem.log.time[-1])
-    half_range = torch.tensor(problem.inputs.half_range, dtype=torch.float64)
+    middle, half_range = torch.tensor(problem.inputs, dtype=torch.float64).T
     at_now = torch.tensor([0.0, end], dtype=torch.float64)
-    middle = torch.tensor(problem.inputs.middle, dtype=torch.float64)
     first.bias.add_(first.weight @ ((at_now - middle) / half_range))
     first.weight.mul_(torch.tensor([SPEED_SCALE, WINDOW], dtype=torch.float64) / half_range)
     last.weight.mul_(problem.scale.half_range / POWER_SCALE)
@@ -53,7 +53,7 @@ def write_estimator_state(path: Path, outcome: Outcome) -> None:
         OSError: the file cannot be written.
         ValueError: the estimator would not take it.
     """
-    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
+    settings = PaperSettings(regen_form=outcome.settings.form)
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
     problem, optimizer = outcome.training.problem, outcome.training.optimizer
     residual = outcome.predicted_power - outcome.log.power
@@ -86,7 +86,7 @@ def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
     problem = Problem(
         outcome.log, vehicle, outcome.training.problem.split, form=RegenForm.WHEEL_POWER
     )
-    fit = fit_parameters(problem, problem.training, problem.training.power)
+    fit = problem.fit(problem.training, problem.training.power)
     found = outcome.values._replace(mu=problem.values(fit.log_scale).mu)
     values = possible(found, outcome.settings.form)
     variance = np.diag(outcome.covariance).copy()

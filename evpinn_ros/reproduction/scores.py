@@ -10,30 +10,16 @@ import numpy as np
 import torch
 
 from evpinn_ros.energy.quadrature import CompensatedSum
-from evpinn_ros.estimation.paper import LEARNED
 from evpinn_ros.estimation.parameter_set import VALID_BELOW
-from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.paper.log_parameters import COMBINATIONS, LEARNED, LogParameters, relative_std
 from evpinn_ros.reproduction.energy_network import MAX_GAP
-from evpinn_ros.reproduction.parameter_fit import fit_parameters, prior_std
-from evpinn_ros.reproduction.problem import PowerScale, Problem
+from evpinn_ros.reproduction.problem import Problem, Scale
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm
 
 GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
 KNOWN_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
-# The combinations that enter eq. 21, as exponents of the parameters.
-COMBINATIONS = {
-    "mass_over_eta": {"mass": 1.0, "eta": -1.0},
-    "drag_area_over_eta": {"c_d": 1.0, "eta": -1.0},
-    "c_rr": {"c_rr": 1.0},
-    "mu": {"mu": 1.0},
-}
-# In the form `wheel_power` braking comes back by eta mu.
-WHEEL_POWER_COMBINATIONS = {
-    **{name: COMBINATIONS[name] for name in ("mass_over_eta", "drag_area_over_eta", "c_rr")},
-    "regeneration": {"eta": 1.0, "mu": 1.0},
-}
 
 
 class PowerScore(NamedTuple):
@@ -46,7 +32,7 @@ class PowerScore(NamedTuple):
     energy_error_percent: float | None  # of the sum over these samples; None when that sum is zero
 
 
-def power_score(predicted: np.ndarray, measured: np.ndarray, scale: PowerScale) -> PowerScore:
+def power_score(predicted: np.ndarray, measured: np.ndarray, scale: Scale) -> PowerScore:
     """Score powers, W, shape (n,) each."""
     error = predicted - measured
     spread = float(np.sum((measured - measured.mean()) ** 2))
@@ -61,33 +47,14 @@ def power_score(predicted: np.ndarray, measured: np.ndarray, scale: PowerScale) 
     )
 
 
-def interpolated_power(training: DriveLog, validation: DriveLog) -> np.ndarray:
-    """The baseline: a line in time between the neighbours trained on, W.
-
-    After the last of them, as under a chronological split, its power is held.
-    """
-    return np.asarray(np.interp(validation.time, training.time, training.power))
-
-
-def physics_power(
-    log: DriveLog, vehicle: Vehicle, parameters: Parameters, form: RegenForm
-) -> np.ndarray:
-    """Battery power of eq. 21, W, shape (n,)."""
-    return np.asarray(vehicle.power(log.speed, log.acceleration, parameters, form))
-
-
 def least_squares_power(problem: Problem) -> tuple[np.ndarray, Parameters]:
     """Eq. 21 fitted to the training data alone: its power on the validation data, W.
 
     Five numbers against the network's 50 049, and no time among its inputs.
     """
-    fit = fit_parameters(problem, problem.training, problem.training.power)
-    with torch.no_grad():
-        normalised = (
-            problem.physics(problem.validation.motion, fit.log_scale).double().cpu().numpy()
-        )
-    power = problem.scale.middle + problem.scale.half_range * normalised
-    return np.asarray(power), problem.values(fit.log_scale)
+    fit = problem.fit(problem.training, problem.training.power)
+    power = problem.physics(problem.validation.motion, fit.log_scale)
+    return problem.scale.restored(power), problem.values(fit.log_scale)
 
 
 def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
@@ -114,7 +81,7 @@ def drift_included(
     part of z that the priors alone would pull back is C S^-1 z, with S the priors' covariance.
     """
     z = log_scale.detach().double().cpu().numpy()
-    drift = covariance @ (z / prior_std(vehicle) ** 2)
+    drift = covariance @ (z / LogParameters(vehicle).prior_std ** 2)
     return covariance + np.outer(drift, drift)
 
 
@@ -152,15 +119,14 @@ def combination_rows(
     vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
 ) -> list[TableFiveRow]:
     """The combinations that enter eq. 21, likewise."""
-    prior_covariance = np.diag(prior_std(vehicle) ** 2)
+    before_data = np.diag(LogParameters(vehicle).prior_std ** 2)
     area = vehicle.frontal_area
     before, after = (combinations(p, area, form) for p in (vehicle.initial, values))
     rows = []
-    for name, weights in _exponents(form).items():
-        vector = np.array([weights.get(parameter, 0.0) for parameter in LEARNED])
-        variance = float(vector @ covariance @ vector)
-        share = min(1.0, variance / float(vector @ prior_covariance @ vector))
-        std = variance**0.5 * after[name]
+    for name, exponents in _exponents(form).items():
+        relative = relative_std(exponents, covariance)
+        share = min(1.0, (relative / relative_std(exponents, before_data)) ** 2)
+        std = relative * after[name]
         rows.append(TableFiveRow(name, before[name], after[name], std, share, share < KNOWN_BELOW))
     return rows
 
@@ -169,12 +135,16 @@ def combinations(parameters: Parameters, area: float, form: RegenForm) -> dict[s
     """Values of the combinations that enter eq. 21 in a form; area in m^2."""
     values = parameters._asdict()
     found = {
-        name: math.prod(float(values[p]) ** power for p, power in weights.items())
-        for name, weights in _exponents(form).items()
+        name: math.prod(float(values[p]) ** power for p, power in exponents.items())
+        for name, exponents in _exponents(form).items()
     }
     found["drag_area_over_eta"] *= area
     return found
 
 
 def _exponents(form: RegenForm) -> Mapping[str, Mapping[str, float]]:
-    return WHEEL_POWER_COMBINATIONS if form is RegenForm.WHEEL_POWER else COMBINATIONS
+    """The combinations of a form; in `wheel_power` alone braking comes back by eta mu."""
+    if form is RegenForm.WHEEL_POWER:
+        return COMBINATIONS
+    others = {name: each for name, each in COMBINATIONS.items() if name != "regeneration"}
+    return {**others, "mu": {"mu": 1.0}}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
-from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.paper.settings import PaperOptimizer, PaperSettings
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.stream import StreamSettings
 from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
@@ -17,17 +17,19 @@ from evpinn_ros.vehicle.physics import RegenForm
 
 def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
     """Settings of the estimator from all parameters of its table, by name and checked."""
-    return EstimatorSettings(
-        mode=Mode(values["mode"]),
+    stream = StreamSettings(
+        smoothing_lag=values["smoothing_lag"],
+        allowed_lateness=values["allowed_lateness"],
+        max_gap=values["max_gap"],
+        grade_source=GradeSource(values["grade_source"]),
+    )
+    if Mode(values["mode"]) is not Mode.PAPER:
+        return EstimatorSettings(values["seed"], stream)
+    return PaperSettings(
+        values["seed"],
+        stream,
         regen_form=RegenForm(values["regen_form"]),
-        paper_optimizer=PaperOptimizer(values["paper_optimizer"]),
-        seed=values["seed"],
-        stream=StreamSettings(
-            smoothing_lag=values["smoothing_lag"],
-            allowed_lateness=values["allowed_lateness"],
-            max_gap=values["max_gap"],
-            grade_source=GradeSource(values["grade_source"]),
-        ),
+        optimizer=PaperOptimizer(values["paper_optimizer"]),
     )
 
 

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
+from evpinn_ros.estimation.estimator import Mode, OnlineEstimator
 from evpinn_ros.estimation.state_file import MAX_FILE_BYTES, read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MODES = list(Mode)
@@ -158,9 +159,7 @@ def test_whatever_a_state_holds(learned, new_of, drive, data):
 
 @pytest.fixture(scope="module")
 def new_of(vehicle):
-    return lambda mode: OnlineEstimator(
-        vehicle, EstimatorSettings(mode=mode), InlineWorker(lambda: 0.0)
-    )
+    return lambda mode: OnlineEstimator(vehicle, SETTINGS[mode](), InlineWorker(lambda: 0.0))
 
 
 def test_no_file_is_no_state(tmp_path):

@@ -9,10 +9,11 @@ from typing import Annotated, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
-from evpinn_ros.estimation.paper import SavedPaper
+from evpinn_ros.estimation.estimator import Mode, OnlineEstimator
 from evpinn_ros.estimation.pinn import SavedPinn
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.paper.learner import SavedPaper
+from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
 WRONG = (1e300, -1e300, 10**400, math.nan, math.inf, "1", None, [], {}, [[1.0], [2.0, 3.0]], True)
@@ -60,9 +61,7 @@ PLACES = [
 
 @pytest.fixture(scope="module")
 def new(vehicle):
-    return lambda mode: OnlineEstimator(
-        vehicle, EstimatorSettings(mode=mode), InlineWorker(lambda: 0.0)
-    )
+    return lambda mode: OnlineEstimator(vehicle, SETTINGS[mode](), InlineWorker(lambda: 0.0))
 
 
 @pytest.fixture(scope="module")

@@ -16,10 +16,10 @@ from evpinn_ros.energy.plan import MAX_SPEED
 from evpinn_ros.energy.quadrature import MAX_GAP
 from evpinn_ros.energy.rknn import STEP_LIMIT
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
-from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
 from evpinn_ros.nodes import parameters
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.paper.settings import PaperOptimizer, PaperSettings
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.time_jump import JumpPolicy
 from evpinn_ros.topics.node_parameters import TABLES, bus_options, refuse_wrong
@@ -57,7 +57,7 @@ def test_every_default_passes_its_own_check(node, parameter):
 
 
 def test_choices_and_defaults_are_those_of_the_cores():
-    estimator, settings = table("estimator"), EstimatorSettings()
+    estimator, settings = table("estimator"), PaperSettings()
     for name, kind in (
         ("mode", Mode),
         ("regen_form", RegenForm),
@@ -66,9 +66,9 @@ def test_choices_and_defaults_are_those_of_the_cores():
         ("time_jump_policy", JumpPolicy),
     ):
         assert set(estimator[name].choices) == {member.value for member in kind}
-    assert estimator["mode"].default == settings.mode.value
+    assert estimator["mode"].default == EstimatorSettings.mode.value
     assert estimator["regen_form"].default == settings.regen_form.value
-    assert estimator["paper_optimizer"].default == settings.paper_optimizer.value
+    assert estimator["paper_optimizer"].default == settings.optimizer.value
     assert estimator["grade_source"].default == settings.stream.grade_source.value
     for name in ("smoothing_lag", "allowed_lateness", "max_gap"):
         assert estimator[name].default == getattr(settings.stream, name)

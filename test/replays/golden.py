@@ -18,8 +18,9 @@ import numpy as np
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.estimates import output_messages
@@ -75,7 +76,7 @@ def outputs(drive: Drive) -> Record:
     """What the chain says of a drive now."""
     limit_blas_threads()
     vehicle = load_vehicle(VEHICLE)
-    chain = Chain(vehicle, EstimatorSettings(mode=drive.mode), InlineWorker(time.perf_counter))
+    chain = Chain(vehicle, SETTINGS[drive.mode](), InlineWorker(time.perf_counter))
     latest, record = {}, {}
     start_ns, due = None, EVERY
     for reading in open_source(BAGS / drive.bag, vehicle, None).readings():

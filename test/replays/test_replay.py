@@ -16,6 +16,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.events import EventKind, drive_events
 from evpinn_ros.replays.run import ReplayOptions, output_folders, replay
@@ -39,7 +40,7 @@ class Recorded:
 
 
 def chain(vehicle, mode=Mode.HYBRID) -> Chain:
-    return Chain(vehicle, EstimatorSettings(mode=mode), InlineWorker(time.perf_counter))
+    return Chain(vehicle, SETTINGS[mode](), InlineWorker(time.perf_counter))
 
 
 def run(readings, vehicle, tmp_path, *, writer=None, mode=Mode.HYBRID, used=None, **options):

@@ -10,7 +10,6 @@ import torch
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log, speed_delay
-from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.reproduction.scores import combinations
 from evpinn_ros.simulation.drive import DriveKind
@@ -35,7 +34,7 @@ def test_log_is_read_with_its_acceleration(
     read = read_drive_log(write_csv(tmp_path / "a.csv", log), vehicle).drive
     assert len(read.time) > 380
     problem = Problem(read, vehicle, random_split(len(read.time), 0), dtype=torch.float64)
-    fit = fit_parameters(problem, problem.training, problem.training.power)
+    fit = problem.fit(problem.training, problem.training.power)
     found = combinations(problem.values(fit.log_scale), vehicle.frontal_area, problem.form)
     truth = combinations(TRUE, vehicle.frontal_area, problem.form)
     assert found["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.02)

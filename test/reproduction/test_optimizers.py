@@ -109,7 +109,7 @@ def test_checkpoint_of_other_settings_or_broken_is_none(tmp_path) -> None:
     assert load_checkpoint(path, "y") is None
     kept = load_checkpoint(path, "x")
     assert kept is not None and torch.equal(kept["weights"], torch.arange(4.0))
-    np.savez(path, settings=np.array("x"), names=np.array(["state/gone"]))
+    np.savez(path, settings=np.array("x"), weights=np.array(["no number"]))
     assert load_checkpoint(path, "x") is None
     with path.open("wb") as file:
         np.save(file, np.arange(3))

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from evpinn_ros.estimation.network import PowerNetwork
+from evpinn_ros.paper.network import PHYSICS_LOSS, PowerNetwork
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.problem import (
-    PHYSICS_LOSS,
     InputForm,
     Problem,
     chronological_split,
@@ -105,7 +104,7 @@ def test_gradients_of_weights_equal_autograd(problem: Problem, network: PowerNet
 def test_gradients_of_parameters_equal_autograd(
     form: RegenForm, make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
-    """Forward-mode rows of the physics, as `parameter_fit` uses them, against reverse mode."""
+    """Forward-mode rows of the physics, as `paper.log_parameters` has them, against reverse."""
     log = make_log()
     split = random_split(len(log.time), 0)
     problem = Problem(log, vehicle, split, form=form, dtype=torch.float64)

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
-from evpinn_ros.estimation.paper import POWER_SCALE, SPEED_SCALE, WINDOW
+from evpinn_ros.estimation.estimator import OnlineEstimator
 from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.paper.learner import POWER_SCALE, SPEED_SCALE, WINDOW
+from evpinn_ros.paper.settings import PaperSettings
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.experiment import Experiment, Outcome, Settings
 from evpinn_ros.reproduction.optimizers import OptimizerName
@@ -57,7 +58,7 @@ def test_window_network_is_the_same_function(outcome: Outcome) -> None:
 def test_estimator_starts_from_the_state(outcome: Outcome, tmp_path: Path) -> None:
     path = tmp_path / "state.json"
     write_estimator_state(path, outcome)
-    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
+    settings = PaperSettings(regen_form=outcome.settings.form)
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
     estimator.restore(read_state(path))
     outputs = [
@@ -103,7 +104,7 @@ def test_an_impossible_eta_slides_back_without_changing_power(form: RegenForm) -
 def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path: Path) -> None:
     path = tmp_path / "state.json"
     write_estimator_state(path, outcome)
-    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=RegenForm.PRINTED)
+    settings = PaperSettings(regen_form=RegenForm.PRINTED)
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
     with pytest.raises(ValueError, match="regen_form 'recovery', not for regen_form 'printed'"):
         estimator.restore(read_state(path))

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
-from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.reproduction.scores import combination_rows, combinations, parameter_rows
 from evpinn_ros.simulation.drive import DriveKind
@@ -31,7 +30,7 @@ def test_eq_21_finds_the_truth(kind: DriveKind, vehicle: Vehicle, tmp_path: Path
     """mass/eta, C_rr and mu within 2 %, through sensors that lag, quantise and lose frames."""
     log, truth = driven(kind, vehicle, tmp_path / "drive")
     problem = Problem(log, vehicle, random_split(len(log.time), 0), dtype=torch.float64)
-    z, covariance, _ = fit_parameters(problem, problem.training, problem.training.power)
+    z, covariance, _ = problem.fit(problem.training, problem.training.power)
     found = combinations(problem.values(z), vehicle.frontal_area, problem.form)
     expected = combinations(truth, vehicle.frontal_area, problem.form)
     for name in ("mass_over_eta", "c_rr", "mu"):

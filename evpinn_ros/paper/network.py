@@ -1,4 +1,4 @@
-"""The fully connected tanh network of the paper (Fig. 4), as a torch module."""
+"""The fully connected tanh network of the paper (Fig. 4) and its Adam (section III.D)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from itertools import pairwise
 import torch
 from torch import nn
 
-PAPER_WIDTHS = (2, 128, 128, 128, 128, 1)  # speed and time in, power out (section III.D)
+PAPER_WIDTHS = (2, 128, 128, 128, 128, 1)  # speed and time in, power out
+PHYSICS_LOSS = 0.1  # lambda of eq. 22
+NETWORK_RATE = 1e-3  # Adam
+PARAMETER_RATE = 2e-3  # Adam, of log values
 
 
 class PowerNetwork(nn.Module):
@@ -64,6 +67,16 @@ class PowerNetwork(nn.Module):
     def load_vector(self, weights: torch.Tensor) -> None:
         """Take all weights from one vector."""
         nn.utils.vector_to_parameters(weights, self.parameters())
+
+
+def paper_adam(network: PowerNetwork, log_scale: torch.Tensor) -> torch.optim.Adam:
+    """Adam as published: a rate for the layers, and one for z of the parameters, shape (5,)."""
+    return torch.optim.Adam(
+        [
+            {"params": list(network.parameters()), "lr": NETWORK_RATE},
+            {"params": [log_scale], "lr": PARAMETER_RATE},
+        ]
+    )
 
 
 @torch.no_grad()

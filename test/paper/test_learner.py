@@ -5,29 +5,23 @@ import pytest
 import torch
 
 from evpinn_ros.estimation.estimate import Trust
-from evpinn_ros.estimation.paper import (
+from evpinn_ros.paper.learner import (
     EPOCHS,
-    LEARNED,
     MIN_SAMPLES,
-    NETWORK_RATE,
-    PARAMETER_RATE,
-    PHYSICS_LOSS,
     POWER_SCALE,
+    WINDOW,
     PaperLearner,
 )
-from evpinn_ros.estimation.paper_optimizer import PaperOptimizer
+from evpinn_ros.paper.log_parameters import LEARNED
+from evpinn_ros.paper.network import NETWORK_RATE, PARAMETER_RATE, PHYSICS_LOSS
+from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
-
-
-@pytest.fixture(scope="session")
-def vehicle() -> Vehicle:
-    return load_vehicle("tesla_model_3_lr").as_published
 
 
 def teach(learner: PaperLearner, drive, first=0, last=None) -> PaperLearner:
@@ -49,7 +43,7 @@ def loss(learner: PaperLearner, drive, first, last) -> tuple[float, float]:
     pairs = list(zip(drive.samples, drive.powers, strict=True))[first:last]
     for sample, power in pairs:
         said = learner.predict(sample).power / POWER_SCALE
-        believed = (float(learner._physics(sample)) + sample.known_auxiliary) / POWER_SCALE
+        believed = float(learner._physics(sample, learner._values())) / POWER_SCALE
         data += (power / POWER_SCALE - said) ** 2 / len(pairs)
         physics += (believed - said) ** 2 / len(pairs)
     return data, physics
@@ -170,6 +164,17 @@ def test_sigma_is_told_by_data_and_prior(vehicle, synthetic):
         assert relative >= estimate.prior_share * drift
     relative = found.identifiable_std.mass_over_eta / found.identifiable.mass_over_eta
     assert relative < 0.5 * math.hypot(110 / 1823, 0.1 / 0.7)
+
+
+def test_the_window_drops_what_becomes_too_old(vehicle):
+    """A minute is kept, both ends included, and ages count from the newest sample."""
+    learner = PaperLearner(vehicle)
+    for second in range(int(WINDOW) + 3):
+        learner.observe(Sample(second * NANOSECONDS, 10.0, 0.5, 0.01, 1.2, 300.0), 1000.0)
+    assert len(learner._window) == WINDOW + 1
+    assert learner._window[0][0].stamp_ns == 2 * NANOSECONDS
+    learner.forget_window()
+    assert not learner._window and learner.prepare_update() is None
 
 
 def test_reverse_and_charging_teach_nothing(vehicle):

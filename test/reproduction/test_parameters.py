@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from evpinn_ros.reproduction.drive_log import DriveLog
-from evpinn_ros.reproduction.parameter_fit import fit_parameters
 from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.reproduction.scores import (
     TableFiveRow,
@@ -26,7 +25,7 @@ def fitted(
 ) -> tuple[Problem, torch.Tensor, np.ndarray]:
     split = random_split(len(log.time), 0)
     problem = Problem(log, vehicle, split, form=form, dtype=torch.float64)
-    fit = fit_parameters(problem, problem.training, problem.training.power)
+    fit = problem.fit(problem.training, problem.training.power)
     assert fit.converged
     return problem, fit.log_scale, fit.covariance
 
@@ -85,7 +84,7 @@ def test_a_network_s_power_can_be_fitted_as_well(
     problem = Problem(log, vehicle, random_split(len(log.time), 0), dtype=torch.float64)
     z = torch.tensor([0.1, 0.2, 0.08, -0.1, 0.02], dtype=torch.float64)
     power = problem.physics(problem.training.motion, z)
-    fit = fit_parameters(problem, problem.training, power)
+    fit = problem.fit(problem.training, power)
     found, wanted = (
         combinations(problem.values(x), vehicle.frontal_area, problem.form)
         for x in (fit.log_scale, z)

@@ -17,23 +17,50 @@ from __future__ import annotations
 
 import torch
 
-from evpinn_ros.estimation.network import PowerNetwork
+from evpinn_ros.paper.network import PowerNetwork
 
 LEAST_DAMPING = 1e-3  # of `levenberg_marquardt`, which keeps what the samples do not determine
 LESS, MORE = 1.0 / 3.0, 5.0  # factors of the damping after a step that helped, and any other
 MOST_DAMPING = 1.0  # of the mean diagonal; beyond it a step is no more than a gradient's
 
 
-def gram(activations: list[torch.Tensor], derivatives: list[torch.Tensor]) -> torch.Tensor:
-    """J J^T, shape (n, n), from `PowerNetwork.sweep`."""
-    samples = len(activations[0])
-    total = activations[0].new_zeros(samples, samples)
-    for entering, derivative in zip(activations, derivatives, strict=True):
-        total += (entering @ entering.T + 1.0) * (derivative @ derivative.T)
-    return total
+class Linearised:
+    """A network at its present weights and samples.
+
+    Attributes:
+        residual: the target less the output, shape (n,).
+        system: J J^T, shape (n, n).
+    """
+
+    @torch.no_grad()
+    def __init__(self, network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor) -> None:
+        """Linearise about inputs of shape (n, inputs) and the wanted output, shape (n,)."""
+        output, *layers = network.sweep(inputs)
+        self._layers = list(zip(*layers, strict=True))
+        self.residual = target - output
+        self.system = inputs.new_zeros(len(inputs), len(inputs))
+        for entering, derivative in self._layers:
+            self.system += (entering @ entering.T + 1.0) * (derivative @ derivative.T)
+
+    @torch.no_grad()
+    def step(self, damping: float) -> torch.Tensor | None:
+        """The step of all weights towards the target, shape (weights,).
+
+        In the order of `PowerNetwork.vector`; `damping` is d over the mean of the diagonal of
+        J J^T. None where the precision of the numbers does not suffice to solve the system.
+        """
+        damped = self.system.clone()
+        damped.diagonal().add_(damping * self.system.diagonal().mean())
+        factor, failed = torch.linalg.cholesky_ex(damped)
+        dual = torch.cholesky_solve(self.residual[:, None], factor)
+        parts: list[torch.Tensor] = []
+        for entering, derivative in self._layers:
+            weighted = derivative * dual
+            parts += [(weighted.T @ entering).flatten(), weighted.sum(0)]
+        step = torch.cat(parts)
+        return None if failed or not torch.isfinite(step).all() else step
 
 
-@torch.no_grad()
 def gauss_newton_step(
     network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor, damping: float
 ) -> torch.Tensor:
@@ -43,25 +70,17 @@ def gauss_newton_step(
         network: at its present weights; it is not changed.
         inputs: shape (n, inputs).
         target: wanted output, shape (n,).
-        damping: d over the mean of the diagonal of J J^T. Where single precision cannot factor
-            the system it is raised tenfold.
+        damping: see `Linearised.step`. Where single precision cannot factor the system it is
+            raised tenfold.
 
     Returns:
         The step, in the order of `PowerNetwork.vector`; zero where no damping helps.
     """
-    output, activations, derivatives = network.sweep(inputs)
-    system = gram(activations, derivatives)
-    diagonal = system.diagonal()
-    mean = float(diagonal.mean())
-    added = 0.0
+    linearised = Linearised(network, inputs, target)
     while damping <= MOST_DAMPING:
-        diagonal += (damping - added) * mean
-        added = damping
-        factor, failed = torch.linalg.cholesky_ex(system)
-        if not failed:
-            dual = torch.cholesky_solve((target - output)[:, None], factor)
-            step = _weights(activations, derivatives, dual)
-            return step if torch.isfinite(step).all() else torch.zeros_like(step)
+        step = linearised.step(damping)
+        if step is not None:
+            return step
         damping *= 10.0
     return torch.zeros_like(network.vector())
 
@@ -84,7 +103,7 @@ def levenberg_marquardt(
         inputs: shape (n, inputs).
         target: wanted output, shape (n,).
         steps: solutions of the system of n unknowns.
-        damping: to begin with, over the mean of the diagonal of J J^T.
+        damping: to begin with, see `Linearised.step`.
 
     Returns:
         The damping to go on with.
@@ -92,31 +111,16 @@ def levenberg_marquardt(
     moved = True
     for _ in range(steps):
         if moved:
-            weights = network.vector()
-            output, activations, derivatives = network.sweep(inputs)
-            least = torch.mean((target - output) ** 2)
-            system = gram(activations, derivatives)
-        damped = system.clone()
-        damped.diagonal().add_(damping * system.diagonal().mean())
-        factor, failed = torch.linalg.cholesky_ex(damped)
-        dual = torch.cholesky_solve((target - output)[:, None], factor)
-        network.load_vector(weights + _weights(activations, derivatives, dual))
-        error = torch.mean((target - network(inputs)) ** 2)
-        moved = bool(not failed and error < least)  # an error that is not finite is no better
+            weights, linearised = network.vector(), Linearised(network, inputs, target)
+            least = torch.mean(linearised.residual**2)
+        step, moved = linearised.step(damping), False
+        if step is not None:
+            network.load_vector(weights + step)
+            # An error that is not finite is no better.
+            moved = bool(torch.mean((target - network(inputs)) ** 2) < least)
         if moved:
             damping = max(LESS * damping, LEAST_DAMPING)
         else:
             damping = min(MORE * damping, MOST_DAMPING)
             network.load_vector(weights)
     return damping
-
-
-def _weights(
-    activations: list[torch.Tensor], derivatives: list[torch.Tensor], dual: torch.Tensor
-) -> torch.Tensor:
-    """J^T a, shape (weights,), for a of shape (n, 1)."""
-    parts: list[torch.Tensor] = []
-    for entering, derivative in zip(activations, derivatives, strict=True):
-        weighted = derivative * dual
-        parts += [(weighted.T @ entering).flatten(), weighted.sum(0)]
-    return torch.cat(parts)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from evpinn_ros.estimation.network import PAPER_WIDTHS, PowerNetwork
+from evpinn_ros.paper.network import PAPER_WIDTHS, PowerNetwork
 
 
 def network(*widths, seed=0) -> PowerNetwork:
