@@ -15,7 +15,7 @@ three hidden layers of 32 tanh units. Three choices the paper leaves open:
   the middle is known: `energy.power_interpolation` passes it; `along` takes two pieces of a
   series at a time.
 
-`evpinn_ros.energy.rknn_training` makes the shipped weights. With them the network differs from
+`benchmarks/rknn_training.py` makes the shipped weights. With them the network differs from
 the quadrature of the same power by less than 0.01 % of the net energy of real drives. Without a
 state in dE/dt a Runge-Kutta step *is* Simpson's rule, so it gains where the midpoint is known.
 """
@@ -24,15 +24,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-import itertools
 import math
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.npz import read_arrays
 
 SCALE = 1e3  # W and J: where the normalisation turns from linear to logarithmic
 POWER_LIMIT = 5e5  # W: trained range; a step with power beyond it is Simpson's rule itself
@@ -40,7 +36,6 @@ UNEVEN = 0.1  # by which two pieces of a step may differ for the sample between 
 STEP_LIMIT = 2.0  # s: longest step of the trained range
 HIDDEN = (32, 32, 32)
 ARGUMENTS = (1, 2, 2, 2)  # of N1 to N4: power, then energy
-MOST_BYTES = 1 << 20  # of weights: ten times what these networks have
 SHIPPED_WEIGHTS = Path(__file__).with_name("rknn_weights.npz")
 
 _SPAN = math.asinh(POWER_LIMIT / SCALE)
@@ -155,55 +150,18 @@ class Rknn:
         middle = np.interp((start + end) / 2, time, power)
         return float(np.sum(self.step(power[begins], power[ends], end - start, middle)))
 
-    def integrate(
-        self, time: np.ndarray, power: np.ndarray, power_mid: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Energy since the first sample of a series, J, shape (n,), in one batch.
-
-        Args:
-            time: shape (n,), s, rising by at most `STEP_LIMIT`.
-            power: shape (n,), W.
-            power_mid: shape (n - 1,), W, in the middle of each step; None for linear.
-        """
-        steps = self.step(power[:-1], power[1:], np.diff(time), power_mid)
-        return np.concatenate(([0.0], np.cumsum(steps)))
-
 
 def load_rknn(path: Path = SHIPPED_WEIGHTS) -> Rknn:
-    """Read the weights of a network, by default those that come with the package.
-
-    Raises:
-        InputError: not such a file; the text has the path and the reason.
-    """
-    try:
-        weights = read_arrays(path, MOST_BYTES)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
-    try:
-        n1, n2, n3, n4 = (_subnetwork(weights, i + 1, n) for i, n in enumerate(ARGUMENTS))
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
+    """The network of the weights that come with the package, or of others trained like them."""
+    with np.load(path, allow_pickle=False) as weights:
+        n1, n2, n3, n4 = (_subnetwork(weights, number) for number in (1, 2, 3, 4))
     return Rknn((n1, n2, n3, n4))
 
 
-def _subnetwork(weights: Mapping[str, np.ndarray], number: int, arguments: int) -> Subnetwork:
-    widths = (arguments, *HIDDEN, 1)
-    layers = []
-    for layer, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
-        weight = _checked(weights, f"n{number}_weight{layer}", (outputs, inputs))
-        bias = _checked(weights, f"n{number}_bias{layer}", (outputs,))
-        layers.append((weight, bias))
-    return Subnetwork(tuple(layers))
-
-
-def _checked(weights: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    if name not in weights:
-        raise ValueError(f"'{name}' is missing")
-    array = weights[name]
-    if array.dtype != np.float64 or array.shape != shape:
-        raise ValueError(f"'{name}' is {array.dtype}{array.shape}, expected float64{shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"'{name}' holds a value that is not finite")
-    return array
+def _subnetwork(weights: Mapping[str, np.ndarray], number: int) -> Subnetwork:
+    return Subnetwork(
+        tuple(
+            (weights[f"n{number}_weight{layer}"], weights[f"n{number}_bias{layer}"])
+            for layer in range(len(HIDDEN) + 1)
+        )
+    )

@@ -9,10 +9,8 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.interpolate import CubicSpline
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.rknn import (
     POWER_LIMIT,
-    SHIPPED_WEIGHTS,
     Rknn,
     load_rknn,
     normalised,
@@ -28,6 +26,11 @@ DRIVES = ["tesla_model3/drive_first_757s.csv"] + [
 @pytest.fixture(scope="module")
 def rknn():
     return load_rknn()
+
+
+def integral(rknn, time, power, middle=None) -> float:
+    """Energy of a series, J, every step by itself."""
+    return float(rknn.step(power[:-1], power[1:], np.diff(time), middle).sum())
 
 
 def identity(power, energy=0.0):
@@ -87,14 +90,14 @@ def test_a_series_is_its_steps(rknn):
     time = np.array([0.0, 0.1, 0.3, 1.3])
     power = np.array([5e3, -2e4, 1e3, 9e4])
     steps = [float(rknn.step(power[i], power[i + 1], time[i + 1] - time[i])) for i in range(3)]
-    assert rknn.integrate(time, power) == pytest.approx([0.0, *np.cumsum(steps)], rel=1e-12)
+    assert integral(rknn, time, power) == pytest.approx(sum(steps), rel=1e-12)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.02, 0.1, 1.0])
 def test_an_hour_at_standstill_accumulates_no_bias(rknn, dt):
     time = np.arange(0, 3600 + dt / 2, dt)
-    energy = rknn.integrate(time, np.full(len(time), 1000.0))[-1]
+    energy = integral(rknn, time, np.full(len(time), 1000.0))
     assert energy == pytest.approx(3.6e6, rel=3e-4)
 
 
@@ -106,7 +109,7 @@ def test_integral_of_a_drive_whose_net_energy_is_small(rknn, dt, noise):
     power = power + np.random.default_rng(3).normal(0, 1, len(time)) * noise
     gross_over_net = trapezoid(np.abs(power), time) / trapezoid(power, time)
     assert gross_over_net > 8
-    energy = rknn.integrate(time, power)[-1]
+    energy = integral(rknn, time, power)
     assert energy == pytest.approx(trapezoid(power, time), rel=1e-3)
 
 
@@ -115,8 +118,8 @@ def test_a_better_middle_gives_a_better_integral(rknn):
     power = 20e3 * np.sin(time / 3) + 15e3
     exact = 60e3 * (1 - np.cos(100.0)) + 15e3 * 300
     middle = CubicSpline(time, power)(time[:-1] + 0.5)
-    linear = abs(rknn.integrate(time, power)[-1] - exact)
-    spline = abs(rknn.integrate(time, power, middle)[-1] - exact)
+    linear = abs(integral(rknn, time, power) - exact)
+    spline = abs(integral(rknn, time, power, middle) - exact)
     assert spline < 1e-3 * exact
     assert spline < linear
 
@@ -129,7 +132,7 @@ def test_real_drives_within_a_tenth_of_a_percent(rknn, name):
     with opener(DATA / name, "rt") as file:
         rows = [row for row in csv.DictReader(file) if row["power_w"]]
     time, power = (np.array([float(row[key]) for row in rows]) for key in ("t_s", "power_w"))
-    energy = rknn.integrate(time, power)[-1]
+    energy = integral(rknn, time, power)
     assert energy == pytest.approx(trapezoid(power, time), rel=1e-3)
 
 
@@ -151,50 +154,3 @@ def test_along_a_series_two_pieces_are_a_step_with_its_midpoint(rknn):
     assert rknn.along(time, power) == pytest.approx(float(expected), rel=1e-9)
     slow = rknn.along(np.array([0.0, 1.5, 3.0]), np.array([1e3, 2e3, 3e3]))
     assert slow == pytest.approx(6e3, rel=1e-3)  # no step beyond the trained range
-
-
-def shipped():
-    with np.load(SHIPPED_WEIGHTS) as file:
-        return dict(file)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="No such file"):
-        load_rknn(tmp_path / "none.npz")
-
-
-@pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04broken", b"\x93NUMPY"])
-def test_another_file_is_refused(tmp_path, content):
-    path = tmp_path / "weights.npz"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"weights\.npz"):
-        load_rknn(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [
-        ("n1_weight0", None, "'n1_weight0' is missing"),
-        ("n2_weight0", np.zeros((32, 1)), "expected float64"),
-        ("n3_bias1", np.zeros(32, dtype=np.float32), "expected float64"),
-        ("n4_bias3", np.array([np.nan]), "not finite"),
-        ("n4_bias3", np.array([{}]), "plain arrays"),
-    ],
-)
-def test_wrong_weights_are_refused(tmp_path, name, value, reason):
-    weights = shipped()
-    del weights[name]
-    if value is not None:
-        weights[name] = value
-    path = tmp_path / "weights.npz"
-    np.savez(path, **weights)
-    with pytest.raises(InputError, match=reason):
-        load_rknn(path)
-
-
-def test_a_single_array_file_is_refused(tmp_path):
-    path = tmp_path / "weights.npz"
-    with path.open("wb") as file:
-        np.save(file, np.zeros(3))
-    with pytest.raises(InputError, match="plain arrays"):
-        load_rknn(path)

@@ -3,8 +3,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from evpinn_ros.energy.rknn import load_rknn  # noqa: E402
-from evpinn_ros.energy.rknn_training import (  # noqa: E402
+from benchmarks.rknn_training import (  # noqa: E402
     RknnModule,
     energy_step,
     loss,
@@ -12,6 +11,7 @@ from evpinn_ros.energy.rknn_training import (  # noqa: E402
     synthetic_steps,
     train,
 )
+from evpinn_ros.energy.rknn import load_rknn  # noqa: E402
 
 
 def test_synthetic_steps_have_their_simpson_integral():
@@ -38,7 +38,7 @@ def test_training_is_repeatable_and_learns():
 
 def test_module_and_numpy_agree(tmp_path, monkeypatch):
     module = train(seed=4, epochs=2, traces=8)
-    monkeypatch.setattr("evpinn_ros.energy.rknn_training.train", lambda: module)
+    monkeypatch.setattr("benchmarks.rknn_training.train", lambda: module)
     path = tmp_path / "weights.npz"
     assert main([str(path)]) == 0
     steps = synthetic_steps(np.random.default_rng(6), traces=4)

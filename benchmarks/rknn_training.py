@@ -1,6 +1,6 @@
 """Training of the Runge-Kutta network on synthetic power traces (eq. 30).
 
-`python -m evpinn_ros.energy.rknn_training OUT.npz` renews the shipped weights; the same seed on
+`python -m benchmarks.rknn_training OUT.npz` renews the shipped weights; the same seed on
 the same machine gives the same file.
 
 The paper's eq. 30 compares the network with "E_pred", which is circular. Here the reference is
@@ -196,9 +196,7 @@ def train(seed: int = SEED, epochs: int = ADAM_EPOCHS, traces: int = TRACES) -> 
 def main(arguments: list[str]) -> int:
     """Train and write the weights to the path given; the exit code."""
     if len(arguments) != 1:
-        print(
-            printable("usage: python -m evpinn_ros.energy.rknn_training OUT.npz"), file=sys.stderr
-        )
+        print(printable("usage: python -m benchmarks.rknn_training OUT.npz"), file=sys.stderr)
         return 2
     limit_blas_threads()
     module = train()
