@@ -82,45 +82,62 @@ class Topic:
         return full_name == self.name or full_name.endswith(f"/{self.name.lstrip('/')}")
 
 
+_TOPICS: list[Topic] = []
+
+
+def _topic(
+    name: str,
+    type_name: str,
+    source: str,
+    description: str,
+    unit: str = "",
+    *,
+    latched: bool = False,
+) -> Topic:
+    """A topic, which becomes the next of `TOPICS`."""
+    _TOPICS.append(Topic(name, type_name, source, description, unit, latched))
+    return _TOPICS[-1]
+
+
 def _vector(
     name: str, source: str, description: str, unit: str = "", *, latched: bool = False
 ) -> Topic:
     """The topic of a named vector."""
-    return Topic(name, NAMED_VECTOR_TYPE, source, description, unit, latched)
+    return _topic(name, NAMED_VECTOR_TYPE, source, description, unit, latched=latched)
 
 
-SPEED = Topic(
+SPEED = _topic(
     "vehicle/speed",
     SPEED_TYPE,
     "can_bridge",
     "`twist.twist.linear.x` in frame `base_link`, with the variance of its resolution",
     "m/s",
 )
-ODOMETRY = Topic(
+ODOMETRY = _topic(
     "odom",
     ODOMETRY_TYPE,
     "the car",
     "optional: `twist.twist.linear.x` as speed, until `vehicle/speed` is received",
     "m/s",
 )
-BATTERY = Topic(
+BATTERY = _topic(
     "battery/state",
     BATTERY_TYPE,
     "can_bridge",
     "voltage and current of one moment, negative current discharges; NaN where not measured",
     "V, A",
 )
-BATTERY_VOLTAGE = Topic(
+BATTERY_VOLTAGE = _topic(
     "battery/voltage", SCALAR_TYPE, "can_bridge", "the same voltage, for plots", "V"
 )
-BATTERY_CURRENT = Topic(
+BATTERY_CURRENT = _topic(
     "battery/current",
     SCALAR_TYPE,
     "can_bridge",
     "the same current, for plots; negative discharges",
     "A",
 )
-IMU = Topic(
+IMU = _topic(
     "vehicle/imu",
     IMU_TYPE,
     "the car",
@@ -128,24 +145,24 @@ IMU = Topic(
     "`imu_rotation_rpy` alone",
     "rad",
 )
-FIX = Topic(
+FIX = _topic(
     "vehicle/fix", FIX_TYPE, "the car", "optional grade source: altitude over distance", "m"
 )
-TEMPERATURE = Topic(
+TEMPERATURE = _topic(
     "environment/temperature",
     TEMPERATURE_TYPE,
     "the car",
     "optional: ambient temperature, for the density of air",
     "degC",
 )
-PRESSURE = Topic(
+PRESSURE = _topic(
     "environment/pressure",
     PRESSURE_TYPE,
     "the car",
     "optional: pressure of the air outside, for its density",
     "Pa",
 )
-WIND = Topic(
+WIND = _topic(
     "environment/wind",
     WIND_TYPE,
     "the car",
@@ -165,21 +182,6 @@ MOTOR_TORQUE = _vector(
     "`speed`, left out where not known",
     "N m, rad/s",
 )
-INPUTS = (
-    SPEED,
-    ODOMETRY,
-    BATTERY,
-    BATTERY_VOLTAGE,
-    BATTERY_CURRENT,
-    IMU,
-    FIX,
-    TEMPERATURE,
-    PRESSURE,
-    WIND,
-    AUXILIARY_POWER,
-    MOTOR_TORQUE,
-)
-
 PARAMETERS = _vector(
     "estimate/parameters",
     "estimator",
@@ -206,7 +208,7 @@ RELIABLE = _vector(
     latched=True,
 )
 PARAMETER_SCALARS = tuple(
-    Topic(f"estimate/{name}", SCALAR_TYPE, "estimator", f"live {text}, for plots", unit)
+    _topic(f"estimate/{name}", SCALAR_TYPE, "estimator", f"live {text}, for plots", unit)
     for name, text, unit in (
         ("eta", "drive efficiency", "1"),
         ("mu", "regeneration efficiency", "1"),
@@ -215,7 +217,7 @@ PARAMETER_SCALARS = tuple(
         ("c_d", "drag coefficient", "1"),
     )
 )
-MODEL = Topic(
+MODEL = _topic(
     "estimate/model",
     ARRAY_TYPE,
     "estimator",
@@ -237,13 +239,6 @@ POWER_SMOOTHED = _vector(
     "never uses voltage or current of its own or later samples",
     "W",
 )
-ENERGY_STATE = _vector(
-    "energy/state",
-    "energy",
-    "since the last reset `measured, predicted, rknn, regenerated, consumed` (measured where "
-    "possible, predicted elsewhere): position J, velocity W, effort 1-sigma J",
-    "J",
-)
 ENERGY_BREAKDOWN = _vector(
     "energy/breakdown",
     "estimator",
@@ -252,7 +247,14 @@ ENERGY_BREAKDOWN = _vector(
     "1-sigma; not published in `mode: paper`",
     "J",
 )
-ENERGY_CONSUMED = Topic(
+ENERGY_STATE = _vector(
+    "energy/state",
+    "energy",
+    "since the last reset `measured, predicted, rknn, regenerated, consumed` (measured where "
+    "possible, predicted elsewhere): position J, velocity W, effort 1-sigma J",
+    "J",
+)
+ENERGY_CONSUMED = _topic(
     "energy/consumed", SCALAR_TYPE, "energy", "energy drawn since the last reset", "J"
 )
 ENERGY_TOTALS = _vector(
@@ -276,8 +278,8 @@ ENERGY_RANGE = _vector(
     "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; what is unknown is left out",
     "m, J, 1",
 )
-PLAN = Topic("plan", PATH_TYPE, "planner", "stamped poses; z is elevation", "m")
-SPEED_PROFILE = Topic(
+PLAN = _topic("plan", PATH_TYPE, "planner", "stamped poses; z is elevation", "m")
+SPEED_PROFILE = _topic(
     "plan/speed_profile",
     TRAJECTORY_TYPE,
     "planner",
@@ -285,14 +287,14 @@ SPEED_PROFILE = Topic(
     "`elevation`: positions m, else the road is flat",
     "m, m/s",
 )
-FORECAST = Topic(
+FORECAST = _topic(
     "energy/forecast",
     TRAJECTORY_TYPE,
     "energy",
     "joint `energy`: positions J, velocities W, effort 1-sigma J; the plan's header echoed",
     "J, W",
 )
-FORECAST_STATUS = Topic(
+FORECAST_STATUS = _topic(
     "energy/forecast/status",
     DIAGNOSTICS_TYPE,
     "energy",
@@ -300,7 +302,7 @@ FORECAST_STATUS = Topic(
     "`difference` to each plan that was asked together with it, or WARN and why it is refused",
     "J",
 )
-FORECAST_BATTERY = Topic(
+FORECAST_BATTERY = _topic(
     "energy/forecast/battery",
     BATTERY_TYPE,
     "energy",
@@ -308,32 +310,10 @@ FORECAST_BATTERY = Topic(
     "Its voltage is NaN until a minute of voltage, current and state of charge was received",
     "1",
 )
-DIAGNOSTICS = Topic("/diagnostics", DIAGNOSTICS_TYPE, "all", "1 Hz: state, reasons, counters")
+DIAGNOSTICS = _topic("/diagnostics", DIAGNOSTICS_TYPE, "all", "1 Hz: state, reasons, counters")
 
-TOPICS = (
-    *INPUTS,
-    PARAMETERS,
-    IDENTIFIABLE,
-    BOUNDS,
-    RELIABLE,
-    *PARAMETER_SCALARS,
-    MODEL,
-    POWER_MEASURED,
-    POWER_PREDICTED,
-    POWER_SMOOTHED,
-    ENERGY_BREAKDOWN,
-    ENERGY_STATE,
-    ENERGY_CONSUMED,
-    ENERGY_TOTALS,
-    ENERGY_CONSUMPTION,
-    ENERGY_RANGE,
-    PLAN,
-    SPEED_PROFILE,
-    FORECAST,
-    FORECAST_STATUS,
-    FORECAST_BATTERY,
-    DIAGNOSTICS,
-)
+TOPICS = tuple(_TOPICS)
+INPUTS = tuple(topic for topic in TOPICS if topic.source in ("the car", "can_bridge"))
 
 
 def topic_of(full_name: str) -> Topic | None:
