@@ -18,8 +18,8 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.live.screen import screen
 from evpinn_ros.live.state import WATCHED, LiveState
-from evpinn_ros.nodes.diagnosis import Health
-from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
+from evpinn_ros.nodes.diagnosis import WELL, Condition
+from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, topic_of
@@ -68,8 +68,8 @@ def drive(state: LiveState) -> float:
     found = breakdown_messages(new_message, int(now * NANOSECONDS), chain.estimator.breakdown())
     for shown, message in found:
         state.take(shown, message, now)
-    report = EstimatorReport(chain.estimator.status(), Health({}, {}), 0.0, 0, None)
-    name, level, text, values = estimator_status(report)
+    condition = Condition(WELL, 0.0, 0, None)
+    name, level, text, values = estimator_status(chain.estimator.status(), condition)
     status = (f"{NAMESPACE}/estimator: {name}", level, text, values)
     state.take(DIAGNOSTICS, diagnostics(new_message, int(now * NANOSECONDS), [status]), now)
     return now

@@ -47,6 +47,22 @@ class Health:
 WELL = Health({}, {})
 
 
+class Condition(NamedTuple):
+    """Condition of a node whose core is kept in a file.
+
+    Attributes:
+        health: of the node.
+        age: s since the last message of its leading input, NaN before the first.
+        jumps: times that time went back.
+        file_problem: why the file was not used or not written, None if all is well.
+    """
+
+    health: Health
+    age: float
+    jumps: int
+    file_problem: str | None
+
+
 class Lately:
     """Counters of the last seconds, from counters since the start."""
 

@@ -9,14 +9,12 @@ from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.nodes.diagnosis import WELL, Health, Status
+from evpinn_ros.nodes.diagnosis import WELL, Status
 from evpinn_ros.nodes.energy_diagnosis import (
-    EnergyReport,
     answered_status,
     charge_status,
     energy_phases,
@@ -24,7 +22,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer
+from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.stateful import StatefulNode
@@ -78,9 +76,7 @@ class EnergyNode(StatefulNode):
         # Of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard = StampGuard(topics.SPEED)
         start = self.go_on(self.account, topics.POWER_SMOOTHED)
-        self._answered = self._refused = 0
-        self._plan_problem: str | None = None
-        self._charge_after = UNKNOWN
+        self._plans = PlanLog()
         self.advertise(*PUBLISHES)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
@@ -101,30 +97,18 @@ class EnergyNode(StatefulNode):
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
         dropped = sum((each.dropped for each in self.stamp_guards()), self.account.refused)
-        report = self._report(self.health(dropped))
-        return [meter_status(report), charge_status(report), plan_status(report)]
+        condition = self.condition(self.health(dropped), topics.POWER_SMOOTHED)
+        air = self.forecaster.air(self.now_ns())
+        return [
+            meter_status(self.account, condition),
+            charge_status(self.account),
+            plan_status(self._plans, self.forecaster.basis, air),
+        ]
 
     def phases(self) -> list[Status]:
         """Metered input, and the basis of forecasts."""
-        return energy_phases(self._report(WELL))
-
-    def _report(self, health: Health) -> EnergyReport:
-        return EnergyReport(
-            state=self.account.state,
-            account=self.account.summary(),
-            reconciled=self.account.reconciled,
-            learned_capacity=self.account.gauge.learned,
-            file_problem=self.state_file.problem,
-            health=health,
-            power_age=self.age(topics.POWER_SMOOTHED),
-            jumps=self.guard.jumps,
-            basis=self.forecaster.basis,
-            air=self.forecaster.air(self.now_ns()),
-            charge_after=self._charge_after,
-            answered=self._answered,
-            refused=self._refused,
-            plan_problem=self._plan_problem,
-        )
+        condition = self.condition(WELL, topics.POWER_SMOOTHED)
+        return energy_phases(self.account, self.forecaster.basis, condition)
 
     def stamp_guards(self) -> Iterator[StampGuard]:
         """Those of power and of readings."""
@@ -197,21 +181,20 @@ class EnergyNode(StatefulNode):
         header = new_message("std_msgs/msg/Header")
         try:
             header = request_header(new_message, data)
-            answer = list(self._forecast(header, read(data)))
+            answer = self._answer(read(data), question(header))
+            messages = list(self._plan_messages(header, answer))
         except (CdrError, PlanError) as error:
             self._refuse(header, str(error))
             return
         except Exception as error:
             self._refuse(header, f"internal fault: {type(error).__name__}")
             raise
-        self.publish(answer)
-        self._answered += 1
-        self._plan_problem = None
+        self.publish(messages)
+        self._plans.answer(answer.charge)
 
     def _refuse(self, header: Any, reason: str) -> None:
         """Answer a plan with the reason why there is no forecast."""
-        self._refused += 1
-        self._plan_problem = reason
+        self._plans.refuse(reason)
         self.publish([self._plan_status(header, Status("plan", Level.WARN, reason, {}))])
 
     def _plan_status(self, header: Any, status: Status) -> tuple[Topic, Any]:
@@ -219,10 +202,9 @@ class EnergyNode(StatefulNode):
         message.header = header
         return topics.FORECAST_STATUS, message
 
-    def _forecast(self, header: Any, plan: Plan) -> Iterator[tuple[Topic, Any]]:
+    def _plan_messages(self, header: Any, answer: PlanAnswer) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
-        answer = self._answer(plan, question(header))
-        result, self._charge_after = answer.forecast, answer.charge
+        result = answer.forecast
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
         yield topics.FORECAST, forecast_bytes(header, times, *columns)

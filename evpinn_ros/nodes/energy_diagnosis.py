@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 
-from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.meter import EnergyState
+from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
-from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, rounded, with_health
-from evpinn_ros.nodes.forecaster import Air, Basis, PlanAnswer
+from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Condition, Status, rounded, with_health
+from evpinn_ros.nodes.forecaster import Air, Basis, PlanAnswer, PlanLog
 from evpinn_ros.topics.messages import Level
 
 ANSWERED = "answered"
@@ -18,84 +15,49 @@ NO_POWER = "no power/smoothed"
 JOULES_PER_WH = 3600.0
 
 
-@dataclass(frozen=True, slots=True)
-class EnergyReport:
-    """Basis of the energy node's diagnosis.
-
-    Attributes:
-        state: of the meter, corrected where a dropout was reconciled.
-        account: totals, consumption, state of charge, range.
-        reconciled: the last battery dropout that ended, None before.
-        learned_capacity: how many changes of the state of charge the capacity rests on.
-        file_problem: why the energy file was not used or not written, None if all is well.
-        health: of the node.
-        power_age: s since the last power/smoothed, NaN before the first.
-        jumps: times that time went back.
-        basis: what forecasts rest on.
-        air: of the surroundings, that forecasts take.
-        charge_after: state of charge, 0..1, at the end of the last plan.
-        answered: plans answered.
-        refused: plans refused.
-        plan_problem: why the last plan was refused, None when it was answered.
-    """
-
-    state: EnergyState
-    account: AccountSummary
-    reconciled: Reconciled | None
-    learned_capacity: int
-    file_problem: str | None
-    health: Health
-    power_age: float
-    jumps: int
-    basis: Basis
-    air: Air
-    charge_after: Uncertain
-    answered: int
-    refused: int
-    plan_problem: str | None
-
-
-def meter_status(report: EnergyReport) -> Status:
+def meter_status(account: EnergyAccount, condition: Condition) -> Status:
     """The health of the energy meter."""
-    state = report.state
+    state, lifetime = account.state, account.lifetime()
     values = {
         "consumed_wh": _wh(state.consumed),
         "consumed_sigma_wh": _wh(state.consumed_sigma),
-        "lifetime_wh": _wh(report.account.lifetime.net.value),
-        "lifetime_km": rounded(report.account.lifetime.distance / 1e3),
+        "lifetime_wh": _wh(lifetime.net.value),
+        "lifetime_km": rounded(lifetime.distance / 1e3),
         "measuring": state.measuring,
         "unmeasured_s": rounded(state.unmeasured_s),
         "unknown_s": rounded(state.unknown_s),
         "gaps": state.gaps,
         "dropped": state.dropped,
-        "power_age_s": rounded(report.power_age),
-        "time_jumps": report.jumps,
-        **_dropout_values(report.reconciled),
+        "power_age_s": rounded(condition.age),
+        "time_jumps": condition.jumps,
+        **_dropout_values(account.reconciled),
     }
-    if report.file_problem is not None:
-        values["energy_file"] = report.file_problem
-    level, text = _meter_verdict(report)
+    if condition.file_problem is not None:
+        values["energy_file"] = condition.file_problem
+    level, text = _meter_verdict(account, condition)
     if text == NO_POWER:
-        text += f" for {report.power_age:.0f} s"
-    return with_health(Status("meter", level, text, values), report.health)
+        text += f" for {condition.age:.0f} s"
+    return with_health(Status("meter", level, text, values), condition.health)
 
 
-def energy_phases(report: EnergyReport) -> list[Status]:
+def energy_phases(account: EnergyAccount, basis: Basis, condition: Condition) -> list[Status]:
     """Text that is logged when it changes: nothing in it counts."""
-    basis = f"forecasts rest on the {report.basis.value}"
-    return [Status("meter", *_meter_verdict(report), {}), Status("plan", Level.OK, basis, {})]
+    rest = f"forecasts rest on the {basis.value}"
+    meter = Status("meter", *_meter_verdict(account, condition), {})
+    return [meter, Status("plan", Level.OK, rest, {})]
 
 
-def _meter_verdict(report: EnergyReport) -> tuple[Level, str]:
-    if math.isnan(report.power_age):
+def _meter_verdict(account: EnergyAccount, condition: Condition) -> tuple[Level, str]:
+    if math.isnan(condition.age):
         return Level.WARN, "waiting for power/smoothed"
-    if report.power_age > MISSING_AFTER:
+    if condition.age > MISSING_AFTER:
         return Level.WARN, NO_POWER
-    if not report.state.measuring:
+    if not account.meter.measuring:
         return Level.WARN, "predicting: no power/measured"
-    if report.file_problem is not None:
-        return Level.WARN, report.file_problem
-    if report.reconciled is not None and report.reconciled.verdict is Verdict.CONTRADICTED:
+    if condition.file_problem is not None:
+        return Level.WARN, condition.file_problem
+    reconciled = account.reconciled
+    if reconciled is not None and reconciled.verdict is Verdict.CONTRADICTED:
         return Level.WARN, f"the last dropout: {Verdict.CONTRADICTED.value}"
     return Level.OK, "measuring"
 
@@ -117,26 +79,26 @@ def _dropout_values(reconciled: Reconciled | None) -> dict[str, object]:
     }
 
 
-def charge_status(report: EnergyReport) -> Status:
+def charge_status(account: EnergyAccount) -> Status:
     """State of the battery's charge, and the distance it suffices for."""
-    account = report.account
+    summary = account.summary()
     values = {
-        "state_of_charge": rounded(account.charge.value),
-        "projected": account.projected,
-        "capacity_wh": _wh(account.capacity.value),
-        "capacity_sigma_wh": _wh(account.capacity.sigma),
-        "capacity_learned_from": report.learned_capacity,
-        "usable_wh": _wh(account.usable.value),
+        "state_of_charge": rounded(summary.charge.value),
+        "projected": summary.projected,
+        "capacity_wh": _wh(summary.capacity.value),
+        "capacity_sigma_wh": _wh(summary.capacity.sigma),
+        "capacity_learned_from": account.gauge.learned,
+        "usable_wh": _wh(summary.usable.value),
     }
-    if account.remaining is not None:
-        distance, _, lower, upper = (metres / 1e3 for metres in account.remaining)
+    if summary.remaining is not None:
+        distance, _, lower, upper = (metres / 1e3 for metres in summary.remaining)
         values |= {
             "distance_to_empty_km": rounded(distance),
             "band_km": f"{lower:.0f} to {upper:.0f}",
         }
-    if not account.charge.known:
+    if not summary.charge.known:
         return Status("charge", Level.OK, "the state of charge is unknown", values)
-    if account.projected:
+    if summary.projected:
         text = "state of charge projected by the energy taken: none came for a minute"
         return Status("charge", Level.OK, text, values)
     return Status("charge", Level.OK, "state of charge received", values)
@@ -146,19 +108,19 @@ def _wh(joules: float) -> object:
     return rounded(joules / JOULES_PER_WH)
 
 
-def plan_status(report: EnergyReport) -> Status:
-    """Status of answering plans."""
+def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
+    """Status of answering plans, on a basis and with the air of now."""
     values = {
-        "answered": report.answered,
-        "refused": report.refused,
-        "forecasts_from": report.basis.value,
-        **_air_values(report.air),
-        "charge_after": rounded(report.charge_after.value),
-        "charge_after_sigma": rounded(report.charge_after.sigma),
+        "answered": plans.answered,
+        "refused": plans.refused,
+        "forecasts_from": basis.value,
+        **_air_values(air),
+        "charge_after": rounded(plans.charge_after.value),
+        "charge_after_sigma": rounded(plans.charge_after.sigma),
     }
-    if report.plan_problem is not None:
-        return Status("plan", Level.WARN, f"plan refused: {report.plan_problem}", values)
-    if report.basis is Basis.VEHICLE_FILE:
+    if plans.problem is not None:
+        return Status("plan", Level.WARN, f"plan refused: {plans.problem}", values)
+    if basis is Basis.VEHICLE_FILE:
         text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)
     return Status("plan", Level.OK, "ready", values)

@@ -14,12 +14,8 @@ from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
 from evpinn_ros.estimation.worker import ThreadWorker
 from evpinn_ros.nodes.arrivals import StampWatch
-from evpinn_ros.nodes.diagnosis import WELL, Health, Status
-from evpinn_ros.nodes.estimator_diagnosis import (
-    EstimatorReport,
-    estimator_phases,
-    estimator_status,
-)
+from evpinn_ros.nodes.diagnosis import WELL, Condition, Health, Status
+from evpinn_ros.nodes.estimator_diagnosis import estimator_phases, estimator_status
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.stateful import StatefulNode
@@ -72,20 +68,14 @@ class EstimatorNode(StatefulNode):
         """The health of the estimate."""
         status = self.estimator.status()
         health = self.health(self.guard.dropped, status.dropped, _usual(status))
-        return [estimator_status(self._report(health))]
+        return [estimator_status(status, self._condition(health))]
 
     def phases(self) -> list[Status]:
         """Activity, validity, and changes of payload."""
-        return estimator_phases(self._report(WELL))
+        return estimator_phases(self.estimator.status(), self._condition(WELL))
 
-    def _report(self, health: Health) -> EstimatorReport:
-        return EstimatorReport(
-            status=self.estimator.status(),
-            health=health,
-            speed_age=self.age(topics.SPEED, topics.ODOMETRY),
-            jumps=self.guard.jumps,
-            state_problem=self.state_file.problem,
-        )
+    def _condition(self, health: Health) -> Condition:
+        return self.condition(health, topics.SPEED, topics.ODOMETRY)
 
     def publish_model(self) -> None:
         """Tell what forecasts need of the car; latched, so a late listener has it at once."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 import statistics
 
@@ -10,7 +9,14 @@ from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Health, Status, flat, rounded, with_health
+from evpinn_ros.nodes.diagnosis import (
+    MISSING_AFTER,
+    Condition,
+    Status,
+    flat,
+    rounded,
+    with_health,
+)
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
@@ -25,36 +31,16 @@ STUCK = {
 RECENT = 60  # updates whose median duration is shown
 
 
-@dataclass(frozen=True, slots=True)
-class EstimatorReport:
-    """Basis of the estimator's diagnosis.
-
-    Attributes:
-        status: of the core.
-        health: of the node.
-        speed_age: s since the last speed, NaN before the first.
-        jumps: times that time went back.
-        state_problem: why the saved state was not used or not written, None if all is well.
-    """
-
-    status: EstimatorStatus
-    health: Health
-    speed_age: float
-    jumps: int
-    state_problem: str | None
-
-
-def estimator_status(report: EstimatorReport) -> Status:
-    """The health of the estimator."""
-    status = report.status
+def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
+    """The health of the estimator, from the status of its core."""
     bands = {kind: rounded(share) for kind, share in status.band_coverage.items()}
     values = {
         "activity": status.activity.value,
         "updates": status.updates,
         "accepted": status.accepted,
         "update_ms": _milliseconds(status.durations),
-        "speed_age_s": rounded(report.speed_age),
-        "time_jumps": report.jumps,
+        "speed_age_s": rounded(condition.age),
+        "time_jumps": condition.jumps,
         "not_told": ", ".join(status.unknown) or "nothing",
         **flat("rejected", status.rejected),
         **flat("dropped", status.dropped),
@@ -65,19 +51,19 @@ def estimator_status(report: EstimatorReport) -> Status:
         **flat("in_90_band", bands),
         **_detections(status.report),
     }
-    level, text = _estimator_verdict(report)
+    level, text = _estimator_verdict(status, condition)
     if text == NO_SPEED:
-        text += f" for {report.speed_age:.0f} s"
+        text += f" for {condition.age:.0f} s"
     elif text == LEARNING:
         text += f": {status.accepted} of {status.updates} updates accepted"
-    return with_health(Status("estimate", level, text, values), report.health)
+    return with_health(Status("estimate", level, text, values), condition.health)
 
 
-def estimator_phases(report: EstimatorReport) -> list[Status]:
+def estimator_phases(status: EstimatorStatus, condition: Condition) -> list[Status]:
     """Text that is logged when it changes: nothing in it counts."""
-    states, learner = report.status.states, report.status.report
+    states, learner = status.states, status.report
     valid = [name for name, state in states.items() if state is Trust.VALID]
-    phases = [Status("estimate", *_estimator_verdict(report), {})]
+    phases = [Status("estimate", *_estimator_verdict(status, condition), {})]
     phases.append(Status("valid", Level.OK, f"valid: {', '.join(valid) or 'nothing yet'}", {}))
     if learner.payload_change is not None:
         change, taken_back = learner.payload_change, learner.payload_changes_withdrawn
@@ -87,14 +73,13 @@ def estimator_phases(report: EstimatorReport) -> list[Status]:
     return phases
 
 
-def _estimator_verdict(report: EstimatorReport) -> tuple[Level, str]:
-    status = report.status
+def _estimator_verdict(status: EstimatorStatus, condition: Condition) -> tuple[Level, str]:
     if status.activity is Activity.WAITING:
         return Level.WARN, "waiting for vehicle/speed"
-    if report.speed_age > MISSING_AFTER:
+    if condition.age > MISSING_AFTER:
         return Level.WARN, NO_SPEED
-    if report.state_problem is not None:
-        return Level.WARN, report.state_problem
+    if condition.file_problem is not None:
+        return Level.WARN, condition.file_problem
     if status.stuck is not None:
         return Level.WARN, STUCK[status.stuck]
     if status.report.suspicion == CURRENT_SIGN:

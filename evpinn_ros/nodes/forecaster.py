@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
-from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecast import (
     FIRST_RESIDUAL,
     Forecast,
@@ -69,6 +69,31 @@ class PlanAnswer:
     charge: Uncertain
     voltage: float
     differences: Mapping[str, Uncertain]
+
+
+@dataclass(slots=True)
+class PlanLog:
+    """Plans so far, and the outcome of the last.
+
+    Attributes:
+        answered: how many were.
+        refused: likewise.
+        problem: why the last was refused, None when it was answered.
+        charge_after: state of charge, 0..1, at the end of the last that was answered.
+    """
+
+    answered: int = 0
+    refused: int = 0
+    problem: str | None = None
+    charge_after: Uncertain = UNKNOWN
+
+    def answer(self, charge: Uncertain) -> None:
+        """Count a plan that was answered, with the state of charge at its end."""
+        self.answered, self.problem, self.charge_after = self.answered + 1, None, charge
+
+    def refuse(self, reason: str) -> None:
+        """Count a plan that was refused."""
+        self.refused, self.problem = self.refused + 1, reason
 
 
 class Basis(str, Enum):

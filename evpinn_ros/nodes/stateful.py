@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from std_srvs.srv import Trigger
 
 from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic
@@ -66,6 +67,10 @@ class StatefulNode(GuardedNode):
     def stamp_guards(self) -> Iterator[StampGuard]:
         """All guards of stamps."""
         yield self.guard
+
+    def condition(self, health: Health, *leading: Topic) -> Condition:
+        """Condition of the node, `leading` being the inputs of which it needs either."""
+        return Condition(health, self.age(*leading), self.guard.jumps, self.state_file.problem)
 
     def in_order(
         self,

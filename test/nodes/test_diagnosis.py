@@ -9,17 +9,18 @@ from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusState, BusStatus
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
+from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
-from evpinn_ros.nodes.diagnosis import Health
-from evpinn_ros.nodes.energy_diagnosis import EnergyReport, meter_status, plan_status
-from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
-from evpinn_ros.nodes.forecaster import Air, Basis
+from evpinn_ros.nodes.diagnosis import Condition, Health
+from evpinn_ros.nodes.energy_diagnosis import meter_status, plan_status
+from evpinn_ros.nodes.estimator_diagnosis import estimator_status
+from evpinn_ros.nodes.forecaster import Air, Basis, PlanLog
+from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.topics.messages import Level
 
@@ -34,30 +35,23 @@ STATUS = EstimatorStatus(
     durations=(0.004, 0.006, 0.005),
     newest_ns=1,
 )
-FLOW = Flow(3600.0, 100.0, 10.0)
-STATE = EnergyState(1, FLOW, FLOW, FLOW, FLOW, 3600.0, 0.0, 0, 0, 0.0, 0.0, True)
-ACCOUNT = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
-ENERGY = EnergyReport(
-    state=STATE,
-    account=ACCOUNT.summary(),
-    reconciled=None,
-    learned_capacity=0,
-    file_problem=None,
-    health=WELL,
-    power_age=0.1,
-    jumps=0,
-    basis=Basis.MODEL,
-    air=Air(celsius=-3.0),
-    charge_after=Uncertain(0.42, 0.03),
-    answered=3,
-    refused=0,
-    plan_problem=None,
-)
+DRIVING = Condition(WELL, 0.1, 0, None)
+AIR = Air(celsius=-3.0)
+
+
 BRIDGE = BridgeStatus(True, "receiving", 9, 2, 1, {}, {"speed": SignalStatus(9, 50.0, 0.0, False)})
 
 
 def estimator(status=STATUS, health=WELL, age=0.1, problem=None):
-    return estimator_status(EstimatorReport(status, health, age, 0, problem))
+    return estimator_status(status, Condition(health, age, 0, problem))
+
+
+def metered() -> EnergyAccount:
+    """An account of one Wh that was measured in a second."""
+    account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
+    for second in (1, 2):
+        account.add_measured(second * NANOSECONDS, 3600.0, 30.0)
+    return account
 
 
 def test_learning_is_well_and_shows_its_counters():
@@ -100,25 +94,30 @@ def test_bad_messages_are_counted_and_faults_outweigh_all():
 
 
 def test_states_of_the_meter():
-    assert meter_status(ENERGY).level is Level.OK
-    assert meter_status(ENERGY).values["consumed_wh"] == 1.0
-    for change, text in (
-        ({"power_age": math.nan}, "waiting for power/smoothed"),
-        ({"power_age": 9.0}, "no power/smoothed for 9 s"),
-        ({"state": dataclasses.replace(STATE, measuring=False)}, "predicting"),
-    ):
-        status = meter_status(dataclasses.replace(ENERGY, **change))
+    account = metered()
+    well = meter_status(account, DRIVING)
+    assert (well.level, well.values["consumed_wh"]) == (Level.OK, 1.0)
+    for age, text in ((math.nan, "waiting for power/smoothed"), (9.0, "power/smoothed for 9 s")):
+        status = meter_status(account, DRIVING._replace(age=age))
         assert status.level is Level.WARN and text in status.text
+    account.add_predicted(9 * NANOSECONDS, 3600.0, 300.0)
+    predicting = meter_status(account, DRIVING)
+    assert predicting.level is Level.WARN and "predicting" in predicting.text
 
 
 def test_states_of_planning():
-    assert plan_status(ENERGY).text == "ready"
+    plans = PlanLog()
+    plans.answer(Uncertain(0.42, 0.03))
+    assert plan_status(plans, Basis.MODEL, AIR).text == "ready"
     for basis in Basis:
-        status = plan_status(dataclasses.replace(ENERGY, basis=basis))
+        status = plan_status(plans, basis, AIR)
         assert status.values["forecasts_from"] == basis.value
         assert ("vehicle file" in status.text) == (basis is Basis.VEHICLE_FILE)
-    refused = plan_status(dataclasses.replace(ENERGY, plan_problem="time goes back at point 3"))
+    plans.refuse("time goes back at point 3")
+    refused = plan_status(plans, Basis.MODEL, AIR)
     assert refused.level is Level.WARN and refused.text.endswith("time goes back at point 3")
+    assert (refused.values["answered"], refused.values["refused"]) == (1, 1)
+    assert refused.values["charge_after"] == 0.42
 
 
 @pytest.mark.parametrize(
@@ -168,7 +167,7 @@ def test_what_was_noticed_of_the_car_is_told():
         seen={"30_60_kmh_steady": 12},
         band_coverage={"smoothed": 0.9},
     )
-    found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
+    found = estimator_status(status, DRIVING)
     assert found.level == Level.WARN and "sign of current" in found.text
     expected = {
         "payload_change_kg": 151.235,
@@ -184,7 +183,7 @@ def test_what_was_noticed_of_the_car_is_told():
 
 def test_a_grade_of_the_wrong_sign_is_named():
     status = dataclasses.replace(STATUS, report=LearnerReport(suspicion="grade_sign"))
-    found = estimator_status(EstimatorReport(status, WELL, 0.1, 0, None))
+    found = estimator_status(status, DRIVING)
     assert found.level == Level.WARN and "sign of grade" in found.text
 
 
