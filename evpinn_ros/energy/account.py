@@ -245,7 +245,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         error = dropout.bridge.energy - by_charge.value
         known = math.hypot(dropout.short_sigma, by_charge.sigma)
         if found.comparable:
-            self.meter.lasting.update(error, known, dropout.bridge.gross)
+            self.meter.lasting = self.meter.lasting.after(error, known, dropout.bridge.gross)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
         energy, variance = self._correction

@@ -106,16 +106,6 @@ class BatteryModel(Saveable[SavedBattery]):
         """True if there is enough of it to forecast with."""
         return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
 
-    @property
-    def resistance(self) -> Uncertain:
-        """R, Ohm."""
-        return Uncertain(float(self._state[2]), math.sqrt(self._covariance[2, 2]))
-
-    @property
-    def full_charge(self) -> Uncertain:
-        """Charge of the full battery, Q, A s."""
-        return self._gauge.capacity
-
     def add_reading(self, reading: BatteryReading) -> None:
         """Take a reading; of what no battery has, nothing."""
         if 0.0 <= reading.state_of_charge <= 1.0:

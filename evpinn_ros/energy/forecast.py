@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Plan, PlanError
-from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, namespace, vehicle_model
+from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, vehicle_model
 from evpinn_ros.vehicle.files import Vehicle
 
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6

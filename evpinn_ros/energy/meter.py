@@ -33,11 +33,7 @@ from evpinn_ros.energy.quadrature import (
     Step,
 )
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
-from evpinn_ros.energy.uncertainty import (
-    CorrelatedError,
-    LastingShare,
-    SavedShare,
-)
+from evpinn_ros.energy.uncertainty import CorrelatedError, LastingShare
 from evpinn_ros.signals.readings import NANOSECONDS
 
 
@@ -106,7 +102,7 @@ class SavedMeter:
     bridged_sigma: UnknownJoules
     lasting_sigma: UnknownJoules
     unmeasured_s: Seconds
-    lasting: SavedShare
+    lasting: LastingShare
 
     def __post_init__(self) -> None:
         """Refuse what no car can have drawn in that time."""
@@ -300,7 +296,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             bridged_sigma=math.sqrt(now.variance),
             lasting_sigma=math.sqrt(now.lasting_variance),
             unmeasured_s=now.seconds,
-            lasting=SavedShare(self.lasting.dropouts, self.lasting.squares),
+            lasting=self.lasting,
         )
 
     def take(self, saved: SavedMeter) -> None:
@@ -312,7 +308,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         self._rknn, self._rknn_power = CompensatedSum(saved.rknn), math.nan
         self._measured_error = CorrelatedError(start_sigma=saved.measured_sigma)
         self._predicted_error = CorrelatedError(start_sigma=saved.predicted_sigma)
-        self.lasting = LastingShare(*saved.lasting)
+        self.lasting = saved.lasting
         variances = saved.bridged_sigma**2, saved.lasting_sigma**2
         self._begin(Dropouts(saved.bridged, *variances, saved.unmeasured_s))
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -83,13 +82,12 @@ def plan_from_path(
     stamps: np.ndarray | None = None,
     *,
     nominal_speed: float = NOMINAL_SPEED,
-    acceleration: float = COMFORT_ACCELERATION,
 ) -> Plan:
     """A plan from path points.
 
     With stamps, speed is the slope of a monotone cubic through distance over time: zero where
     the path waits. Stamps that are absent or all equal are unusable; the car then starts and
-    ends at rest, accelerates and brakes with `acceleration`, takes bends with
+    ends at rest, accelerates and brakes with `COMFORT_ACCELERATION`, takes bends with
     `COMFORT_LATERAL` and else drives `nominal_speed`.
 
     Args:
@@ -98,7 +96,6 @@ def plan_from_path(
         z: m, elevation.
         stamps: shape (n,), s, or None.
         nominal_speed: m/s.
-        acceleration: m/s^2, positive.
 
     Raises:
         PlanError: the points are no trip.
@@ -117,7 +114,7 @@ def plan_from_path(
     _refuse(legs > farthest, f"jumps farther than {farthest / 1e3:g} km")
     distance = np.concatenate(([0.0], np.cumsum(legs)))
     if time is None:
-        return _nominal_plan(distance, points, nominal_speed, acceleration)
+        return _nominal_plan(distance, points, nominal_speed)
     duration = np.diff(time)
     _refuse(duration < 0, "time goes back")
     # A point given twice is one; so is one that is apart by less than rounding of the distance.
@@ -165,14 +162,14 @@ def plan_from_speed_profile(
 
 
 def _nominal_plan(
-    distance: np.ndarray, points: dict[str, np.ndarray], nominal_speed: float, acceleration: float
+    distance: np.ndarray, points: dict[str, np.ndarray], nominal_speed: float
 ) -> Plan:
     length = float(distance[-1])
     if length == 0:
         raise PlanError("the path has neither length nor duration")
-    if not 0 < nominal_speed <= MAX_SPEED or not 0 < acceleration < math.inf:
-        raise PlanError(f"cannot drive {nominal_speed:g} m/s with {acceleration:g} m/s^2")
-    ramp = min(nominal_speed**2 / (2 * acceleration), length / 2)
+    if not 0 < nominal_speed <= MAX_SPEED:
+        raise PlanError(f"cannot drive {nominal_speed:g} m/s")
+    ramp = min(nominal_speed**2 / (2 * COMFORT_ACCELERATION), length / 2)
     # The ends of both ramps become points, so that every leg has one constant acceleration.
     steps = np.linspace(0.0, length, 2 + min(int(length / NOMINAL_STEP), MAX_POINTS))
     s = np.concatenate((distance, steps, [ramp, length - ramp]))
@@ -180,7 +177,7 @@ def _nominal_plan(
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2
     squared[[0, -1]] = 0.0
     # As fast as braking for what comes, and accelerating from what was, allow.
-    gained = 2 * acceleration * s
+    gained = 2 * COMFORT_ACCELERATION * s
     squared = np.minimum.accumulate(squared - gained) + gained
     squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
     squared[1:-1] = np.maximum(squared[1:-1], TINY)  # rounding of a long way

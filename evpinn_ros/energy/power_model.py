@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.uncertainty import CORRELATION_TIME
+from evpinn_ros.common.arrays import like, namespace
+from evpinn_ros.energy.uncertainty import CORRELATION_TIME, relaxed, walked
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable, identifiable
 from evpinn_ros.vehicle.linear_power import (
@@ -97,7 +98,7 @@ class PowerModel:
 
     def with_present_drift(self, energies: Any, elapsed: Any) -> Any:
         """`energies` with what is left of the present drift after `elapsed` s."""
-        integral = _begun(elapsed, self.linear.drift_time)
+        integral = relaxed(elapsed, self.linear.drift_time)
         return energies + integral[..., None] * like(self._coefficients[:, -1], elapsed)
 
     def variance_beside(self, elapsed: Any, distance: Any, square_speed: Any) -> Any:
@@ -111,11 +112,11 @@ class PowerModel:
         car = self.linear
         noise = car.standing_noise**2 + car.moving_noise**2 * square_speed
         # What the drift is at the start, the directions hold.
-        drift = _walked(elapsed, car.drift_time) - _begun(elapsed, car.drift_time) ** 2
+        drift = walked(elapsed, car.drift_time) - relaxed(elapsed, car.drift_time) ** 2
         variance = (
-            noise * _walked(elapsed, CORRELATION_TIME)
+            noise * walked(elapsed, CORRELATION_TIME)
             + car.drift_std**2 * drift
-            + car.slope_force**2 * _walked(distance, car.slope_length)
+            + car.slope_force**2 * walked(distance, car.slope_length)
         )
         return namespace(variance).clip(variance, 0.0, None)  # rounding, of the first moments
 
@@ -131,18 +132,18 @@ class PowerModel:
         squares = [float(plan.square_speed) for plan in (one, other)]
         variance = sum(
             (car.standing_noise**2 + car.moving_noise**2 * square)
-            * _walked(seconds, CORRELATION_TIME)
+            * walked(seconds, CORRELATION_TIME)
             for seconds, square in zip(elapsed, squares, strict=True)
         )
         common, memory = min(elapsed), car.drift_time
         alone = max(elapsed) - common
         # The drift where the first of them ends, and what it does from there on.
-        begun = _begun(alone, memory)
+        begun = relaxed(alone, memory)
         there = -math.expm1(-2 * common / memory) * begun**2
-        variance += car.drift_std**2 * (there + _walked(alone, memory) - begun**2)
+        variance += car.drift_std**2 * (there + walked(alone, memory) - begun**2)
         if abs(lengths[0] - lengths[1]) > SAME_LENGTH:
-            walked = (_walked(length, car.slope_length) for length in lengths)
-            variance += car.slope_force**2 * sum(walked)
+            slopes = (walked(length, car.slope_length) for length in lengths)
+            variance += car.slope_force**2 * sum(slopes)
         return max(float(variance), 0.0)
 
     def _features(self, motion: Motion, xp: Any) -> list[Any]:
@@ -224,31 +225,3 @@ def prior_identifiable(vehicle: Vehicle) -> tuple[Identifiable, Identifiable]:
         p_aux=vehicle.priors["p_aux"].std,
     )
     return combined, sigmas
-
-
-def namespace(array: Any) -> Any:
-    """numpy, or torch for its tensors."""
-    if type(array).__module__.partition(".")[0] != "torch":
-        return np
-    import torch
-
-    return torch
-
-
-def like(array: np.ndarray, example: Any) -> Any:
-    """A numpy array as whatever the example is."""
-    if namespace(example) is np:
-        return array
-    import torch
-
-    return torch.as_tensor(array, dtype=example.dtype, device=example.device)
-
-
-def _begun(elapsed: Any, memory: float) -> Any:
-    """Integral of exp(-t / memory), s."""
-    return -memory * namespace(elapsed).expm1(-elapsed / memory)
-
-
-def _walked(elapsed: Any, memory: float) -> Any:
-    """Variance of the integral of an error of unit variance with this memory (`uncertainty`)."""
-    return 2 * memory * (elapsed - _begun(elapsed, memory))

@@ -17,11 +17,9 @@ from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.trip import Stretch
-from evpinn_ros.energy.uncertainty import energy_sigma
+from evpinn_ros.energy.uncertainty import relaxed, walked
 
 MEMORY = 30e3  # m; twelve BMW i3 trips do not tell it well: docs/project/benchmark_history.md
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
@@ -48,13 +46,12 @@ class Cost(NamedTuple):
 
     def energy(self, distance: float) -> float:
         """Energy of the metres ahead, J."""
-        passing = MEMORY * -math.expm1(-distance / MEMORY)
-        return self.long * distance + (self.recent - self.long) * passing
+        return self.long * distance + (self.recent - self.long) * float(relaxed(distance, MEMORY))
 
     def sigma(self, distance: float) -> float:
         """1-sigma of that, J."""
         level = self.spread * max(self.recent, self.long)
-        return float(energy_sigma(np.array(distance), level, MEMORY))
+        return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
 
 
 def cost_spread(pieces: Sequence[Stretch]) -> float:

@@ -113,11 +113,6 @@ class TripLog(Saveable[SavedTrip]):
         """Since the last reset."""
         return Stretch(self._speed.drawn, self._energy.value)
 
-    @property
-    def unknown_s(self) -> float:
-        """Time across which speed was silent, s."""
-        return self._speed.gap_s
-
     def update(self, stamp_ns: int, speed: float, energy: float) -> None:
         """Take a speed, m/s, and the net energy since whenever, J, at that moment."""
         dropped = self._speed.dropped

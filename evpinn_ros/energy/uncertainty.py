@@ -19,10 +19,9 @@ large that part is.
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-import numpy as np
-
+from evpinn_ros.common.arrays import namespace
 from evpinn_ros.common.saved_fields import Range
 
 # From the spread of the energy error over 60 s windows, in the second half of a Model 3 drive
@@ -35,21 +34,14 @@ PRIOR_DROPOUTS = 10
 MOST_LEARNED = 1e15  # dropouts, and squares of their shares, of a file
 
 
-def energy_sigma(elapsed: np.ndarray, sigma: float, correlation_time: float) -> np.ndarray:
-    """1-sigma of energy after a constant 1-sigma of power.
+def relaxed(elapsed: Any, memory: float) -> Any:
+    """Integral of exp(-t / memory) over the time elapsed, both in s; elementwise, any library."""
+    return -memory * namespace(elapsed).expm1(-elapsed / memory)
 
-    Args:
-        elapsed: any shape, s since the start.
-        sigma: of power, W.
-        correlation_time: tau, s.
 
-    Returns:
-        1-sigma, J, shape of `elapsed`.
-    """
-    tau = correlation_time
-    growth = elapsed + tau * np.expm1(-elapsed / tau)
-    result: np.ndarray = sigma * np.sqrt(2 * tau * np.maximum(growth, 0.0))
-    return result
+def walked(elapsed: Any, memory: float) -> Any:
+    """Variance of the integral of u, s^2, over the time elapsed; tau, s, is `memory`."""
+    return 2 * memory * (elapsed - relaxed(elapsed, memory))
 
 
 class CorrelatedError:
@@ -80,21 +72,14 @@ class CorrelatedError:
     def integrate(self, sigma: float, dt: float) -> None:
         """Integrate over dt, s, with a 1-sigma of power, W, constant in it."""
         tau = self._tau
-        relaxed = -math.expm1(-dt / tau)  # 1 - exp(-dt / tau)
-        start = self._covariance * tau * relaxed
-        own = sigma * tau * (dt - tau * relaxed)
+        forgotten = -math.expm1(-dt / tau)  # 1 - exp(-dt / tau)
+        start = self._covariance * tau * forgotten
+        own = sigma * tau * (dt - tau * forgotten)
         self._variance += 2 * sigma * (start + max(own, 0.0))
-        self._covariance += (sigma * tau - self._covariance) * relaxed
+        self._covariance += (sigma * tau - self._covariance) * forgotten
 
 
-class SavedShare(NamedTuple):
-    """Dropouts that a `LastingShare` was learned from, and the sum of their squared shares."""
-
-    dropouts: Annotated[int, Range(0, MOST_LEARNED)]
-    squares: Annotated[float, Range(0.0, MOST_LEARNED)]
-
-
-class LastingShare:
+class LastingShare(NamedTuple):
     """Share of the gross energy predicted over a battery dropout that stays wrong.
 
     A prior of `PRIOR_SHARE`, which weighs as `PRIOR_DROPOUTS`, averaged with the dropouts whose
@@ -106,9 +91,8 @@ class LastingShare:
         squares: the sum of their squared shares.
     """
 
-    def __init__(self, dropouts: int = 0, squares: float = 0.0) -> None:
-        """Start with what was learned."""
-        self.dropouts, self.squares = dropouts, squares
+    dropouts: Annotated[int, Range(0, MOST_LEARNED)] = 0
+    squares: Annotated[float, Range(0.0, MOST_LEARNED)] = 0.0
 
     @property
     def value(self) -> float:
@@ -116,8 +100,8 @@ class LastingShare:
         squares = PRIOR_DROPOUTS * PRIOR_SHARE**2 + self.squares
         return math.sqrt(squares / (PRIOR_DROPOUTS + self.dropouts))
 
-    def update(self, error: float, known: float, gross: float) -> None:
-        """Take a dropout, if it is informative.
+    def after(self, error: float, known: float, gross: float) -> LastingShare:
+        """The share with one more dropout, if that is informative.
 
         Args:
             error: its predicted energy less what the state of charge says, J.
@@ -125,6 +109,6 @@ class LastingShare:
             gross: drawn and regenerated energy predicted over it, J.
         """
         if not known < self.value * gross:
-            return
-        self.dropouts += 1
-        self.squares += max(error**2 - known**2, 0.0) / gross**2
+            return self
+        square = max(error**2 - known**2, 0.0) / gross**2
+        return LastingShare(self.dropouts + 1, self.squares + square)

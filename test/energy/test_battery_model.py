@@ -54,11 +54,11 @@ def learned():
 
 
 def test_it_learns_the_charge_and_the_resistance(learned):
-    model, _ = learned
-    assert model.full_charge.value == pytest.approx(FULL, rel=0.02)
-    assert abs(model.full_charge.value - FULL) < 2 * model.full_charge.sigma
-    assert model.resistance.value == pytest.approx(RESISTANCE, abs=2 * model.resistance.sigma)
-    assert model.resistance.sigma < 0.2 * RESISTANCE
+    saved = learned[0].saved()
+    full, sigma = saved.full_charge.capacity
+    assert full == pytest.approx(FULL, rel=0.02) and abs(full - FULL) < 2 * sigma
+    resistance, sigma = saved.state[2], math.sqrt(saved.covariance[-1])
+    assert resistance == pytest.approx(RESISTANCE, abs=2 * sigma) and sigma < 0.2 * RESISTANCE
 
 
 @pytest.mark.parametrize("power", [30e3, 5e3, -20e3])
@@ -99,7 +99,8 @@ def test_without_a_capacity_in_the_vehicle_file_it_waits_for_one():
     drive(model.add_reading, 100)
     assert not model.known
     drive(model.add_reading, 4000, begin=200)
-    assert model.full_charge.value == pytest.approx(FULL, rel=0.02) and model.known
+    assert model.saved().full_charge.capacity.value == pytest.approx(FULL, rel=0.02)
+    assert model.known
 
 
 def test_more_power_than_there_is_and_an_empty_battery_give_finite_ends(learned):

@@ -68,7 +68,6 @@ def test_energy_without_distance_is_in_no_kilometre():
     log = drive(TripLog(), 200.0, silent=range(50, 150))
     assert log.total.distance == pytest.approx(100 * 20.0, rel=1e-6)
     assert log.total.energy / log.total.distance == pytest.approx(500.0)
-    assert log.unknown_s == pytest.approx(100.0)
 
 
 def test_in_reverse_a_car_covers_distance_too():
@@ -97,7 +96,6 @@ def test_saved_and_restored_it_goes_on():
     assert copy.export() == log.export()
     drive(copy, 100.0, start=5000.0)  # the night between is no gap and no distance
     assert copy.total.distance == pytest.approx(2 * log.total.distance)
-    assert copy.unknown_s == 0.0
 
 
 @pytest.mark.parametrize(

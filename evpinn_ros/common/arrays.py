@@ -1,0 +1,23 @@
+"""Arithmetic that serves numpy and torch alike; torch is loaded by those who bring a tensor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def namespace(array: Any) -> Any:
+    """numpy, or torch for its tensors."""
+    if type(array).__module__.partition(".")[0] != "torch":
+        return np
+    import torch
+
+    return torch
+
+
+def like(array: np.ndarray, example: Any) -> Any:
+    """A numpy array as whatever the example is."""
+    if namespace(example) is np:
+        return array
+    return namespace(example).as_tensor(array, dtype=example.dtype, device=example.device)
