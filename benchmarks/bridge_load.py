@@ -24,9 +24,10 @@ from benchmarks.can_traffic import (
     own_port,
     send_traffic,
 )
+from benchmarks.processor import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.nodes import factory
-from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network, processor_seconds
+from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE, Topic
 from evpinn_ros.topics.node_parameters import Value

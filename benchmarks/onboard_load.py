@@ -10,10 +10,11 @@ import sys
 from tempfile import TemporaryDirectory
 import time
 
+from benchmarks.processor import processor_seconds
 from benchmarks.soak import SEED, VEHICLE, resident_mb
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.processes import interrupt, own_network, processor_seconds
+from evpinn_ros.nodes.processes import interrupt, own_network
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle

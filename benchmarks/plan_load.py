@@ -14,12 +14,13 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 
+from benchmarks.processor import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network, processor_seconds
+from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import header

@@ -21,10 +21,11 @@ from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, sta
 from benchmarks.faults.drive import RATE, learned_state, vehicle
 from benchmarks.faults.fault import RECOVERY, Fault, Finding
 from benchmarks.faults.rig import OUTPUTS, SLACK, Rig
+from benchmarks.processor import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.processes import node_command, processor_seconds
+from evpinn_ros.nodes.processes import node_command
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import stamp_ns
 
