@@ -6,11 +6,11 @@ Where `evpinn.launch.py` runs already, the example alone joins it:
 `ros2 run evpinn_ros eco_speed_planner.py --ros-args -r __ns:=/ev`.
 """
 
-from evpinn_ros.nodes.launching import Argument, describe, node
+from evpinn_ros.nodes.launching import argument, describe, node
 
 OWN = (
-    Argument("deadline", "720.0", "Latest arrival, seconds after departure."),
-    Argument("route", "", "CSV file of the road: distance_m,elevation_m; empty: 12 km of hills."),
+    argument("deadline", "720.0", "Latest arrival, seconds after departure."),
+    argument("route", "", "CSV file of the road: distance_m,elevation_m; empty: 12 km of hills."),
 )
 
 

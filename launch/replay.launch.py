@@ -7,7 +7,7 @@ from launch.actions import EmitEvent, ExecuteProcess, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 
-from evpinn_ros.nodes.launching import SIMULATED, Argument, describe, node
+from evpinn_ros.nodes.launching import TRUTH, argument, describe, node
 from evpinn_ros.topics import (
     BATTERY,
     INPUTS,
@@ -22,12 +22,12 @@ DELAY = "3"  # s for the nodes to load and to be discovered; the bag's first mes
 QUEUE = 1000  # messages of each stream that may wait, so that a fast replay loses none
 QUEUED = {"estimator": INPUTS, "energy": (SPEED, BATTERY, POWER_MEASURED, POWER_SMOOTHED)}
 OWN = (
-    Argument("bag", None, "The recorded drive."),
-    Argument("bag_namespace", NAMESPACE, "Of the topics in the bag."),
-    Argument("rate", "1.0", "Speed against real time."),
+    argument("bag", None, "The recorded drive."),
+    argument("bag_namespace", NAMESPACE, "Of the topics in the bag."),
+    argument("rate", "1.0", "Speed against real time."),
 )
-BY_THE_BAG = SIMULATED._replace(
-    default="true", description="Publish the bag's time on /clock, and take it from there."
+BY_THE_BAG = argument(
+    "use_sim_time", "true", "Publish the bag's time on /clock, and take it from there.", TRUTH
 )
 
 

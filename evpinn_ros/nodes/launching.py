@@ -6,9 +6,9 @@ argument ends the launch with its reason before anything starts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -31,30 +31,33 @@ NO_FOLDERS = (*TRUTH, "0", "1", "yes", "no", "on", "off")
 RESPAWN_DELAY = 2.0  # s
 
 
-class Argument(NamedTuple):
+def argument(
+    name: str, default: str | None, description: str, choices: Sequence[str] | None = None
+) -> DeclareLaunchArgument:
     """One launch argument; without a default it must be given."""
-
-    name: str
-    default: str | None
-    description: str
-    choices: tuple[str, ...] = ()
+    return DeclareLaunchArgument(
+        name,
+        default_value=default,
+        description=description,
+        choices=list(choices) if choices else None,
+    )
 
 
 COMMON = (
-    Argument("vehicle", "", "Vehicle by name or path; empty: as in params_file."),
-    Argument(
+    argument("vehicle", "", "Vehicle by name or path; empty: as in params_file."),
+    argument(
         "params_file", str(share_directory() / "config" / "evpinn.param.yaml"), "Parameters."
     ),
-    Argument(
+    argument(
         "namespace",
         NAMESPACE.lstrip("/"),
         "Of all topics; a relative one follows the namespace that an including file pushed.",
     ),
-    Argument("respawn", "false", "Start a node again when it has ended.", TRUTH),
-    Argument("log_level", "info", "Least severity that is logged.", LOG_LEVELS),
-    Argument("record", "", "Folder of a bag (MCAP) to record every topic to; empty: none."),
+    argument("respawn", "false", "Start a node again when it has ended.", TRUTH),
+    argument("log_level", "info", "Least severity that is logged.", LOG_LEVELS),
+    argument("record", "", "Folder of a bag (MCAP) to record every topic to; empty: none."),
 )
-SIMULATED = Argument("use_sim_time", "false", "Take the time from /clock.", TRUTH)
+SIMULATED = argument("use_sim_time", "false", "Take the time from /clock.", TRUTH)
 
 
 class Given:
@@ -65,13 +68,13 @@ class Given:
         namespace: absolute, with what including files have pushed.
     """
 
-    def __init__(self, context: Any, arguments: Iterable[Argument]) -> None:
+    def __init__(self, context: Any, arguments: Iterable[DeclareLaunchArgument]) -> None:
         """Read and check them.
 
         Raises:
             InputError: one is wrong.
         """
-        names = [argument.name for argument in arguments]
+        names = [each.name for each in arguments]
         self.values: dict[str, str] = {
             name: LaunchConfiguration(name).perform(context) for name in names
         }
@@ -113,7 +116,9 @@ def _refuse_folder(record: str) -> None:
 
 
 def describe(
-    actions: Callable[[Given], list[Any]], *own: Argument, simulated: Argument = SIMULATED
+    actions: Callable[[Given], list[Any]],
+    *own: DeclareLaunchArgument,
+    simulated: DeclareLaunchArgument = SIMULATED,
 ) -> LaunchDescription:
     """The description of a launch file.
 
@@ -129,17 +134,7 @@ def describe(
         recording = [recorder(given)] if given["record"] else []
         return [*actions(given), *recording]
 
-    declared = [_declare(argument) for argument in arguments]
-    return LaunchDescription([*declared, OpaqueFunction(function=perform)])
-
-
-def _declare(argument: Argument) -> DeclareLaunchArgument:
-    return DeclareLaunchArgument(
-        argument.name,
-        default_value=argument.default,
-        description=argument.description,
-        choices=list(argument.choices) or None,
-    )
+    return LaunchDescription([*arguments, OpaqueFunction(function=perform)])
 
 
 def node(given: Given, executable: str, parameters: Mapping[str, Value]) -> Node:
