@@ -14,15 +14,33 @@ from xml.etree import ElementTree
 import pytest
 
 import evpinn_ros
-from evpinn_ros.nodes.typed import LAYOUTS, definition, is_installed
+from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED, is_installed
+from evpinn_ros.topics.estimates import FLOWS, POWER, UNMEASURED_ENERGY
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "evpinn_msgs"
 
 
-@pytest.mark.parametrize("layout", {layout.name: layout for layout in LAYOUTS.values()}.values())
-def test_a_message_file_is_what_the_contract_says(layout):
-    assert (PACKAGE / "msg" / f"{layout.name}.msg").read_text() == definition(layout)
+CHARGE = ("usable_energy", "state_of_charge", "capacity")
+QUANTITIES = {
+    "Parameters": PARAMETER_NAMES,
+    "Power": (POWER, UNMEASURED_ENERGY),
+    "Energy": (*FLOWS, "consumed"),
+    "Range": ("distance_to_empty", "distance_lower", "distance_upper", *CHARGE),
+}
+
+
+@pytest.mark.parametrize(("name", "quantities"), QUANTITIES.items())
+def test_a_message_file_has_the_quantities_of_its_vector(name, quantities):
+    text = (PACKAGE / "msg" / f"{name}.msg").read_text()
+    fields = re.findall(r"^float64 (\w+)", text, re.MULTILINE)
+    ends = ("", RATE, SIGMA) if name == "Energy" else ("", SIGMA)
+    assert fields == [f"{each}{end}" for each in quantities for end in ends]
+
+
+def test_every_typed_topic_has_its_message_file():
+    assert {each.type_name.rpartition("/")[2] for each in TYPED.values()} == {*QUANTITIES}
 
 
 def test_every_file_is_built_and_the_version_is_one():

@@ -15,7 +15,7 @@ from evpinn_msgs.srv import EstimatePlan
 from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.typed import LAYOUTS, RATE, SIGMA, TYPED, TYPED_FORECAST
+from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED, TYPED_FORECAST, quantities
 
 PAIRS = {**TYPED, topics.FORECAST: TYPED_FORECAST}
 
@@ -40,10 +40,10 @@ def compare(topic, standard, typed):
         (SIGMA, standard.effort),
     ):
         for name, value in zip(standard.name, values, strict=False):
-            if f"{name}{end}" in LAYOUTS[topic].fields:
+            if f"{name}{end}" in quantities(typed):
                 assert same(getattr(typed, f"{name}{end}"), value), (topic.name, name)
                 checked.add(f"{name}{end}")
-    for left in {*LAYOUTS[topic].fields} - checked:
+    for left in {*quantities(typed)} - checked:
         assert math.isnan(getattr(typed, left)), (topic.name, left)
 
 
