@@ -9,6 +9,7 @@ from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.forecaster import Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
@@ -22,7 +23,6 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.forecaster import Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.stateful import StatefulNode

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.forecaster import Air, Basis, PlanAnswer, PlanLog
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Condition, Status, rounded, with_health
-from evpinn_ros.nodes.forecaster import Air, Basis, PlanAnswer, PlanLog
 from evpinn_ros.topics.messages import Level
 
 ANSWERED = "answered"

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.energy.forecaster import PlanAnswer
 from evpinn_ros.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
-from evpinn_ros.nodes.forecaster import PlanAnswer
 
 MOST_PLANS = 100
 

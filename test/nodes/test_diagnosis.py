@@ -9,6 +9,7 @@ from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusState, BusStatus
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.forecaster import Air, Basis, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import Trust
@@ -19,7 +20,6 @@ from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.energy_diagnosis import meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
-from evpinn_ros.nodes.forecaster import Air, Basis, PlanLog
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.topics.messages import Level

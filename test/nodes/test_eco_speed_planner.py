@@ -17,10 +17,10 @@ from trajectory_msgs.msg import JointTrajectory
 from evpinn_ros import topics
 from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN
+from evpinn_ros.energy.forecaster import Forecaster
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.forecaster import Forecaster
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.topics import NAMESPACE

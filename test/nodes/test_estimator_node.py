@@ -7,10 +7,10 @@ import pytest
 from std_srvs.srv import SetBool, Trigger
 
 from evpinn_ros import topics
+from evpinn_ros.energy.power_model import prior_identifiable
 from evpinn_ros.nodes import estimator as module
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.forecaster import prior_identifiable
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import (
     Level,

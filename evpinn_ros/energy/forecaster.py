@@ -1,4 +1,4 @@
-"""Answers plans from the newest that is known of the car and its battery; knows no ROS."""
+"""Answers plans from the newest that is known of the car and its battery."""
 
 from __future__ import annotations
 
