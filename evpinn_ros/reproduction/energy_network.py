@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -49,15 +49,14 @@ SETTLED = 1e-9  # mean steps: a roll-out that moves by less is done
 
 
 class StepData(NamedTuple):
-    """Steps between neighbouring samples of power, float64, shape (n,) each."""
+    """Steps between neighbouring samples of power, shape (n,) each: float64 arrays or tensors."""
 
-    time: np.ndarray  # t, s
-    power: np.ndarray  # P(t), W
-    power_mid: np.ndarray  # P(t + dt/2), W
-    power_next: np.ndarray  # P(t + dt), W
-    dt: np.ndarray  # s
-    energy: np.ndarray  # E(t), J, integrated since the first sample
-    step_energy: np.ndarray  # E(t + dt) - E(t), J
+    power: Any  # P(t), W
+    power_mid: Any  # P(t + dt/2), W
+    power_next: Any  # P(t + dt), W
+    dt: Any  # s
+    energy: Any  # E(t), J, integrated since the first sample
+    step_energy: Any  # E(t + dt) - E(t), J
 
 
 def step_data(time: np.ndarray, power: np.ndarray) -> StepData:
@@ -87,18 +86,7 @@ def _usable_steps(time: np.ndarray, power: np.ndarray) -> tuple[StepData, np.nda
     middle = (start + end) / 2
     gained = energy_step((start, middle, middle, end), dt)
     energy = np.cumsum(gained) - gained
-    return StepData(time[starts], start, middle, end, dt, energy, gained), starts
-
-
-class _Scaled(NamedTuple):
-    """`StepData` in the units of the module's docstring, tensors of one shape."""
-
-    power: Tensor
-    power_mid: Tensor
-    power_next: Tensor
-    dt: Tensor
-    energy: Tensor
-    step_energy: Tensor
+    return StepData(start, middle, end, dt, energy, gained), starts
 
 
 class _Units(NamedTuple):
@@ -107,11 +95,12 @@ class _Units(NamedTuple):
     time: float
     energy: float
 
-    def scaled(self, steps: StepData, dtype: torch.dtype) -> _Scaled:
+    def scaled(self, steps: StepData, dtype: torch.dtype) -> StepData:
+        """Steps in these units, as tensors."""
         power = self.energy / self.time
         units = (power, power, power, self.time, self.energy, self.energy)
-        pairs = zip(steps[1:], units, strict=True)
-        return _Scaled(*(torch.as_tensor(values / unit, dtype=dtype) for values, unit in pairs))
+        pairs = zip(steps, units, strict=True)
+        return StepData(*(torch.as_tensor(values / unit, dtype=dtype) for values, unit in pairs))
 
 
 class _TanhNetwork(nn.Module):
@@ -142,24 +131,25 @@ class _Networks(nn.Module):
         )
         self.plain = _TanhNetwork((1.0, 1.0, 1.0, 1.0, energy_span), DNN_HIDDEN)
 
-    def forward(self, steps: _Scaled, energy: Tensor) -> Tensor:
+    def forward(self, steps: StepData, energy: Tensor) -> Tensor:
         """Energy of each step, shape (2, n), RKNN first, when E(t) is `energy`, shape (2, n)."""
         known = steps.power, steps.power_mid, steps.power_next, steps.dt
         ks = slopes(list(self.subnetworks), *known, energy[0])
         return torch.stack((energy_step(ks, steps.dt), self.plain(*known, energy[1])))
 
-    def losses(self, steps: _Scaled) -> Tensor:
+    def losses(self, steps: StepData) -> Tensor:
         """Eq. 30, as means, shape (2,), RKNN first."""
         errors: Tensor = self(steps, steps.energy.expand(2, -1)) - steps.step_energy
         return errors.square().mean(dim=1)
 
-    def rolled_out(self, steps: _Scaled) -> Tensor:
+    def rolled_out(self, steps: StepData) -> Tensor:
         """Energy of each step, shape (2, n), each starting from the sum of those before.
 
         By sweeps over all steps at once, each starting from the sums of the sweep before. A sweep
         makes one more step final at least; as the networks hardly heed E, six do for thousands.
         """
-        energy, gained = steps.energy.expand(2, -1), steps.step_energy.expand(2, -1)
+        energy: Tensor = steps.energy.expand(2, -1)
+        gained: Tensor = steps.step_energy.expand(2, -1)
         for _ in steps.dt:
             gained = self(steps, energy)
             before, energy = energy, gained.cumsum(1) - gained
@@ -189,7 +179,7 @@ class EnergyTraining:
             self._networks = _Networks(float(reached.abs().max())).to(device)
         parts = shuffled.tensor_split([round(TRAINING_SHARE * len(shuffled))])
         self._train, self._validation = (
-            _Scaled(*(column[rows].to(device) for column in steps)) for rows in parts
+            StepData(*(column[rows].to(device) for column in steps)) for rows in parts
         )
         # One Adam serves both: it treats every weight by itself.
         self._adam = torch.optim.Adam(self._networks.parameters(), LEARNING_RATE, foreach=True)

@@ -139,7 +139,7 @@ class Problem:
         self._parameters = LogParameters(vehicle)
 
     def values(self, log_scale: torch.Tensor) -> Parameters:
-        """The parameters at z, shape (5,)."""
+        """The parameters at z, shape (5,); at z = 0 the initial values of eq. 24 and 25."""
         return self._parameters.values(log_scale, self.p_aux)
 
     def physics(self, motion: PhysicsInputs, log_scale: torch.Tensor) -> torch.Tensor:
