@@ -26,34 +26,27 @@ def answer_plans(
     """
     count, together = len(request.plans), object()
     more, sigmas = np.full((2, count, count), math.nan)
-    found: list[PlanAnswer | None] = []
+    found = np.full((4, count), math.nan)  # energy and charge at the end, each with its sigma
     for index, asked in enumerate(request.plans):
         try:
             if index >= MOST_PLANS:
                 raise PlanError(f"more than {MOST_PLANS} plans")
             one = answer(_plan(asked), Question(str(index), together))
         except PlanError as error:
-            found.append(None)
             response.refusals.append(str(error))
             continue
-        found.append(one)
         response.refusals.append("")
+        found[:, index] = one.forecast.energy[-1], one.forecast.sigma[-1], *one.charge
         more[index, index] = sigmas[index, index] = 0.0
         for name, apart in one.differences.items():
             other = int(name)
             more[index, other], more[other, index] = apart.value, -apart.value
             sigmas[index, other] = sigmas[other, index] = apart.sigma
-    response.energies = [_or_nan(one, lambda a: a.forecast.energy[-1]) for one in found]
-    response.sigmas = [_or_nan(one, lambda a: a.forecast.sigma[-1]) for one in found]
-    response.end_charges = [_or_nan(one, lambda a: a.charge.value) for one in found]
-    response.end_charge_sigmas = [_or_nan(one, lambda a: a.charge.sigma) for one in found]
+    response.energies, response.sigmas = found[:2].tolist()
+    response.end_charges, response.end_charge_sigmas = found[2:].tolist()
     response.differences = more.ravel().tolist()
     response.difference_sigmas = sigmas.ravel().tolist()
     return response
-
-
-def _or_nan(answer: PlanAnswer | None, read: Callable[[PlanAnswer], float]) -> float:
-    return math.nan if answer is None else float(read(answer))
 
 
 def _plan(asked: Any) -> Plan:
