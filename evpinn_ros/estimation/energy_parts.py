@@ -16,6 +16,8 @@ import numpy as np
 
 from evpinn_ros.estimation.car_state import SIZE, State
 from evpinn_ros.estimation.weak_form import (
+    CLIMATE,
+    STANDING,
     Constants,
     Warmth,
     Wheels,
@@ -46,8 +48,6 @@ class Part(IntEnum):
 COUNT = len(Part)
 WHOLE = slice(0, Part.REGAINED)  # the parts that add up
 ALONG = [State.C_RR, State.ROLL_COLD, State.ROLL_DRIVE, State.ROLL_START]
-CLIMATE = [State.COLD, State.HOT, State.COLD_START, State.HOT_START, State.REPORTED]
-STANDING = [State.P_AUX, State.AUX_DRIVE, State.AUX]
 
 
 def parts(
