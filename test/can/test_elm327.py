@@ -90,7 +90,8 @@ class Live:
             assert not thread.is_alive()
 
 
-def wait_for(condition, seconds=30.0):
+def wait_for(condition, seconds=120.0):
+    # A slow adapter takes 16 s for what is awaited, and more on a busy computer.
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "timed out"
