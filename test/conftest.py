@@ -1,6 +1,9 @@
 """A control unit on a real bus, this package as colcon installs it; what `--quick` leaves out."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
+import fcntl
+from itertools import chain, zip_longest
 import os
 from pathlib import Path
 import shutil
@@ -57,19 +60,36 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the long ones, and leave out those marked `slow` where `--quick` is."""
+    """Order files so that no core rests, and leave out those marked `slow` where `--quick` is.
+
+    Files that wait and files that compute take turns, each begun with the long ones.
+    """
     if config.getoption("quick"):
         items[:] = [item for item in items if item.get_closest_marker("slow") is None]
 
-    def turn(item: pytest.Item) -> int:
-        folders = item.path.relative_to(ROOT / "test").parts
-        return next((at for at, name in enumerate(LONG) if name in folders), len(LONG))
+    def place(path: Path, names: tuple[str, ...]) -> int:
+        parts = path.relative_to(ROOT / "test").parts
+        return next((at for at, name in enumerate(names) if name in parts), len(names))
 
-    items.sort(key=turn)
+    files = defaultdict(list)
+    for item in items:
+        files[item.path].append(item)
+    waiting = [path for path in files if place(path, WAITING) < len(WAITING)]
+    computing = [path for path in files if path not in waiting]
+    waiting.sort(key=lambda path: place(path, WAITING))
+    computing.sort(key=lambda path: place(path, LONG))
+    turns = chain.from_iterable(zip_longest(waiting, computing))
+    items[:] = [item for path in turns if path is not None for item in files[path]]
 
 
-LONG = ("launch", "nodes", "cli", "benchmarks", "estimation", "replays", "fleet", "reproduction")
-"""Folders of long files: begun first, they leave no worker alone with one in the end."""
+WAITING = ("launch", "nodes", "can")
+"""Folders whose tests mostly wait: for processes, for buses, for each other."""
+
+LONG = (
+    *("test_guides.py", "test_browser.py", "cli", "benchmarks", "estimation", "replays", "fleet"),
+    *("reproduction", "test_notebooks.py", "test_packaging.py"),
+)
+"""Long files and folders of them: begun first, they leave no worker alone with one in the end."""
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -89,29 +109,54 @@ def loads_without() -> Callable[..., None]:
 
 
 @pytest.fixture(scope="session")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy to build from, so that no build leaves anything behind in the checkout."""
-    copy = tmp_path_factory.mktemp("source") / "evpinn_ros"
-    unwanted = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install")
-    return shutil.copytree(ROOT, copy, ignore=unwanted)
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """A folder by its name, filled once for all workers: by the first that asks for it."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def made(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, filled = base / name, base / f"{name}.filled"
+        with (base / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not filled.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                fill(folder)
+                filled.touch()
+        return folder
+
+    return made
 
 
 @pytest.fixture(scope="session")
-def installed(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def source(shared: Callable[..., Path]) -> Path:
+    """A copy to build from, so that no build leaves anything behind in the checkout."""
+    unwanted = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install")
+
+    def copy(folder: Path) -> None:
+        shutil.copytree(ROOT, folder / "evpinn_ros", ignore=unwanted)
+
+    return shared("source", copy) / "evpinn_ros"
+
+
+@pytest.fixture(scope="session")
+def installed(source: Path, shared: Callable[..., Path]) -> Path:
     """The install space of `colcon build`."""
-    space = tmp_path_factory.mktemp("colcon")
-    colcon = (sys.executable, "-m", "colcon", "--log-base", str(space / "log"))
-    bases = ("--build-base", str(space / "build"), "--install-base", str(space / "install"))
-    done = subprocess.run(
-        [*colcon, "build", "--paths", str(source), *bases],
-        cwd=space,
-        env=os.environ | {"COLCON_HOME": str(space)},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return space / "install"
+
+    def build(space: Path) -> None:
+        colcon = (sys.executable, "-m", "colcon", "--log-base", str(space / "log"))
+        bases = ("--build-base", str(space / "build"), "--install-base", str(space / "install"))
+        done = subprocess.run(
+            [*colcon, "build", "--paths", str(source), *bases],
+            cwd=space,
+            env=os.environ | {"COLCON_HOME": str(space)},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    return shared("colcon", build) / "install"
 
 
 Replies = Mapping[bytes, Callable[[], list[bytes]]]
