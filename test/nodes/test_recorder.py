@@ -37,12 +37,10 @@ def test_a_kill_costs_a_second_at_most(bench, can_bus, tmp_path):
     with subprocess.Popen(command, cwd=share_directory()) as process:
         try:
             bench.listen(topics.SPEED)
-            sent = drive(bus, bench, seconds=3.3)
+            sent = drive(bus, bench, least=3.3)
         finally:
             process.kill()
-            killed = time.time()
-    heard = bench.heard[topics.SPEED]
-    assert len(heard) > 1000
+    alive = seconds(bench.heard[topics.SPEED][-1])  # a busy computer may not let it run since
 
     file = next(folder.glob("*.mcap"))
     numbers = [
@@ -51,20 +49,24 @@ def test_a_kill_costs_a_second_at_most(bench, can_bus, tmp_path):
         if frame.can_id == OTHER_ID
     ]
     assert numbers == list(range(numbers[0], numbers[-1] + 1))
-    assert killed - sent[numbers[-1]] < 1.0
+    assert alive - sent[numbers[-1]] < 1.0
     with BagReader(file) as bag:
-        stamps = [r.message.header.stamp for r in bag.records([topics.SPEED.under()])]
-    assert killed - (stamps[-1].sec + stamps[-1].nanosec / 1e9) < 1.0
+        stamps = [seconds(r.message) for r in bag.records([topics.SPEED.under()])]
+    assert alive - stamps[-1] < 1.0
 
     again = open_source(file, load_vehicle("tesla_model_3_lr"), "tesla_model_3")
     assert isinstance(again, CanLogSource)
     assert len(list(again.readings())) >= len(stamps) - 1
 
 
-def drive(bus, bench, seconds):
+def seconds(message):
+    return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+
+
+def drive(bus, bench, least):
     """Send a speed and a numbered frame again and again; gives when each number was sent.
 
-    The seconds begin with the first speed that comes back.
+    For some seconds at least after the first speed that comes back, and until 1000 more have.
     """
     encoder, sent, heard = Encoder(load_profile("tesla_model_3")), [], bench.heard[topics.SPEED]
     begin, end = time.monotonic(), None
@@ -74,10 +76,10 @@ def drive(bus, bench, seconds):
             bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
         sent.append(time.time())
         if end is None and heard:
-            end = sent[-1] + seconds
-        if end is not None and sent[-1] > end:
+            end = sent[-1] + least
+        if end is not None and sent[-1] > end and len(heard) > 1000:
             return sent
-        assert number < 60 / PERIOD, "no speed came back"
+        assert number < 60 / PERIOD, f"{len(heard)} speeds came back"
         while (wait := begin + number * PERIOD - time.monotonic()) > 0:
             bench.executor.spin_once(timeout_sec=wait)
 
