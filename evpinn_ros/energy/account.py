@@ -210,7 +210,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         if not speed_is_possible(speed):
             self.refused["speed_out_of_range"] += 1
             return
-        self.trip.update(stamp_ns, speed, self.meter.state.consumed)
+        self.trip.update(stamp_ns, speed, self.meter.consumed)
 
     def add_battery(self, reading: BatteryReading) -> None:
         """Take what the battery tells of itself: state of charge, voltage and current."""

@@ -257,6 +257,11 @@ class EnergyMeter(Saveable[SavedMeter]):
         return not self.in_dropout(self._newest_ns)
 
     @property
+    def consumed(self) -> float:
+        """Net energy, J, of the state, which takes longer to make."""
+        return self._measured.energy + self._until_now().bridged.energy
+
+    @property
     def state(self) -> EnergyState:
         """The state now."""
         measuring, now = self.measuring, self._until_now()

@@ -13,7 +13,7 @@ heights and speeds of the weak form, leads: power is corrected by what it missed
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
@@ -49,6 +49,7 @@ from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import GRAVITY
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
+POWERS_KEPT = 20  # latest predictions of the physics, of samples whose battery is yet to come
 PARKED = 600.0  # s without speed, then it is another drive
 
 
@@ -184,6 +185,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
         self._debt = EnergyDebt()
+        self._powers: deque[tuple[Sample, float]] = deque(maxlen=POWERS_KEPT)
         self.gated: Counter[str] = Counter()
         self._use(LearnedCar(vehicle))
 
@@ -205,6 +207,8 @@ class PinnLearner(Saveable[SavedPinn]):
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of physics and network, W, and of the energy since the battery, 1-sigma, J."""
         power, lasting = self._physics(sample)
+        if not sample.newest:
+            self._powers.append((sample, power))
         correction = self._network.correct(sample)
         power += correction.power
         noise = self._car.filter.force_noise() * sample.speed
@@ -229,7 +233,7 @@ class PinnLearner(Saveable[SavedPinn]):
         if self._suspicion.suspected:
             self.gated[CURRENT_SIGN] += 1
             return
-        self._network.learn(sample, power - self._physics(sample)[0], step)
+        self._network.learn(sample, power - self._power(sample), step)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
@@ -324,6 +328,7 @@ class PinnLearner(Saveable[SavedPinn]):
     def _use(self, car: LearnedCar) -> None:
         """Use this car from now on; its mixture is what samples are predicted by."""
         self._car = car
+        self._powers.clear()
         self._mixture = car.filter.mixture()
         self._unmeasured = (math.nan, math.nan)
         if not car.measured:
@@ -343,6 +348,13 @@ class PinnLearner(Saveable[SavedPinn]):
         gradient[State.CLIMB] = 0.0
         variance = float(gradient @ covariance @ gradient)
         return float(found.energy[0]), math.sqrt(max(variance, 0.0))
+
+    def _power(self, sample: Sample) -> float:
+        """Power of the physics alone, W, that of the prediction where the car is the same."""
+        for predicted, power in self._powers:
+            if predicted is sample:
+                return power
+        return self._physics(sample)[0]
 
     def _suspected(self) -> str | None:
         """Signal whose sign the data contradict; without current no grade can be checked."""
