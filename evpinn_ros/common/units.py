@@ -15,10 +15,18 @@ def counted(number: int, word: str) -> str:
 
 
 def with_sigma(value: float, sigma: float) -> str:
-    """Value and 1-sigma, both to the second digit of the latter: `2023 ± 230`."""
+    """Value and 1-sigma, both to the second digit of the latter: `2020 ± 230`."""
+    return f"{_as_exact(value, sigma)} ± {two_digits(sigma)}"
+
+
+def two_digits(value: float) -> str:
+    """A positive number to its second digit, without an exponent: `230`, `0.0012`."""
+    return _as_exact(value, value)
+
+
+def _as_exact(value: float, sigma: float) -> str:
     places = 1 - math.floor(math.log10(sigma)) if 0.0 < sigma < math.inf else 0
-    digits = max(places, 0)
-    return f"{round(value, places):.{digits}f} ± {round(sigma, places):.{digits}f}"
+    return f"{round(value, places):.{max(places, 0)}f}"
 
 
 class Units(NamedTuple):

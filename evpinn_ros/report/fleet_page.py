@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.common.units import counted, with_sigma
+from evpinn_ros.common.units import counted, two_digits, with_sigma
 from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
 from evpinn_ros.fleet.tables import CHARTED, SHOWN, FleetSummary
 from evpinn_ros.report.fleet_charts import fleet_charts
@@ -69,14 +69,13 @@ def population_cells(population: Population) -> list[tuple[str, ...]]:
 
 def _value_cells(name: str, found: PopulationValue) -> tuple[str, ...]:
     """Value with 1-sigma, spread with 1-sigma, the next car's 1-sigma, and how many cars."""
-    if name == LINEAR:
-        value, scale, unit = found.mean, 1.0, " W"
-    else:
-        value, scale, unit = math.exp(found.mean), 100.0, " %"
+    linear = name == LINEAR  # all others are logarithms
+    value = found.mean if linear else math.exp(found.mean)
+    scale, unit = (1.0, " W") if linear else (100.0, " %")
     return (
-        f"{value:.4g} +- {scale * found.mean_std:.2g}{unit}",
-        f"{scale * found.spread:.2g} +- {scale * found.spread_std:.2g}{unit}",
-        f"+- {scale * found.new_car_std:.2g}{unit}",
+        with_sigma(value, found.mean_std * (1.0 if linear else value)),
+        with_sigma(scale * found.spread, scale * found.spread_std) + unit,
+        f"± {two_digits(scale * found.new_car_std)}{unit}",
         f"{found.cars:.1f}",
     )
 

@@ -9,7 +9,7 @@ from evpinn_ros.common.units import counted, with_sigma
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.fleet.population import Population
 from evpinn_ros.report.fleet_charts import CHARTED, fleet_charts
-from evpinn_ros.report.fleet_page import fleet_sentence
+from evpinn_ros.report.fleet_page import fleet_sentence, population_cells
 from evpinn_ros.vehicle.files import load_vehicle
 
 LEAF = load_vehicle("nissan_leaf")
@@ -47,3 +47,13 @@ def test_words():
     assert with_sigma(2023.4, 231.0) == "2020 ± 230"
     assert with_sigma(0.007482, 0.00117) == "0.0075 ± 0.0012"
     assert with_sigma(3.0, 0.0) == "3 ± 0"
+
+
+def test_cells_of_a_model_are_numbers_as_people_write_them():
+    rows = {name: cells for name, *cells in population_cells(Population(LEAF, [exact(1.0)]))}
+    assert not any("e+" in cell or "e-" in cell for cells in rows.values() for cell in cells)
+    file, mean, spread, new_car, cars = rows["mass"]
+    value, _, sigma = mean.partition(" ± ")
+    assert abs(float(value) - float(file.partition(" ± ")[0])) < float(sigma) > 1.0  # kg
+    assert spread.endswith(" %") and new_car.startswith("± ") and float(cars) >= 0.0
+    assert rows["p_aux"][2].endswith(" W")
