@@ -194,3 +194,10 @@ def test_plotjuggler_draws_series_that_exist(curve):
         assert quantity in NAMES[topic] and kind in VECTOR_FIELDS
     else:
         assert field(topic.type_name, path).startswith("float")
+
+
+def test_plotjuggler_names_what_it_scales():
+    """It shows a scaled curve under its alias; without one the legend is empty."""
+    for curve in PLOTJUGGLER.iter("curve"):
+        for transform in curve.iter("transform"):
+            assert transform.get("alias") == curve.get("name").split("/")[-2]
