@@ -14,7 +14,6 @@ from benchmarks.cli.output import names_in
 from benchmarks.logs import Log, find_logs
 from benchmarks.online import METHODS, OnlineBenchmark, Run
 from benchmarks.scores import Score, log_scores, total_scores
-from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import note, progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.common.blas_threads import limit_blas_threads
@@ -119,7 +118,7 @@ def _run(log: Log, names: Sequence[str]) -> tuple[Run, str | None]:
     # Time of the processor: what else the machine does is not a method's.
     benchmark = OnlineBenchmark(car, names, time.thread_time)
     reported = 0.0
-    with progress_bar(log.path.name, total=stated_seconds(log.path)) as progress:
+    with progress_bar(log.path.name, total=source.seconds) as progress:
         for reading in source.readings():
             done = benchmark.add_reading(reading)
             if done - reported >= PROGRESS_STEP:

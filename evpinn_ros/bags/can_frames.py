@@ -12,6 +12,7 @@ from pathlib import Path
 import struct
 from typing import Protocol
 
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN, FRAME_TYPE
 from evpinn_ros.can.frame import CanFrame, FirstBus
@@ -36,6 +37,10 @@ class CanLog(Protocol):
     path: Path  # of the file or folder
     count: int  # frames read so far
     skipped: Counter[str]  # what is not a data frame, by kind; complete once all are read
+
+    @property
+    def seconds(self) -> float | None:
+        """Time from the first frame to the last, s; None if only reading it tells."""
 
     @property
     def problem(self) -> str | None:
@@ -65,6 +70,11 @@ class BagFrames:
         self._topics = _frame_topics(self._reader)
         if not self._topics:
             raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}) in this bag")
+
+    @property
+    def seconds(self) -> float | None:
+        """Length that the bag's metadata states, s."""
+        return stated_seconds(self.path)
 
     @property
     def problem(self) -> str | None:

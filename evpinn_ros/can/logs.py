@@ -27,6 +27,7 @@ from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.plain_file import open_file
 from evpinn_ros.common.text_lines import bounded_lines
 from evpinn_ros.common.unpacking import open_gzipped
+from evpinn_ros.signals.readings import NANOSECONDS
 
 _READERS: dict[str, Callable[..., Any]] = {
     ".log": can.CanutilsLogReader,
@@ -43,6 +44,7 @@ LAST_TIME = 2.0**33  # s since 1970: the year 2242
 
 # For asammdf, which reads a file as a whole: the memory and the file it may fill, and the time.
 MF4_MEMORY, MF4_FILE, MF4_SECONDS = 8 << 30, 16 << 30, 600.0
+END = 64 << 10  # bytes at either end of a log that tell how long it is
 
 
 class LogFile:
@@ -84,6 +86,27 @@ class LogFile:
             raise InputError(f"{self.path}: {error.strerror}") from error
         if empty:
             raise InputError(f"{self.path}: the file is empty")
+
+    @property
+    def seconds(self) -> float | None:
+        """Time from the first frame to the last by the ends of the file, s; None if unknown.
+
+        What is packed shows its end only when all before is unpacked.
+        """
+        if self._gzipped or self._suffix == _MF4:
+            return None
+        ends = LogFile(self.path)  # which counts what it skips beside what is read of the whole
+        try:
+            with open_file(self.path) as file:
+                if self._suffix == ".blf":
+                    reader = BlfReader(file)
+                    found = reader.stop_timestamp - reader.start_timestamp
+                else:
+                    frames = list(ends._read(_Lines(_ends(file))))
+                    found = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
+        except Exception:  # foreign code over a damaged file; why, reading it will tell
+            return None
+        return found if found > 0.0 else None
 
     def frames(self) -> Iterator[CanFrame]:
         """Every data frame up to the end, or up to the first damage, named in `problem`.
@@ -166,6 +189,19 @@ class LogFile:
             cut_off = not self._gzipped and reader.file_size > self.path.stat().st_size
         if cut_off:
             self.problem = f"{self.path}: cut off after {self.count} frames"
+
+
+def _ends(file: IO[bytes]) -> io.StringIO:
+    """The first lines of a text file and its last ones."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    text = file.read(2 * END)
+    if size > len(text):
+        text = text[: text.rfind(b"\n", 0, END) + 1]
+        file.seek(size - END)
+        file.readline()
+        text += file.read()
+    return io.StringIO(text.decode("utf-8", errors="replace"), newline=None)
 
 
 def _is_possible(message: Any) -> bool:

@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.can_frames import open_can_log
-from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.inspection import BusReport, Inspection
 from evpinn_ros.can.profile import bundled_profiles, load_profile
@@ -113,7 +112,7 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
     """Take the frames of a recorded bus; gives what could not be read."""
     log = open_can_log(path)
     first_ns, shown = None, 0.0
-    with progress_bar(path.name, seconds or stated_seconds(path)) as progress:
+    with progress_bar(path.name, seconds or log.seconds) as progress:
         for frame in log.frames():
             first_ns = frame.stamp_ns if first_ns is None else first_ns
             done = (frame.stamp_ns - first_ns) / NANOSECONDS

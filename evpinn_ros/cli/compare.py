@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import (
     CanProfileOption,
@@ -71,9 +70,7 @@ def compare(
     found = compare_drives(
         car,
         sources,
-        progress=lambda one: progress_bar(
-            one.path.name, total=duration or stated_seconds(one.path)
-        ),
+        progress=lambda one: progress_bar(one.path.name, options.seconds_of(one.seconds)),
     )
     _show(found)
     if json_file is not None:

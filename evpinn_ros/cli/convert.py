@@ -83,7 +83,7 @@ def convert(
 
 def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str]:
     """Write the readings up to an interruption; gives those left out, by reason."""
-    with progress_bar(source.path.name, stated_seconds(source.path)) as progress:
+    with progress_bar(source.path.name, source.seconds) as progress:
         readings = reported(source.readings(), progress)
         # What gives no reading at all is refused here, before there is an empty bag of it.
         begun = list(islice(readings, 1))

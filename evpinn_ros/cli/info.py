@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import datetime, timezone
+from functools import partial
 import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
 from evpinn_ros.cli.options import ColumnOption
 from evpinn_ros.cli.table_columns import shorter
@@ -37,8 +37,7 @@ def info(
     problems = 0
     for path in inputs:
         try:
-            with progress_bar(path.name, total=stated_seconds(path)) as progress:
-                found.append(contents(path, column or (), progress))
+            found.append(contents(path, column or (), partial(progress_bar, path.name)))
         except InputError as error:
             problems += 1
             note(f"evpinn: {error}")

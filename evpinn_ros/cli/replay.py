@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
@@ -138,7 +137,7 @@ def _one(
         if folder is not None:
             stack.enter_context(writing(folder))
             writer = stack.enter_context(BagWriter(folder))
-        seconds = car.options.duration or stated_seconds(source.path)
+        seconds = car.options.seconds_of(source.seconds)
         progress = stack.enter_context(progress_bar(source.path.name, total=seconds))
         return car.replay(source, writer=writer, progress=progress, stopped=stopped)
 

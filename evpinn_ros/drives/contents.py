@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -25,7 +26,7 @@ BITRATE = 500_000  # bit/s; the load of the bus is not known here
 INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
 GENERIC = "generic"
 
-Progress = Callable[[float], None]  # takes s of the recording done
+Bar = Callable[[float | None], AbstractContextManager[Callable[[float], None] | None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +70,12 @@ class Contents:
 
 
 def contents(
-    path: Path, columns: Sequence[str] = (), progress: Progress | None = None
+    path: Path, columns: Sequence[str] = (), bar: Bar = lambda _: nullcontext()
 ) -> Contents:
     """Look through a bag, a CAN log or a table.
 
-    `columns` are those given of a table (see `column.columns_by_name`); `progress` takes the
-    seconds of the drive done.
+    `columns` are those given of a table (see `column.columns_by_name`); `bar` takes the length of
+    the drive, s, None while unknown, and gives what takes the seconds of it that are done.
 
     Raises:
         InputError: it is none of these, or nothing can be read.
@@ -82,14 +83,14 @@ def contents(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
-        return _with_drive(Contents(path, "table"), None, columns, progress)
+        return _with_drive(Contents(path, "table"), None, columns, bar)
     if not is_bag(path):
         found = Contents(path, "CAN log")
-        return _with_frames(found, open_can_log(path), progress)
+        return _with_frames(found, open_can_log(path), bar)
     found = Contents(path, "bag", topics=_topics(path))
     if holds_frames(path):
-        return _with_frames(found, BagFrames(path), progress)
-    return _with_drive(found, None, columns, progress)
+        return _with_frames(found, BagFrames(path), bar)
+    return _with_drive(found, None, columns, bar)
 
 
 def _topics(path: Path) -> tuple[TopicContents, ...]:
@@ -103,7 +104,7 @@ def _topics(path: Path) -> tuple[TopicContents, ...]:
         )
 
 
-def _with_frames(found: Contents, log: CanLog, progress: Progress | None) -> Contents:
+def _with_frames(found: Contents, log: CanLog, bar: Bar) -> Contents:
     """Add the profile that fits, and what the drive is by it."""
     inspection = Inspection(bundled_profiles(), BITRATE)
     for frame in islice(log.frames(), INSPECTED):
@@ -118,17 +119,18 @@ def _with_frames(found: Contents, log: CanLog, progress: Progress | None) -> Con
     found = replace(found, frames=report.frames, profile=profile, vehicles=names)
     if profile is None and found.kind != "bag":
         return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
-    return _with_drive(found, profile, (), progress)
+    return _with_drive(found, profile, (), bar)
 
 
 def _with_drive(
-    found: Contents, profile: str | None, columns: Sequence[str], progress: Progress | None
+    found: Contents, profile: str | None, columns: Sequence[str], bar: Bar
 ) -> Contents:
     """Add what the estimator can use; of a bag its topics, and its frames where there are none."""
     own = None if found.kind == "bag" and _has_readings(found.path) else profile
     try:
         source = open_source(found.path, load_vehicle(GENERIC), own, columns=columns)
-        drive = data_coverage(reported(source.readings(), progress))
+        with bar(source.seconds) as progress:
+            drive = data_coverage(reported(source.readings(), progress))
     except InputError as error:
         if found.kind != "bag":
             raise

@@ -45,6 +45,11 @@ class DriveSource:
         self._problem: str | None = None
 
     @property
+    def seconds(self) -> float | None:
+        """Length of the drive, s."""
+        return self.drive.seconds
+
+    @property
     def problem(self) -> str | None:
         """Break in the file; rows that are wrong in themselves are dropped and counted."""
         return self._problem

@@ -10,6 +10,7 @@ import zlib
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
 from evpinn_ros.bags.convert import BagReadings
+from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.guard import FitGuard
@@ -36,6 +37,10 @@ class Source(Protocol):
     dropped: Counter[str]  # what was not used, by reason; complete once the readings are exhausted
 
     @property
+    def seconds(self) -> float | None:
+        """Length of the drive, s; None where only reading it tells."""
+
+    @property
     def problem(self) -> str | None:
         """Unreadable part, in one line; None while all is well, final when exhausted."""
 
@@ -53,6 +58,11 @@ class BagSource:
         self._readings = BagReadings(self._reader, mounting=mounting)
         self.dropped = self._readings.dropped
         self.notes = self._readings.notes
+
+    @property
+    def seconds(self) -> float | None:
+        """Length that the bag's metadata states, s."""
+        return stated_seconds(self.path)
 
     @property
     def problem(self) -> str | None:
@@ -73,6 +83,11 @@ class CanLogSource:
         self.dropped: Counter[str] = Counter()
         self._log, self._bridge = log, bridge
         self._decoded = 0
+
+    @property
+    def seconds(self) -> float | None:
+        """Length of the log, s."""
+        return self._log.seconds
 
     @property
     def problem(self) -> str | None:

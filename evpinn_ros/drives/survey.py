@@ -126,12 +126,12 @@ def look_through(
     head: Head,
     wanted: Sequence[int],
     early: Callable[[Survey], object],
-    limit: int | None = None,
+    limit: int = MOST_ROWS,
 ) -> Survey:
     """Keep the cells of the wanted columns, every k-th row of a long table.
 
     `early` is called after some rows; it may raise, so that a bomb is not read to its end. `limit`
-    is how many rows are looked at, `MOST_ROWS` when None.
+    is how many rows are looked at.
     """
     widths: Counter[int] = Counter()
     kept: list[tuple[str, ...]] = []
@@ -143,7 +143,7 @@ def look_through(
         cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
         return Survey(cells, widths, len(head.names))
 
-    looked = islice(data_rows(table, head), min(limit or MOST_ROWS, MOST_ROWS))
+    looked = islice(data_rows(table, head), limit)
     for index, (_, row) in enumerate(_until_broken(looked)):
         width = len(row)
         widths[width] += 1

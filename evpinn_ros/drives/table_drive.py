@@ -21,7 +21,16 @@ from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
 from evpinn_ros.drives.order import RowOrder
 from evpinn_ros.drives.quantities import QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, RowReadings
-from evpinn_ros.drives.survey import Survey, Table, data_rows, find_head, long_form, look_through
+from evpinn_ros.drives.survey import (
+    MOST_ROWS,
+    Survey,
+    Table,
+    data_rows,
+    find_head,
+    long_form,
+    look_through,
+)
+from evpinn_ros.drives.text_table import TextTable
 from evpinn_ros.drives.times import (
     LAST_TIME_NS,
     NONE,
@@ -93,14 +102,16 @@ class TableDrive:
         )
         places = sorted({column.place for column in found})
 
+        limit = FEW_ROWS if own else MOST_ROWS
         survey = look_through(
             self._table,
             self._head,
             places,
             early=partial(self._chosen_clock, found),
-            limit=FEW_ROWS if own else None,
+            limit=limit,
         )
         self._survey = survey
+        self._looked_at_all = survey.widths.total() < limit
         self._styles = _styles(survey)
         self.clock = self._chosen_clock(found, survey)
         stamps = self.clock.stamps([survey.cells[place] for place in self.clock.columns])
@@ -118,6 +129,26 @@ class TableDrive:
         )
         self._start_ns, self.dated = self._start()
         self.zoned = self.clock.zoned
+
+    @property
+    def seconds(self) -> float | None:
+        """Time from the first row to the last, s; None where only reading it tells."""
+        clock, cells = self.clock, self._survey.cells
+        looked_at = [cells[place] for place in clock.columns]
+        if self._looked_at_all:
+            ends = clock.stamps(looked_at)
+        elif isinstance(self._table, TextTable) and clock.unwrapped is None:
+            last = self._table.last_row()
+            if max(clock.columns) >= len(last):
+                return None
+            rows = zip(looked_at, clock.columns, strict=True)
+            ends = clock.stamps([[column[0], last[place]] for column, place in rows])
+        else:
+            return None
+        if clock.unwrapped is not None:
+            ends = clock.unwrapped.add(ends)
+        there = ends[ends != NONE]
+        return abs(int(there[-1]) - int(there[0])) / NANOSECONDS if there.size > 1 else None
 
     def _chosen_clock(self, found: Sequence[Column], survey: Survey) -> Clock:
         """The clock of the table; InputError when no column of time can be read."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import codecs
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 import csv
+from io import SEEK_END
 from itertools import islice
 from pathlib import Path
 from typing import IO, Any
@@ -22,6 +24,7 @@ SEPARATORS = ",;\t|"
 LOOKED_AT = 20  # lines that tell the separator
 LOOKED_AT_BYTES = 4096
 PIECE = 1 << 18  # bytes read at once
+END = 1 << 16  # bytes that hold the last line
 BLANK = "\r\n\t ,;"  # what a row of nothing is made of
 
 READ_ERRORS = (OSError, EOFError, zlib.error, ValueError, csv.Error)  # ValueError: no text
@@ -79,6 +82,16 @@ class TextTable:
             raise InputError(f"{where}: {reason}") from error
         finally:
             self.torn = lines.torn
+
+    def last_row(self) -> list[str]:
+        """The cells of the last line, none where the file does not show its end."""
+        if self.path.suffix.lower() == ".gz":
+            return []
+        with suppress(*READ_ERRORS), self._open() as file:
+            file.seek(max(0, file.seek(0, SEEK_END) - END))
+            lines = file.read().decode(self._encoding, "replace").rstrip(BLANK).splitlines()
+            return next(csv.reader(lines[-1:], delimiter=self.separator), [])
+        return []
 
     def _separator(self) -> str:
         """Separator of a line `sep=;`, or the sign that most lines have in the same number."""

@@ -57,6 +57,13 @@ class ReplayOptions:
         if not all(each is None or 0.0 <= each < math.inf for each in times):
             raise InputError("times of a replay are s from 0 on, and its rate is above 0")
 
+    def seconds_of(self, whole: float | None) -> float | None:
+        """Length of what is replayed of a drive, s; None if neither is known."""
+        if whole is None:
+            return self.duration
+        rest = max(0.0, whole - self.start)
+        return rest if self.duration is None else min(rest, self.duration)
+
 
 @dataclass(frozen=True, slots=True)
 class Replayed:

@@ -58,6 +58,25 @@ def test_every_format(tmp_path, suffix):
         assert frames[-1].stamp_ns - frames[0].stamp_ns == (COUNT - 1) * 10_000_000
 
 
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".csv"])
+@pytest.mark.parametrize("end", [1000, logs.END])
+def test_the_ends_of_a_log_tell_how_long_it_is(tmp_path, suffix, end, monkeypatch):
+    monkeypatch.setattr(logs, "END", end)
+    log = LogFile(write(tmp_path / f"drive{suffix}"))
+    assert log.seconds == pytest.approx((COUNT - 1) * 0.01, abs=2e-3)
+    assert log.count == 0 and log.problem is None and not log.skipped
+    whole = log.path.read_bytes()
+    log.path.write_bytes(whole[: int(0.6 * len(whole))])
+    if suffix != ".blf":  # whose header tells the end, wherever it is cut
+        assert LogFile(log.path).seconds == pytest.approx(0.6 * COUNT * 0.01, rel=0.05)
+    log.path.write_bytes(b"\x00no log\n" * 100)
+    assert LogFile(log.path).seconds is None
+
+
+def test_a_packed_log_does_not_tell_how_long_it_is(tmp_path):
+    assert LogFile(write(tmp_path / "drive.log.gz")).seconds is None
+
+
 @pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".csv"])
 def test_truncated_log_gives_all_before_the_cut_and_says_so(tmp_path, suffix):
     whole = write(tmp_path / f"drive{suffix}").read_bytes()

@@ -1,11 +1,15 @@
 """Progress of long work in a pipe, and names that were nearly right."""
 
+from contextlib import nullcontext
 import io
 
 import pytest
 from rich.console import Console
 
-from evpinn_ros.cli import console
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.cli import can as can_commands
+from evpinn_ros.cli import console, convert, info
 from evpinn_ros.cli.reproduce import training_progress
 
 
@@ -40,6 +44,32 @@ def test_without_a_length_no_time_left_is_claimed(written, monkeypatch):
         now = 22.0
         report(1_000_000)
     assert written.getvalue().splitlines() == ["log: 5000 rows", "bag: 1 MB, 25 %, 33 s left"]
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    [
+        (info, ("info", "drive.csv")),
+        (convert, ("convert", "drive.csv", "bag")),
+        (can_commands, ("can", "inspect", "drive.log")),
+    ],
+    ids=lambda each: each[0] if isinstance(each, tuple) else "",
+)
+def test_tables_and_can_logs_have_a_length(evpinn, tmp_path, monkeypatch, module, arguments):
+    rows = [f"{0.1 * i:.1f},{i % 20},350,10" for i in range(101)]
+    text = "\n".join(["time,Speed (km/h),volts,amps", *rows]) + "\n"
+    (tmp_path / "drive.csv").write_text(text)
+    frames = [CanFrame(10**18 + i * 10**8, 0x132, bytes(8), False) for i in range(101)]
+    write_log(tmp_path / "drive.log", frames)
+    totals = []
+
+    def bar(title, total, unit=""):
+        totals.append(total)
+        return nullcontext(lambda done: None)
+
+    monkeypatch.setattr(module, "progress_bar", bar)
+    evpinn(*arguments, cwd=tmp_path)
+    assert totals == [pytest.approx(10.0)]
 
 
 def test_trainings_have_a_line_each(written, monkeypatch):

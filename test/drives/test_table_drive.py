@@ -204,3 +204,23 @@ def test_rows_that_are_late_are_put_in_order_and_one_in_the_future_costs_no_othe
     found = [r.stamp_ns - START for r in drive.readings() if isinstance(r, SpeedReading)]
     assert found == [1_000_000_000 * t for t in range(10)]
     assert drive.dropped == {"time_not_increasing": 1}
+
+
+def long_table(times: list[str], header: str = "t_s,speed_mps,voltage_v,current_a") -> str:
+    return "\n".join([header, *(f"{time},10,400,50" for time in times)]) + "\n"
+
+
+def test_a_table_tells_how_long_it_is(tmp_path):
+    """Before it is read: by all of its rows, or by those at its ends where it is a long one."""
+    tenths = [f"{0.1 * i:.1f}" for i in range(5000)]
+    assert drive_of(tmp_path, long_table(tenths)).seconds == pytest.approx(499.9)
+    assert drive_of(tmp_path, long_table(tenths[:100])).seconds == pytest.approx(9.9)
+    foreign = "Time (s),Speed (km/h),Voltage (V),Current (A)"
+    assert drive_of(tmp_path, long_table(tenths, foreign)).seconds == pytest.approx(499.9, abs=1)
+    newest_first = drive_of(tmp_path, long_table(tenths[::-1], foreign))
+    assert newest_first.seconds == pytest.approx(499.9, abs=1)
+    midnight = [f"{(23 * 60 + 59 + i) // 60 % 24:02d}:{(59 + i) % 60:02d}:00" for i in range(90)]
+    assert drive_of(tmp_path, long_table(midnight, foreign)).seconds == 89 * 60
+    cut = long_table(tenths)[:-30] + "?"  # within the last row
+    assert drive_of(tmp_path, cut).seconds in (None, pytest.approx(499.8, abs=0.2))
+    assert drive_of(tmp_path, long_table(tenths[:1])).seconds is None

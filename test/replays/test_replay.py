@@ -258,3 +258,19 @@ def test_energy_state_carries_sigma_that_grows_while_withheld(withheld):
     assert all(len(state.effort) == len(state.name) for state in states[1:])
     index = list(states[-1].name).index("predicted")
     assert 0 < states[len(states) // 2].effort[index] < states[-1].effort[index]
+
+
+@pytest.mark.parametrize(
+    ("options", "whole", "seconds"),
+    [
+        ({}, 360.0, 360.0),
+        ({"start": 100.0}, 360.0, 260.0),
+        ({"start": 400.0}, 360.0, 0.0),
+        ({"start": 100.0, "duration": 30.0}, 360.0, 30.0),
+        ({"duration": 500.0}, 360.0, 360.0),
+        ({"duration": 30.0}, None, 30.0),
+        ({"start": 100.0}, None, None),
+    ],
+)
+def test_length_of_what_is_replayed(options, whole, seconds):
+    assert ReplayOptions(**options).seconds_of(whole) == seconds
