@@ -32,6 +32,9 @@ UNEXPLAINED, REGAINED = "unexplained", "regained"
 # Hills longer than the filter's own look like tyres. A road whose slope wanders gains height by
 # the root of its length; this much of it, for long hills are less steep.
 LONG_HILLS, HILL_LENGTH = 0.15, 600.0
+# A measured height strays too, and over more than the 100 m of the filter's error: wind and doors
+# move a barometer by half a metre, for a minute. Of a whole drive it counts at both ends.
+HEIGHT_STRAYS = 0.5  # m, 1-sigma
 REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold driving and braking
 DISTANCE = 1e5  # m that a difference of drives is of
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
@@ -339,8 +342,10 @@ class PartSums:
         for drive, totals in enumerate(self.drives):
             span = slice(drive * COUNT, (drive + 1) * COUNT)
             own, energy = covariance[span, span], mean[span]
-            height = LONG_HILLS * hilliness * math.sqrt(HILL_LENGTH * totals.unseen)
-            own += (weight * height) ** 2 * np.outer(LONG_HILL, LONG_HILL)
+            height = (LONG_HILLS * hilliness) ** 2 * HILL_LENGTH * totals.unseen
+            if totals.unseen < totals.distance:
+                height += 2.0 * HEIGHT_STRAYS**2
+            own += weight**2 * height * np.outer(LONG_HILL, LONG_HILL)
             own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
             edges = 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])  # (m v dv)^2
             own[Part.SPEED, Part.SPEED] += edges

@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, Breakdown, PartSums
+from evpinn_ros.estimation.breakdown import (
+    DISTANCE,
+    HEIGHT_STRAYS,
+    LEAST_DISTANCE,
+    Breakdown,
+    PartSums,
+    Totals,
+)
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import SIZE, State, prior_of
 from evpinn_ros.estimation.energy_parts import COUNT, WHOLE, Part, parts
@@ -175,3 +182,20 @@ def test_a_state_that_is_moved_takes_along_the_parts_that_depend_on_it():
     assert np.array_equal(sums.mean[0], np.zeros(COUNT))
     assert np.array_equal(sums.mean[1], 0.5 * cross[1, :, State.NO_LOAD])
     assert np.array_equal(sums.cross, cross)
+
+
+def test_a_measured_height_strays_at_both_ends_of_each_drive():
+    """Slope is taken from tyres or given to them; heights of two drives stray apart."""
+    weight, drives = 2e4, (Totals(1e6, 0.0, 5e3, 400.0), Totals(1e6, 0.0, 1e4, 400.0))
+    none = PartSums.none(1)
+    sums = PartSums(np.zeros((1, 2 * COUNT)), np.zeros((1, 2 * COUNT, 2 * COUNT)), none.cross)
+    found = replace(sums, drives=drives).breakdowns(np.ones(1), weight, 0.0)
+    ends = math.sqrt(2.0) * weight * HEIGHT_STRAYS / 3.6e6
+    one = found.of(0)
+    assert one.of(Part.SLOPE).sigma_kwh == one.of(Part.TYRES).sigma_kwh == pytest.approx(ends)
+    assert one.of(Part.SLOPE, Part.TYRES).sigma_kwh == pytest.approx(0.0, abs=1e-9)
+    both = math.hypot(ends * DISTANCE / 5e3, ends * DISTANCE / 1e4)
+    assert found.difference(1, 0).of(Part.SLOPE).sigma_kwh == pytest.approx(both)
+    unseen = tuple(replace(each, unseen=each.distance) for each in drives)
+    without = replace(sums, drives=unseen).breakdowns(np.ones(1), weight, 0.0)
+    assert without.of(0).of(Part.SLOPE).sigma_kwh == 0.0
