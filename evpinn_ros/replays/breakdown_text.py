@@ -89,7 +89,7 @@ def breakdown_lines(found: Mapping[str, Any]) -> list[str]:
 def breakdown_notes(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
     """Sentences on a known breakdown: what is given together, and of how much driving."""
     lines = [
-        f"{_together(group['parts'])} cannot be separated on this drive: given together."
+        f"Cannot be separated on this drive, so given together: {_together(group['parts'])}."
         for group in found["together"]
     ]
     minutes, far = found["duration_s"] / 60, found["distance_m"] / units.metres
@@ -132,8 +132,7 @@ def _together(names: Iterable[str]) -> str:
 
 def name_of(parts: Iterable[Part]) -> str:
     """The name of a part, or of some that are not separated."""
-    *first, last = (MEANINGS[part.name.lower()] for part in parts)
-    return f"{', '.join(first)} and {last}, together" if first else last
+    return " + ".join(MEANINGS[part.name.lower()] for part in parts)
 
 
 def _row(name: str, amount: Mapping[str, float | None], units: Units) -> tuple[str, ...]:

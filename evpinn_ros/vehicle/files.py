@@ -173,7 +173,7 @@ def _key_of(text: str) -> str:
     near = get_close_matches("_".join(words), names, FEW // 2, LIKENESS)
     meant = f"did you mean {', '.join(near)}" if near else f"known are {_some(names)}"
     raise InputError(
-        f"no vehicle named {text!r}; {meant}; `evpinn vehicles` lists all, or give a path"
+        f"no vehicle named {text!r}; {meant}; `generic` is any car, `evpinn vehicles` lists all"
     )
 
 
