@@ -40,7 +40,7 @@ MSGS_INSTALLED := $(MSGS)/installed
 endif
 endif
 
-.PHONY: demo quick test test-matrix test-wheels lint bags golden docs site clean
+.PHONY: demo quick test test-matrix test-wheels lint bags golden docs layouts site clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
@@ -90,6 +90,10 @@ docs: $(INSTALLED)
 	@$(BIN)/python docs/live_view.py
 	@$(BIN)/python docs/generate.py
 	@$(BIN)/python docs/report.py
+
+# Pictures of the layouts for Foxglove and PlotJuggler: needs Chromium and npm.
+layouts: $(INSTALLED)
+	@$(BIN)/python docs/layouts.py
 
 # The documents and every docstring of the public API as a site, in out/site.
 site: $(INSTALLED)

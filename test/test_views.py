@@ -1,5 +1,6 @@
 """The ready layouts for Foxglove and PlotJuggler show topics and fields that exist."""
 
+import hashlib
 import json
 from pathlib import Path
 import re
@@ -153,6 +154,10 @@ def test_foxglove_takes_the_quantity_that_the_label_says(path):
 def test_foxglove_shows_diagnostics():
     shown = [c["topicToRender"] for c in FOXGLOVE["configById"].values() if "topicToRender" in c]
     assert shown == 2 * ["/diagnostics"]
+    chosen = FOXGLOVE["configById"]["DiagnosticStatusPanel!estimator"]
+    car, _, namespace = chosen["selectedHardwareId"].partition(" ")  # as `status_message` has it
+    assert car in vehicle_names() and namespace == NAMESPACE
+    assert chosen["selectedName"] == f"{NAMESPACE}/estimator: estimate"
 
 
 def test_foxglove_knows_the_settings():
@@ -201,3 +206,13 @@ def test_plotjuggler_names_what_it_scales():
     for curve in PLOTJUGGLER.iter("curve"):
         for transform in curve.iter("transform"):
             assert transform.get("alias") == curve.get("name").split("/")[-2]
+
+
+@pytest.mark.parametrize(
+    ("picture", "layout"),
+    [("layout_foxglove.png", "foxglove.json"), ("layout_plotjuggler.png", "plotjuggler.xml")],
+)
+def test_the_pictures_show_the_layouts_as_they_are(picture, layout):
+    """Made anew by `python docs/layouts.py`, which fails where a series is not in its bag."""
+    shown = hashlib.sha256((VIEWS / layout).read_bytes()).hexdigest()
+    assert shown.encode() in (VIEWS.parents[1] / "docs" / picture).read_bytes()
