@@ -81,6 +81,16 @@ OUTLIER = 2.5  # sigmas
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
 
 
+def lasting(mean: np.ndarray) -> np.ndarray:
+    """States, shape (..., SIZE), beyond the intervals learned: what is unseen of the road is zero.
+
+    What the last road seemed to have was measured to mislead about the next. Its variance stays.
+    """
+    mean = mean.copy()
+    mean[..., State.FORCE : State.ENERGY] = 0.0
+    return mean
+
+
 class Learned(NamedTuple):
     """The innovation of one interval: mixture residual, J, and its 1-sigma, J."""
 
@@ -108,6 +118,7 @@ class CarFilter(Saveable[SavedFilter]):
     """See the module's text. Intervals must come in order of time.
 
     Attributes:
+        constants: of the car, that are not learned.
         state: means and covariances of the K hypotheses.
         intervals: how many this drive was learned from.
         parts: where the energy of this drive went, None in a copy that need not know.
@@ -116,9 +127,9 @@ class CarFilter(Saveable[SavedFilter]):
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Start at the priors of a vehicle file."""
-        self._constants = Constants.of(vehicle)
+        self.constants = Constants.of(vehicle)
         self.prior = prior_of(vehicle)
-        self._hypotheses = np.array(list(product(range(3), FORCES)))
+        self._hypotheses = np.array(list(product(range(len(SLOPES)), FORCES)))
         count = len(self._hypotheses)
         one = self.prior.mean, self.prior.covariance
         self.state = Gaussian(*(np.repeat(each[None], count, axis=0) for each in one))
@@ -131,9 +142,8 @@ class CarFilter(Saveable[SavedFilter]):
         self.hills = LongHills(GROWTH)
         self._seconds = 0.0  # of this drive
         self.state = replace_states(self.state, self._drive_variance)
-        self._begin_road(height_known=False)
-
-    # What goes on ----------------------------------------------------------------------------
+        self._height_known = False
+        self.forget_road()
 
     def begin_drive(self, keep: bool = False) -> None:
         """Another drive: another road, and other offsets, of which some is as it was.
@@ -158,11 +168,25 @@ class CarFilter(Saveable[SavedFilter]):
         self.intervals, self._seconds = 0, 0.0
         earlier = self.parts if keep else None
         self.parts = earlier.next_drive(kept) if earlier else PartSums.none(len(self._scale))
-        self._begin_road(height_known=self._height_known)
+        self.forget_road()
 
     def forget_road(self) -> None:
         """After a jump of time: another place on the road."""
-        self._begin_road(height_known=self._height_known)
+        slopes, forces = self._scales()
+        rate = math.sqrt(3.0) / self._slope_length
+        self.state = replace_states(
+            self.state,
+            {
+                State.AUX: LOAD_STD**2,
+                State.FORCE: forces**2,
+                State.HEIGHT: (slopes / rate) ** 2,
+                State.SLOPE: slopes**2,
+                State.CLIMB: 0.0,
+                State.ENERGY: 0.0,
+            },
+        )
+        self.parts = self.parts and self.parts.without(FAST)
+        self.hills = self.hills.elsewhere()
 
     def learn(self, interval: Interval) -> Learned | None:
         """Let an interval pass and learn from it; None where its battery was not measured.
@@ -172,9 +196,12 @@ class CarFilter(Saveable[SavedFilter]):
         self._pass(interval)
         if interval.steps.motor_known:
             self._learn_motor(interval)
-        found = self._spent(interval)
+        dropout = math.isnan(interval.energy)
+        states = lasting(self.state.mean) if dropout else self.state.mean
+        passed = interval.steps, interval.conditions, self.warmth, self.constants
+        found = spent(states, *passed)
         noise = battery_variance(interval, found, self._scale)
-        if math.isnan(interval.energy):
+        if dropout:
             self._accumulate(found, noise + self._weight**2 * self.hills.unseen(interval))
             return None
         self.state = replace_states(self.state, {State.ENERGY: 0.0})
@@ -182,7 +209,7 @@ class CarFilter(Saveable[SavedFilter]):
         lost = (self._scale * lost_variance(interval, found))[:, None] * loss_shares(found)
         seen = self._see(found.gradient, interval.energy - found.energy, noise, lost)
         self._keep_losses_positive()
-        known = interval, self.state, weights, self.warmth, self._constants
+        known = interval, self.state, weights, self.warmth, self.constants
         self.parts = self.parts and self.parts.plus(*known)
         if abs(interval.distance) > STANDSTILL_SPEED * interval.duration:
             self._judge(seen)  # a standing car is not informative on slopes, winds and their noise
@@ -206,8 +233,6 @@ class CarFilter(Saveable[SavedFilter]):
         other._drive_variance = dict(self._drive_variance)
         return other
 
-    # What is known ---------------------------------------------------------------------------
-
     @property
     def weights(self) -> np.ndarray:
         """Probability of each hypothesis, shape (K,)."""
@@ -225,16 +250,16 @@ class CarFilter(Saveable[SavedFilter]):
         return float(whole.mean[State.ENERGY]), math.sqrt(max(0.0, variance))
 
     @property
+    def measured(self) -> bool:
+        """True while no energy is predicted without a battery."""
+        return not self.state.covariance[:, State.ENERGY, State.ENERGY].any()
+
+    @property
     def warmth(self) -> Warmth:
         """Coldness of tyres and cabin now."""
         return Warmth(
             math.exp(-self._seconds / ROLL_WARM_TIME), math.exp(-self._seconds / CABIN_TIME)
         )
-
-    @property
-    def constants(self) -> Constants:
-        """Constants of the car that are not learned."""
-        return self._constants
 
     @property
     def spread(self) -> np.ndarray:
@@ -253,8 +278,6 @@ class CarFilter(Saveable[SavedFilter]):
     def force_noise(self) -> float:
         """1-sigma of what no state explains while moving, N, over `NOISE_TIME`."""
         return FORCE_NOISE * math.sqrt(float(self.weights @ self._scale))
-
-    # State -----------------------------------------------------------------------------------
 
     def saved(self) -> SavedFilter:
         """State to save."""
@@ -283,26 +306,6 @@ class CarFilter(Saveable[SavedFilter]):
         self.intervals = saved.intervals
         self.hills = LongHills(saved.height_growth, saved.height_blocks)
         self._height_known = False  # as in a new filter, so that what follows is the same
-
-    # How -------------------------------------------------------------------------------------
-
-    def _begin_road(self, height_known: bool) -> None:
-        self._height_known = height_known
-        slopes, forces = self._scales()
-        rate = math.sqrt(3.0) / self._slope_length
-        self.state = replace_states(
-            self.state,
-            {
-                State.AUX: LOAD_STD**2,
-                State.FORCE: forces**2,
-                State.HEIGHT: (slopes / rate) ** 2,
-                State.SLOPE: slopes**2,
-                State.CLIMB: 0.0,
-                State.ENERGY: 0.0,
-            },
-        )
-        self.parts = self.parts and self.parts.without(FAST)
-        self.hills = self.hills.elsewhere()
 
     @property
     def _slope_length(self) -> float:
@@ -347,18 +350,12 @@ class CarFilter(Saveable[SavedFilter]):
         mean = self.state.mean
         return np.asarray(GRAVITY * np.exp(mean[:, State.MASS] - mean[:, State.ETA]))
 
-    def _spent(self, interval: Interval) -> Spent:
-        return spent(
-            self.state.mean, interval.steps, interval.conditions, self.warmth, self._constants
-        )
-
     def _learn_motor(self, interval: Interval) -> None:
         """Condition on the motor's energy: what the wheels take, whatever the battery gave."""
         steps = interval.steps
         for part, measured in enumerate((steps.motor_drive.sum(), steps.motor_brake.sum())):
-            energy, gradient = motor_energy(
-                self.state.mean, steps, interval.conditions, self.warmth, self._constants
-            )[part]
+            passed = steps, interval.conditions, self.warmth, self.constants
+            energy, gradient = motor_energy(self.state.mean, *passed)[part]
             most = np.maximum(energy, measured)
             noise = motor_variance(interval, most, self._scale, braking=part == 1)
             self._see(gradient, measured - energy, noise, np.zeros((1, COUNT)))

@@ -131,6 +131,24 @@ def test_energy_of_a_dropout_is_within_its_sigma_that_grows(fleet, vehicle, driv
     assert np.mean(np.abs(deviates) < 1.645) >= 0.7, deviates
 
 
+def test_a_dropout_predicts_nothing_of_the_road_before_it(fleet, drives):
+    """The load goes on, and so does what is known of the road, for when the battery is back."""
+    found, one = fleet[0][1], drives[0][0]
+    energies = []
+    for change in (0.0, 0.01):
+        silent = deepcopy(found)
+        silent.state.mean[:, State.FORCE] += change
+        silent.learn(replace(one, energy=math.nan))
+        assert found.measured and not silent.measured
+        energies.append(silent.unmeasured()[0])
+        left = silent.mixture().mean[State.FORCE] - found.mixture().mean[State.FORCE]
+    assert energies[0] == energies[1] and left > 0.008
+    silent = deepcopy(found)
+    silent.state.mean[:, State.AUX] += 100.0
+    silent.learn(replace(one, energy=math.nan))
+    assert silent.unmeasured()[0] - energies[0] == pytest.approx(100.0 * one.duration, rel=0.03)
+
+
 def test_no_loss_of_a_drivetrain_is_below_zero(vehicle, drives):
     """However it is driven: here by a car that gains 3 kW by turning."""
     world = World(vehicle, 0)

@@ -28,7 +28,7 @@ class Hills:
         time = self._begin + np.arange(0.0, seconds, 0.01)
         speed = 15.0 + 3.0 * np.sin(time / 20)
         for one in self._intervals(speed, height=self._height, begin_ns=self._begin * 10**9):
-            energy, *_ = spent(
+            drawn = spent(
                 self.truth.state.mean,
                 one.steps,
                 one.conditions,
@@ -38,7 +38,7 @@ class Hills:
             steps = one.steps._replace(
                 climb=sign * one.steps.climb + 0.02 * self._rng.standard_normal(6)
             )
-            energy = float(energy[0]) + 5e3 * self._rng.standard_normal()
+            energy = float(drawn.energy[0]) + 5e3 * self._rng.standard_normal()
             self.car.learn(replace(one, energy=energy, sampling_variance=0.0, steps=steps))
             suspected |= self.car.grade.suspected
         self._begin += seconds
