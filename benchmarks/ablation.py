@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from benchmarks.variants import Place, RecordedCar, Row, Variant, constant, score
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.long_hills import LongHills
@@ -44,6 +46,7 @@ VARIANTS = (
     Variant("no unseen slope", NO_SLOPE),
     Variant("no long hills", {constant("LongHills"): lambda _: _NoHills(0.0)}),
     Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
+    Variant("dropouts hold the road before", {constant("lasting"): np.copy}),
     Variant("no wandering load", {constant("LOAD_STD"): NOTHING}),
     Variant("no outliers", {constant("OUTLIER"): 1e3}),
     Variant("noise not scaled", {constant("MOST_SCALE"): 1.0}),
