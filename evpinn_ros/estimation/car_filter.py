@@ -250,11 +250,6 @@ class CarFilter(Saveable[SavedFilter]):
         return float(whole.mean[State.ENERGY]), math.sqrt(max(0.0, variance))
 
     @property
-    def measured(self) -> bool:
-        """True while no energy is predicted without a battery."""
-        return not self.state.covariance[:, State.ENERGY, State.ENERGY].any()
-
-    @property
     def warmth(self) -> Warmth:
         """Coldness of tyres and cabin now."""
         return Warmth(

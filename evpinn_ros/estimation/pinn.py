@@ -7,8 +7,9 @@ conditioned once a second on the intervals that ended in it, in a thread beside 
 same filter solved again over a window of the last minute, linearised anew, was measured and gains
 nothing. The network's weights return to their prior within ten seconds: its sliding window.
 
-What is unseen of the road, beside the car, is the network's part in power; during a battery
-dropout both fade, and the energy of the intervals gives the sigma.
+What is unseen of the road is the network's part in power. During a battery dropout the network
+fades and the energy of the intervals, with the exact heights and speeds of the weak form, leads:
+power is corrected, slowly, by what it missed.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.car_filter import CarFilter, SavedFilter, lasting
 from evpinn_ros.estimation.car_state import State
+from evpinn_ros.estimation.energy_debt import MAX_STEP, EnergyDebt
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.forecast_model import linear_power
@@ -48,9 +50,8 @@ from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import GRAVITY
 
-SAMPLE_STEP, MAX_STEP = 0.1, 10.0  # s that the first sample, and any, may stand for
+SAMPLE_STEP = 0.1  # s that the first sample stands for
 POWERS_KEPT = 20  # latest predictions of the physics, of samples whose battery is yet to come
-HISTORY = 1000  # samples since the last interval
 PARKED = 600.0  # s without speed, then it is another drive
 
 
@@ -66,6 +67,7 @@ class LearnedCar:
         loads: what the car reports of heating and cooling.
         gated: intervals not learned from, by reason.
         end_ns: of the last interval.
+        known_ns: up to where the battery was measured: before `end_ns` during a dropout.
         stretches: of road and drives begun so far; what began meanwhile outdates an update.
     """
 
@@ -74,7 +76,7 @@ class LearnedCar:
         self.filter, self.sums, self.rehearsal = CarFilter(vehicle), EnergySums(), Rehearsal()
         self.payload, self.grade, self.loads = PayloadDetector(), GradeSuspicion(), ReportedLoads()
         self.gated: Counter[str] = Counter()
-        self.end_ns = self.stretches = 0
+        self.end_ns = self.known_ns = self.stretches = 0
 
     def after(self, intervals: list[Interval]) -> LearnedCar:
         """The car after some more intervals; this one is left as it is."""
@@ -86,7 +88,8 @@ class LearnedCar:
         other.grade.take(self.grade.saved())
         other.loads.take(self.loads.saved())
         other.gated = Counter()
-        other.end_ns, other.stretches = self.end_ns, self.stretches
+        other.end_ns, other.known_ns = self.end_ns, self.known_ns
+        other.stretches = self.stretches
         for interval in intervals:
             other.learn(interval)
         return other
@@ -108,9 +111,12 @@ class LearnedCar:
         )
         self.rehearsal.learn(self.filter, interval)
         learned = self.filter.learn(interval)
+        if self.measured:  # before it; a gap between two intervals is not accounted for
+            self.known_ns = interval.start_ns
         self.end_ns = interval.end_ns
         if learned is None:
             return
+        self.known_ns = interval.end_ns
         self.sums.add(interval, found, self.filter.weights, self.filter.warmth.tyres)
         mean = self.filter.mixture().mean
         weight = GRAVITY * math.exp(mean[State.MASS] - mean[State.ETA])
@@ -125,12 +131,18 @@ class LearnedCar:
         weight = GRAVITY * math.exp(car.mixture().mean[State.MASS])
         return car.parts.breakdowns(car.weights, weight, car.hilliness)
 
+    @property
+    def measured(self) -> bool:
+        """True while no energy is predicted without a battery."""
+        return self.known_ns == self.end_ns
+
     def forget_road(self) -> None:
         """After a jump of time: another place on the road, and the car may have stood."""
         self.stretches += 1
         self.payload.forget_time()
         self.rehearsal.end()
         self.filter.forget_road()
+        self.known_ns = self.end_ns
 
     def begin_drive(self, keep: bool = False) -> None:
         """Another drive of this car; the breakdowns of those before are kept, or not."""
@@ -174,9 +186,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._waiting: list[Interval] = []
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
+        self._debt = EnergyDebt()
         self._powers: deque[tuple[Sample, float]] = deque(maxlen=POWERS_KEPT)
-        # Stamps of samples since the last interval, and how unsure their energy is, J.
-        self._unsure: deque[tuple[int, float]] = deque(maxlen=HISTORY)
         self.gated: Counter[str] = Counter()
         self._use(LearnedCar(vehicle))
 
@@ -206,11 +217,11 @@ class PinnLearner(Saveable[SavedPinn]):
         sigma = math.hypot(of_car, noise, STANDING_NOISE, correction.sigma)
         if sample.newest:
             return PowerPrediction(power, sigma)
-        since = self._unsure_since(sample.stamp_ns, of_car)
-        if self._car.filter.measured:
+        power += self._debt.repay(sample.stamp_ns, power, of_car)
+        if self._car.measured:
             return PowerPrediction(power, sigma)
         energy, energy_sigma = self._unmeasured
-        since *= self._car.rehearsal.chance.scale
+        since = self._debt.sigma_since(self._car.end_ns) * self._car.rehearsal.chance.scale
         return PowerPrediction(power, sigma, energy, math.hypot(energy_sigma, since))
 
     def observe(self, sample: Sample, power: float) -> None:
@@ -248,6 +259,8 @@ class PinnLearner(Saveable[SavedPinn]):
             return "outdated"
         self.gated.update(candidate.gated)
         self._use(candidate)
+        energy = 0.0 if candidate.measured else self._unmeasured[0]
+        self._debt.owe(candidate.known_ns, candidate.end_ns, energy)
         return None
 
     def parameters(self) -> ParameterSet:
@@ -279,7 +292,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._last_ns = None
         self._network.advance(PARKED)
         self._car.forget_road()
-        self._unsure.clear()
+        self._debt = EnergyDebt()
         self._use(self._car)
 
     def end_drive(self) -> None:
@@ -322,7 +335,7 @@ class PinnLearner(Saveable[SavedPinn]):
         # What is unseen of this place is the network's part: here it would count twice.
         self._mixture = Gaussian(lasting(mean), covariance)
         self._unmeasured = (math.nan, math.nan)
-        if not car.filter.measured:
+        if not car.measured:
             energy, sigma = car.filter.unmeasured()
             self._unmeasured = (energy, sigma * car.rehearsal.chance.scale)
 
@@ -344,15 +357,6 @@ class PinnLearner(Saveable[SavedPinn]):
             if predicted is sample:
                 return power
         return self._physics(sample)[0]
-
-    def _unsure_since(self, stamp_ns: int, sigma: float) -> float:
-        """1-sigma of the energy since the last interval, J; errors of the car add up."""
-        before_ns = self._unsure[-1][0] if self._unsure else stamp_ns
-        step = min(max((stamp_ns - before_ns) / NANOSECONDS, 0.0), MAX_STEP)
-        self._unsure.append((stamp_ns, sigma * step))
-        while self._unsure[0][0] <= self._car.end_ns and len(self._unsure) > 1:
-            self._unsure.popleft()
-        return sum(energy for _, energy in self._unsure)
 
     def _suspected(self) -> str | None:
         """Signal whose sign the data contradict; without current no grade can be checked."""

@@ -139,7 +139,6 @@ def test_a_dropout_predicts_nothing_of_the_road_before_it(fleet, drives):
         silent = deepcopy(found)
         silent.state.mean[:, State.FORCE] += change
         silent.learn(replace(one, energy=math.nan))
-        assert found.measured and not silent.measured
         energies.append(silent.unmeasured()[0])
         left = silent.mixture().mean[State.FORCE] - found.mixture().mean[State.FORCE]
     assert energies[0] == energies[1] and left > 0.008

@@ -9,6 +9,7 @@ import pytest
 
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import State
+from evpinn_ros.estimation.energy_debt import CATCH_UP, EnergyDebt
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.gaussian import Gaussian
 from evpinn_ros.estimation.pinn import PARKED, LearnedCar, PinnLearner
@@ -128,16 +129,37 @@ def test_reverse_and_charging_teach_nothing(learner, town):
     assert learner.gated == {"reverse": 2, "charging": 2}
 
 
-def test_a_car_that_stands_is_as_unsure_of_what_it_drove_as_before(learner):
+def test_the_debt_brings_the_integral_of_power_to_the_energy_of_the_intervals():
+    """Published is 5 kW, the intervals say 6 kW; they come 10 s late, each of 6 s."""
+    debt, published = EnergyDebt(), 0.0
+    for tick in range(3000):
+        published += (5000.0 + debt.repay(tick * STEP, 5000.0, 100.0)) / 10
+        end = tick - 100
+        if end > 0 and end % 60 == 0:
+            debt.owe(0, end * STEP, 6000.0 * end / 10)
+    # A thousand watts of ten seconds' lag and some of `CATCH_UP` stay owed.
+    assert 0.0 < 6000.0 * 300 - published < 1000.0 * (10 + 6 + 2 * CATCH_UP)
+    debt.owe(2999 * STEP, 2999 * STEP, 0.0)
+    assert debt.repay(3000 * STEP, 5000.0, 100.0) == 0.0
+
+
+def test_power_before_the_first_interval_of_a_dropout_is_not_owed():
+    """Intervals in doubt are left out while the battery is measured; 40 kW went through them."""
+    debt = EnergyDebt()
+    for tick in range(200):
+        debt.repay(tick * STEP, 40_000.0, 100.0)
+    debt.owe(50 * STEP, 50 * STEP, 0.0)
+    debt.owe(150 * STEP, 180 * STEP, 120_000.0)
+    assert abs(debt.repay(200 * STEP, 40_000.0, 100.0)) < 1.0
+
+
+def test_a_car_that_stands_is_as_unsure_of_what_it_drove_as_before():
     """What was published since the last interval counts with the sigma it had then."""
-    begin_ns = learner._car.end_ns
-    for tick in range(101):
-        driven = learner._unsure_since(begin_ns + tick * STEP, 1000.0)
-    assert driven == pytest.approx(10_000.0)
-    stood = learner._unsure_since(begin_ns + 110 * STEP, 50.0)
-    assert stood == pytest.approx(driven + 50.0)
-    learner._car.end_ns = begin_ns + 90 * STEP
-    assert learner._unsure_since(begin_ns + 111 * STEP, 0.0) == pytest.approx(1050.0)
+    debt = EnergyDebt()
+    for tick in range(200):
+        debt.repay(tick * STEP, 20_000.0, 1000.0 if tick < 100 else 50.0)
+    assert debt.sigma_since(50 * STEP) == pytest.approx(49 * 100.0 + 100 * 5.0)
+    assert debt.sigma_since(150 * STEP) == pytest.approx(49 * 5.0)
 
 
 def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(learner, town):
@@ -176,7 +198,7 @@ def test_power_holds_nothing_of_the_road_of_the_last_interval(learner):
     assert learner.predict(sample(0)).power > before + 50.0
 
 
-def test_the_newest_sample_has_no_energy_of_its_own(learner):
+def test_the_newest_sample_has_no_debt_of_its_own(learner):
     """Only smoothed samples, which have a profile, follow the intervals."""
     newest = replace(sample(5), profile=())
     first = learner.predict(newest)
