@@ -9,11 +9,7 @@ import logging
 import math
 
 import isotp
-from udsoncan.BaseService import BaseService
-from udsoncan.Request import Request
-from udsoncan.Response import Response
 from udsoncan.ResponseCode import ResponseCode
-from udsoncan.services.ReadDataByIdentifier import ReadDataByIdentifier
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.request import Address, RequestRule
@@ -31,32 +27,15 @@ REFUSALS = 3
 ANSWERS = ("answered", "short_answer", "pending", "busy", "refused")
 """Counters of a control unit's answers, not of noise on its id."""
 
+NEGATIVE = 0x7F
+"""First byte of a refusal, before the service that was asked and the reason (ISO 14229-1)."""
+
 LOGGER = "evpinn_ros.isotp"
 LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
 logging.getLogger(LOGGER).disabled = True  # it warns of every damaged frame, which we count
 
 Send = Callable[[CanFrame], bool]
 """Puts a frame on the bus; False when there is no bus now. Its stamp means nothing."""
-
-
-class CurrentData(BaseService):
-    """OBD-II service 01, which udsoncan does not bring."""
-
-    _sid = 0x01
-    _use_subfunction = False
-
-
-class ReadDataByLocalIdentifier(CurrentData):
-    """KWP2000 service 21, which udsoncan does not bring."""
-
-    _sid = 0x21
-
-
-SERVICES = {
-    service.request_id(): service
-    for service in (CurrentData, ReadDataByLocalIdentifier, ReadDataByIdentifier)
-}
-"""Name that udsoncan gives each of `evpinn_ros.can.request.READ_SERVICES`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +137,8 @@ class ControlUnit:
         self._deadline_s = now_s + ANSWER_TIMEOUT_S
         self._due_s[request.name] = now_s + request.period_s
         self._sent = False
-        service = SERVICES[request.payload[0]]
         self._link.reset()
-        self._link.send(Request(service, data=request.payload[1:]).get_payload())
+        self._link.send(request.payload)
         self._link.process()
         if self._sent:
             self.counters["asked"] += 1
@@ -187,20 +165,12 @@ class ControlUnit:
         self.counters["garbled"] += 1
 
     def _read(self, payload: bytes, now_s: float) -> Answer | None:
-        response = Response.from_payload(payload)
-        if not response.valid or response.service is None:
-            self.counters["unexpected_answer"] += 1
-        elif response.positive:
-            return self._take_positive(payload)
-        else:
-            self._take_negative(response.service.request_id(), response, now_s)
-        return None
-
-    def _take_positive(self, payload: bytes) -> Answer | None:
-        for request in self._requests.values():
-            if payload.startswith(request.echo):
-                break
-        else:
+        if payload[0] == NEGATIVE:
+            self._take_negative(payload, now_s)
+            return None
+        requests = self._requests.values()
+        request = next((each for each in requests if payload.startswith(each.echo)), None)
+        if request is None:
             self.counters["unexpected_answer"] += 1
             return None
         if request is self._asked:
@@ -213,21 +183,23 @@ class ControlUnit:
         self.counters["answered"] += 1
         return Answer(self._stamp_ns, request, data)
 
-    def _take_negative(self, service: int, response: Response, now_s: float) -> None:
+    def _take_negative(self, payload: bytes, now_s: float) -> None:
         asked = self._asked
-        if asked is None or service != asked.payload[0]:
+        if asked is None or len(payload) < 3 or payload[1] != asked.payload[0]:
             self.counters["unexpected_answer"] += 1
-        elif response.code == ResponseCode.RequestCorrectlyReceived_ResponsePending:
+            return
+        reason = payload[2]
+        if reason == ResponseCode.RequestCorrectlyReceived_ResponsePending:
             self.counters["pending"] += 1
             self._deadline_s = min(now_s + PENDING_TIMEOUT_S, self._asked_s + LONGEST_WAIT_S)
-        elif response.code == ResponseCode.BusyRepeatRequest:
+        elif reason == ResponseCode.BusyRepeatRequest:
             self.counters["busy"] += 1
             self._finish()
         else:
             self.counters["refused"] += 1
             self._refusals[asked.name] += 1
             if self._refusals[asked.name] >= REFUSALS:
-                self.retired[asked.name] = response.code_name
+                self.retired[asked.name] = ResponseCode.get_name(reason)
                 del self._due_s[asked.name]
             self._finish()
 

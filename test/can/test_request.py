@@ -6,10 +6,9 @@ import pytest
 
 from evpinn_ros.can.answers import AnswerDecoder
 from evpinn_ros.can.bridge import CanBridge
-from evpinn_ros.can.control_unit import SERVICES, Answer
+from evpinn_ros.can.control_unit import Answer
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.can.request import READ_SERVICES
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
@@ -27,10 +26,6 @@ EV6 = """
 103E620101EFFBE7 21EF6B2040017200 22FFF21C16201E20 23201F1E20004BBB 240DBB3D00008D00
 2500D09F0000D37D 2600009CDF00009B 274400895F240002 28CD000000000BB8
 """
-
-
-def test_every_service_that_reads_can_be_written():
-    assert SERVICES.keys() == READ_SERVICES.keys()
 
 
 def decode(name, **answers):
