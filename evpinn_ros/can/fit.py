@@ -15,7 +15,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+import math
+from operator import itemgetter
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import MOTORS, CanProfile
@@ -36,21 +38,49 @@ MARGIN = 0.1  # of the score by which another profile is better
 HOLDS = 0.5  # mean share of the received messages from which on a profile is worth naming
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class MessageFit:
-    """Fit of the frames of one message."""
+    """Fit of the frames of one message, counted as they come."""
 
     quantity: str  # of the profile: `speed`, `battery`, `state_of_charge`
     can_id: int  # of the message
-    frames: int  # all that came
-    good: int  # frames that hold
-    bad: Mapping[str, int]  # frames that do not, by reason: those of `Decoder`, and `jumped`
-    has_checksum: bool  # whether the profile knows the rule of the message's checksum
+    has_checksum: bool = False  # whether the profile knows the rule of the message's checksum
+    frames: int = 0  # all that came
+    good: int = 0  # frames that hold
+    # frames that do not, by reason: those of `Decoder`, and `jumped`
+    bad: Counter[str] = field(default_factory=Counter)
+    _data: bytes = b""  # of the newest frame that says something
+    _value: float | None = None
+    _stamp_ns: int = 0
+
+    def add_good(self, frame: CanFrame, value: float) -> None:
+        """Take a frame that gave a value, that of the quantity's first signal, SI."""
+        self.frames += 1
+        if frame.data == self._data and self.good:
+            return
+        if self._jumped(frame.stamp_ns, value):
+            self.bad[JUMPED] += 1
+        else:
+            self.good += 1
+        self._data, self._value, self._stamp_ns = frame.data, value, frame.stamp_ns
+
+    def add_bad(self, frame: CanFrame, reason: str) -> None:
+        """Take a frame that was dropped."""
+        self.frames += 1
+        if reason == SILENT_ON_FIT or (frame.data == self._data and self.bad):
+            return
+        self.bad[reason] += 1
+        self._data = frame.data
+
+    def restart(self) -> None:
+        """Forget the counts, not what value and payload came last."""
+        self.frames = self.good = 0
+        self.bad.clear()
 
     @property
     def share(self) -> float:
         """Of good frames, 0..1."""
-        total = self.good + sum(self.bad.values())
+        total = self.good + self.bad.total()
         if not total:
             return 0.5 if self.frames else 0.0
         return self.good / total
@@ -58,7 +88,7 @@ class MessageFit:
     @property
     def fails(self) -> bool:
         """Most frames do not hold."""
-        return sum(self.bad.values()) >= ENOUGH and self.share < 0.5
+        return self.bad.total() >= ENOUGH and self.share < 0.5
 
     @property
     def came_right(self) -> bool:
@@ -76,31 +106,64 @@ class MessageFit:
             return f"{what} never came"
         if self.share >= NEARLY_ALL:
             return f"{what} holds"
-        reason, count = max(self.bad.items(), key=lambda item: item[1], default=("", 0))
-        total = self.good + sum(self.bad.values())
-        return f"{what}: {100 * count / total:.0f} % {reason}" if total else f"{what}: no values"
+        total = self.good + self.bad.total()
+        if not total:
+            return f"{what}: no values"
+        reason, count = max(self.bad.items(), key=itemgetter(1))
+        return f"{what}: {100 * count / total:.0f} % {reason}"
+
+    def _jumped(self, stamp_ns: int, value: float) -> bool:
+        elapsed_ns = stamp_ns - self._stamp_ns
+        if self._value is None or elapsed_ns < 0:  # time went back, as when a log starts over
+            return False
+        step, rate = JUMPS.get(self.quantity, (math.inf, 0.0))
+        seconds = max(elapsed_ns, SHORTEST_NS) / NANOSECONDS
+        return abs(value - self._value) > step + rate * seconds
 
 
-@dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """Fit of one profile."""
+    """Fit of one profile by the frames so far: the `Witness` of its decoder.
 
-    profile: str  # its key
-    name: str  # for people
-    # of the profile; none when it only asks, so that listening cannot tell
-    messages: tuple[MessageFit, ...]
+    Attributes:
+        profile: its key.
+        name: for people.
+        messages: of the profile, by quantity; none when it only asks, so that listening cannot
+            tell.
+    """
+
+    def __init__(self, profile: CanProfile) -> None:
+        self.profile, self.name = profile.key, profile.name
+        self._by_quantity = {
+            quantity: MessageFit(quantity, rule.key[0], rule.checksum is not None)
+            for quantity, rule in profile.messages.items()
+            if quantity not in MOTORS
+        }
+        self.messages = list(self._by_quantity.values())
+
+    def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
+        """A frame gave values (see `Witness`)."""
+        if quantity in self._by_quantity:
+            self._by_quantity[quantity].add_good(frame, values[0])
+
+    def bad(self, quantity: str, frame: CanFrame, reason: str) -> None:
+        """A frame was dropped (see `Witness`)."""
+        if quantity in self._by_quantity:
+            self._by_quantity[quantity].add_bad(frame, reason)
+
+    def restart(self) -> None:
+        """Forget the counts, not what values and payloads came last."""
+        for message in self.messages:
+            message.restart()
 
     @property
     def score(self) -> float:
         """0..1, see the module's text."""
-        shares = [message.share for message in self.messages]
-        return sum(shares) / len(shares) if shares else 0.0
+        return _mean([message.share for message in self.messages])
 
     @property
     def holds(self) -> bool:
         """True if its received messages fit: a log may hold few of its ids."""
-        shares = [message.share for message in self.messages if message.frames]
-        return bool(shares) and sum(shares) / len(shares) > HOLDS
+        return _mean([message.share for message in self.messages if message.frames]) > HOLDS
 
     @property
     def frames(self) -> int:
@@ -113,15 +176,14 @@ class ProfileFit:
         return any(message.proven for message in self.messages)
 
     @property
-    def provable(self) -> bool:
-        """The profile knows the checksum of one message."""
-        return any(message.has_checksum for message in self.messages)
-
-    @property
     def order(self) -> tuple[float, ...]:
         """To sort by, best last: score, then proof, then how much of the traffic it explains."""
         good = sum(message.good for message in self.messages)
         return self.score, float(self.proven), len(self.messages) if good else 0, good
+
+
+def _mean(shares: Sequence[float]) -> float:
+    return sum(shares) / len(shares) if shares else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,90 +193,6 @@ class Contradiction:
     wrong: frozenset[str]  # quantities of the messages that speak against it
     why: str  # the same in words
     better: str | None  # key of a profile that fits better, None when none does
-
-
-class ProfileEvidence:
-    """Gathers what the frames say of one profile: the `Witness` of its decoder."""
-
-    def __init__(self, profile: CanProfile) -> None:
-        self._profile = profile
-        self._tallies = {
-            quantity: _Tally(*JUMPS.get(quantity, ()))
-            for quantity in profile.messages
-            if quantity not in MOTORS
-        }
-
-    def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
-        """A frame gave values (see `Witness`)."""
-        if quantity in self._tallies:
-            self._tallies[quantity].good_frame(frame, values[0])
-
-    def bad(self, quantity: str, frame: CanFrame, reason: str) -> None:
-        """A frame was dropped (see `Witness`)."""
-        if quantity in self._tallies:
-            self._tallies[quantity].bad_frame(frame, reason)
-
-    def restart(self) -> None:
-        """Forget the counts, not what values and payloads came last."""
-        for tally in self._tallies.values():
-            tally.frames = tally.good = 0
-            tally.bad.clear()
-
-    @property
-    def frames(self) -> int:
-        """Frames since the start."""
-        return sum(tally.frames for tally in self._tallies.values())
-
-    def fit(self) -> ProfileFit:
-        """Fit by the frames so far."""
-        messages = (
-            MessageFit(
-                quantity,
-                self._profile.messages[quantity].key[0],
-                tally.frames,
-                tally.good,
-                dict(tally.bad),
-                self._profile.messages[quantity].checksum is not None,
-            )
-            for quantity, tally in self._tallies.items()
-        )
-        return ProfileFit(self._profile.key, self._profile.name, tuple(messages))
-
-
-class _Tally:
-    """Counts the frames of one message."""
-
-    def __init__(self, step: float = float("inf"), rate: float = 0.0) -> None:
-        self.frames = self.good = 0
-        self.bad: Counter[str] = Counter()
-        self._step, self._rate = step, rate
-        self._data = b""
-        self._value: float | None = None
-        self._stamp_ns = 0
-
-    def good_frame(self, frame: CanFrame, value: float) -> None:
-        self.frames += 1
-        if frame.data == self._data and self.good:
-            return
-        if self._jumped(frame.stamp_ns, value):
-            self.bad[JUMPED] += 1
-        else:
-            self.good += 1
-        self._data, self._value, self._stamp_ns = frame.data, value, frame.stamp_ns
-
-    def bad_frame(self, frame: CanFrame, reason: str) -> None:
-        self.frames += 1
-        if reason == SILENT_ON_FIT or (frame.data == self._data and self.bad):
-            return
-        self.bad[reason] += 1
-        self._data = frame.data
-
-    def _jumped(self, stamp_ns: int, value: float) -> bool:
-        elapsed_ns = stamp_ns - self._stamp_ns
-        if self._value is None or elapsed_ns < 0:  # time went back, as when a log starts over
-            return False
-        seconds = max(elapsed_ns, SHORTEST_NS) / NANOSECONDS
-        return abs(value - self._value) > self._step + self._rate * seconds
 
 
 def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
@@ -237,7 +215,8 @@ def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradictio
     if wrong and (better or not own.proven):
         return _contradiction(wrong, better)
     proven = [each for each in holding if each.proven]
-    if proven and own.frames and own.provable and not own.proven:
+    provable = any(message.has_checksum for message in own.messages)
+    if proven and own.frames and provable and not own.proven:
         return _contradiction([each for each in own.messages if not each.proven], proven)
     return None
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 from enum import Enum
 
 from evpinn_ros.can.decoder import Decoder
-from evpinn_ros.can.fit import Contradiction, ProfileEvidence, ProfileFit, contradiction, ranked
+from evpinn_ros.can.fit import Contradiction, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, MotorReading, Reading
@@ -56,7 +56,7 @@ class FitGuard:
 
         `patient` always weighs ten seconds first, where nothing waits for the readings.
         """
-        self.evidence = ProfileEvidence(profile)
+        self.evidence = ProfileFit(profile)
         self.verdict = ProfileVerdict.UNDECIDED
         self.contradiction: Contradiction | None = None
         self.dropped: Counter[str] = Counter()
@@ -65,7 +65,7 @@ class FitGuard:
         self._begin_ns: int | None = None
         self._held: list[Reading] = []
         self._comparing = True
-        self._others: list[ProfileEvidence] = []
+        self._others: list[ProfileFit] = []
         self._decoders: dict[tuple[int, bool], list[Decoder]] = {}
         for other in others:
             if other.key != profile.key:
@@ -99,8 +99,7 @@ class FitGuard:
 
     def advice(self) -> str | None:
         """Key of the other profile that fits the traffic best, None when none does."""
-        fits = ranked(each.fit() for each in self._others)
-        return next((fit.profile for fit in fits if fit.holds), None)
+        return next((fit.profile for fit in ranked(self._others) if fit.holds), None)
 
     @property
     def held(self) -> int:
@@ -108,7 +107,7 @@ class FitGuard:
         return len(self._held)
 
     def _compare_with(self, other: CanProfile) -> None:
-        evidence = ProfileEvidence(other)
+        evidence = ProfileFit(other)
         decoder = Decoder(other, evidence)
         self._others.append(evidence)
         for key in {rule.key for rule in other.messages.values()}:
@@ -135,17 +134,18 @@ class FitGuard:
         """True if all that can be asked of the first frames is there."""
         if self._patient:
             return False
-        messages = [each for each in self.evidence.fit().messages if each.quantity in LEADING]
+        messages = [each for each in self.evidence.messages if each.quantity in LEADING]
         plain = all(message.good and not message.bad for message in messages)
         return plain and any(message.has_checksum for message in messages)
 
     def _is_torn(self) -> bool:
         """True if some message neither holds nor fails."""
-        messages = self.evidence.fit().messages
-        return any(each.bad and not (each.came_right or each.fails) for each in messages)
+        return any(
+            each.bad and not (each.came_right or each.fails) for each in self.evidence.messages
+        )
 
     def _decide(self) -> tuple[Reading, ...]:
-        found = self._judge(self.evidence.fit())
+        found = self._judge()
         held, self._held = tuple(self._held), []
         if found is not None:
             self.dropped["undecided"] += len(held)
@@ -159,8 +159,7 @@ class FitGuard:
         return held
 
     def _review(self, frame: CanFrame) -> None:
-        own = self.evidence.fit()
-        found = self._judge(own)
+        own, found = self.evidence, self._judge()
         if found is not None:
             self._refuse(found)
         elif self.contradiction is not None:
@@ -172,9 +171,8 @@ class FitGuard:
         self._comparing = self.verdict is ProfileVerdict.REFUSED or not spotless
         self._begin(frame)
 
-    def _judge(self, own: ProfileFit) -> Contradiction | None:
-        others = [each.fit() for each in self._others] if self._comparing else []
-        return contradiction(own, others)
+    def _judge(self) -> Contradiction | None:
+        return contradiction(self.evidence, self._others if self._comparing else [])
 
     def _refuse(self, found: Contradiction) -> None:
         better = found.better or self.advice()

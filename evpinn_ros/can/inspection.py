@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 import math
 
-from evpinn_ros.can.bus_load import frame_bits
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
-from evpinn_ros.can.fit import MessageFit, ProfileEvidence, ProfileFit, contradiction, ranked
+from evpinn_ros.can.fit import MessageFit, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import QUANTITIES, CanProfile
@@ -23,19 +22,45 @@ from evpinn_ros.signals.readings import (
 )
 
 NO_ANSWER = "no_answer"
+STANDARD_BITS, EXTENDED_BITS = 34, 54
+"""Bits of a data frame before its data and of its checksum, which stuffing applies to."""
+FIXED_BITS = 13  # delimiters, acknowledgement, end of frame and the pause after it: never stuffed
+STUFF_EVERY = 4  # bits, at worst
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class IdStatus:
-    """The traffic of one id."""
+    """The traffic of one id: mean and variance of its intervals are followed (Welford)."""
 
     can_id: int  # the id
     extended: bool  # whether it has 29 bits
-    count: int  # frames
-    period: float  # mean time from one to the next, s, NaN for a single one
-    jitter: float  # its standard deviation, s, NaN for fewer than three frames
-    age: float  # from the last one to the end, s
-    lengths: Mapping[int, int]  # frames by bytes of data
+    count: int = 0  # frames
+    lengths: Counter[int] = field(default_factory=Counter)  # frames by bytes of data
+    last_ns: int = 0  # when the newest frame was received
+    age: float = math.nan  # from that one to the end, s; known once it is reported
+    _mean: float = 0.0
+    _squares: float = 0.0
+
+    def add_frame(self, frame: CanFrame) -> None:
+        """Take the next frame."""
+        self.lengths[len(frame.data)] += 1
+        if self.count:
+            interval = (frame.stamp_ns - self.last_ns) / NANOSECONDS
+            difference = interval - self._mean
+            self._mean += difference / self.count
+            self._squares += difference * (interval - self._mean)
+        self.count += 1
+        self.last_ns = frame.stamp_ns
+
+    @property
+    def period(self) -> float:
+        """Mean time from one to the next, s, NaN for a single one."""
+        return self._mean if self.count > 1 else math.nan
+
+    @property
+    def jitter(self) -> float:
+        """Standard deviation of that time, s, NaN for fewer than three frames."""
+        return math.sqrt(self._squares / (self.count - 2)) if self.count > 2 else math.nan
 
     @property
     def rate(self) -> float:
@@ -58,19 +83,74 @@ class ValueStatus:
         self.lowest, self.highest = min(self.lowest, value), max(self.highest, value)
 
 
-@dataclass(frozen=True, slots=True)
 class ProfileReport:
-    """Report of one profile on the traffic."""
+    """Report of one profile, which decodes the whole bus, on the traffic.
 
-    fit: ProfileFit  # how well it fits
-    contradicted: str | None  # why it cannot be the right one, None while nothing says so
-    # `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came
-    values: Mapping[str, ValueStatus]
-    dropped: Mapping[str, int]  # values not used, by reason
-    asks: bool  # some of its quantities must be asked for; only answers to others are seen here
-    experimental: bool  # its sources disagree, so it is never the best
-    sign: str | None  # what is wrong with the sign of the current, None while nothing is
-    sign_decided: bool  # whether the car pulled away, braked or charged enough to judge that
+    Attributes:
+        fit: how well it fits.
+        contradicted: why it cannot be the right one, None while nothing says so.
+        values: `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came.
+        asks: some of its quantities must be asked for; only answers to others are seen here.
+        experimental: its sources disagree, so it is never the best.
+    """
+
+    def __init__(self, profile: CanProfile) -> None:
+        self.fit = ProfileFit(profile)
+        self.contradicted: str | None = None
+        self.values: defaultdict[str, ValueStatus] = defaultdict(ValueStatus)
+        self.asks, self.experimental = bool(profile.asked), profile.experimental
+        self._keys = {rule.key for rule in profile.messages.values()}
+        self._decoder, self._poller = Decoder(profile, self.fit), Poller(profile)
+        self._sign = CurrentSign()
+        self._answers: Counter[tuple[int, bool]] = Counter()
+        self._asked: list[tuple[MessageFit, tuple[int, bool]]] = []
+        for quantity, fields in profile.asked.items():
+            if quantity in QUANTITIES:
+                unit = fields[-1].request.address.answers_from
+                self._asked.append((MessageFit(quantity, unit[0]), unit))
+        self.fit.messages += [message for message, _ in self._asked]
+
+    def add_frame(self, frame: CanFrame) -> None:
+        """Take a frame; never raises."""
+        key = frame.can_id, frame.extended
+        readings: tuple[Reading, ...] = ()
+        if self._poller.is_answer(frame):
+            self._answers[key] += 1
+            readings = self._poller.decode(frame)
+        elif key in self._keys:
+            readings = self._decoder.decode(frame)
+        for reading in readings:
+            self._sign.add_reading(reading)
+            for name, value in _named_values(reading):
+                self.values[name].record(value)
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Values not used, by reason."""
+        return self._decoder.dropped + self._poller.dropped
+
+    @property
+    def sign(self) -> str | None:
+        """Fault of the sign of the current, None while there is none."""
+        return self._sign.fault
+
+    @property
+    def sign_decided(self) -> bool:
+        """True if the car pulled away, braked or charged enough to judge that."""
+        return self._sign.decided
+
+    def count_answers(self) -> None:
+        """Bring the fit of what is asked for up to date.
+
+        An answer takes many frames: what counts against a quantity are values dropped. Ids of
+        answers are the same in many cars. Frames that answer nothing we know speak of another one.
+        """
+        for message, unit in self._asked:
+            name = "voltage" if message.quantity == "battery" else message.quantity
+            message.frames = self._answers[unit]
+            message.good = self.values[name].count if name in self.values else 0
+            lacking = Counter({NO_ANSWER: message.frames} if message.frames else {})
+            message.bad = Counter(self._poller.dropped) if message.good else lacking
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +180,12 @@ class Inspection:
     def __init__(self, profiles: Iterable[CanProfile], bitrate: float) -> None:
         """Compare with profiles; bitrate, bit/s, is what the load is a share of."""
         self._bitrate = bitrate
-        self._ids: dict[tuple[int, bool], _Id] = {}
+        self._ids: dict[tuple[int, bool], IdStatus] = {}
         self._frames = self._uncounted = 0
         self._bits = [0, 0]
         self._first_ns: int | None = None
         self._last_ns = 0
-        self._candidates = [_Candidate(profile) for profile in profiles]
+        self._profiles = [ProfileReport(profile) for profile in profiles]
 
     def add_frame(self, frame: CanFrame) -> None:
         """Take a frame; never raises."""
@@ -117,11 +197,11 @@ class Inspection:
             self._bits[index] += bits
         key = (frame.can_id, frame.extended)
         if key in self._ids or len(self._ids) < MOST_IDS:
-            self._ids.setdefault(key, _Id()).add_frame(frame)
+            self._ids.setdefault(key, IdStatus(*key)).add_frame(frame)
         else:
             self._uncounted += 1
-        for candidate in self._candidates:
-            candidate.add_frame(frame)
+        for profile in self._profiles:
+            profile.add_frame(frame)
 
     def report(self, end_ns: int | None = None) -> BusReport:
         """Findings so far; ages count to `end_ns`, or to the newest frame."""
@@ -130,134 +210,35 @@ class Inspection:
         duration = (end_ns - first_ns) / NANOSECONDS
         possible = self._bitrate * duration
         low, high = (bits / possible if possible > 0 else math.nan for bits in self._bits)
-        fits = [candidate.fit() for candidate in self._candidates]
-        by_key = {candidate.key: candidate for candidate in self._candidates}
+        for traffic in self._ids.values():
+            traffic.age = (end_ns - traffic.last_ns) / NANOSECONDS
+        for profile in self._profiles:
+            profile.count_answers()
+        by_fit = {profile.fit: profile for profile in self._profiles}
+        for fit, profile in by_fit.items():
+            found = contradiction(fit, [other for other in by_fit if other is not fit])
+            profile.contradicted = found.why if found is not None else None
         return BusReport(
             duration=duration,
             frames=self._frames,
             uncounted=self._uncounted,
             load=(low, high),
-            ids=tuple(traffic.status(*key, end_ns) for key, traffic in sorted(self._ids.items())),
-            profiles=tuple(by_key[fit.profile].report(fit, fits) for fit in ranked(fits)),
+            ids=tuple(traffic for _, traffic in sorted(self._ids.items())),
+            profiles=tuple(by_fit[fit] for fit in ranked(by_fit)),
         )
 
 
-class _Id:
-    """Counts, and follows mean and variance of the intervals (Welford)."""
+def frame_bits(length: int, extended: bool) -> tuple[int, int]:
+    """Bits that a classic CAN data frame takes, without stuffing and with the most of it.
 
-    def __init__(self) -> None:
-        self._lengths: Counter[int] = Counter()
-        self._count = 0
-        self._last_ns = 0
-        self._mean = self._squares = 0.0
-
-    def add_frame(self, frame: CanFrame) -> None:
-        self._lengths[len(frame.data)] += 1
-        if self._count:
-            interval = (frame.stamp_ns - self._last_ns) / NANOSECONDS
-            difference = interval - self._mean
-            self._mean += difference / self._count
-            self._squares += difference * (interval - self._mean)
-        self._count += 1
-        self._last_ns = frame.stamp_ns
-
-    def status(self, can_id: int, extended: bool, end_ns: int) -> IdStatus:
-        intervals = self._count - 1
-        return IdStatus(
-            can_id=can_id,
-            extended=extended,
-            count=self._count,
-            period=self._mean if intervals else math.nan,
-            jitter=math.sqrt(self._squares / (intervals - 1)) if intervals > 1 else math.nan,
-            age=(end_ns - self._last_ns) / NANOSECONDS,
-            lengths=dict(self._lengths),
-        )
+    Davis, Burns, Bril, Lukkien: "Controller Area Network (CAN) schedulability analysis: refuted,
+    revisited and revised", Real-Time Systems 35, 2007, eq. 1.
+    """
+    stuffed = (EXTENDED_BITS if extended else STANDARD_BITS) + 8 * length
+    return stuffed + FIXED_BITS, stuffed + FIXED_BITS + (stuffed - 1) // STUFF_EVERY
 
 
-class _Candidate:
-    """One profile, decoding the whole bus."""
-
-    def __init__(self, profile: CanProfile) -> None:
-        self.key, self._experimental = profile.key, profile.experimental
-        self.evidence = ProfileEvidence(profile)
-        self._keys = {rule.key for rule in profile.messages.values()}
-        self._decoder = Decoder(profile, self.evidence)
-        self._asks, self._asked = bool(profile.asked), _Asked(profile)
-        self._values: dict[str, ValueStatus] = {}
-        self._sign = CurrentSign()
-
-    def add_frame(self, frame: CanFrame) -> None:
-        for reading in self._readings(frame):
-            self._sign.add_reading(reading)
-            for name, value in _named_values(reading):
-                self._values.setdefault(name, ValueStatus()).record(value)
-
-    def _readings(self, frame: CanFrame) -> tuple[Reading, ...]:
-        if self._asked.is_answer(frame):
-            return self._asked.decode(frame)
-        if (frame.can_id, frame.extended) in self._keys:
-            return self._decoder.decode(frame)
-        return ()
-
-    def fit(self) -> ProfileFit:
-        fit = self.evidence.fit()
-        return replace(fit, messages=(*fit.messages, *self._asked.fits()))
-
-    def report(self, fit: ProfileFit, fits: Iterable[ProfileFit]) -> ProfileReport:
-        found = contradiction(fit, [each for each in fits if each.profile != fit.profile])
-        return ProfileReport(
-            fit=fit,
-            contradicted=found.why if found is not None else None,
-            values={name: replace(values) for name, values in self._values.items()},
-            dropped=dict(self._decoder.dropped + self._asked.dropped),
-            asks=self._asks,
-            experimental=self._experimental,
-            sign=self._sign.fault,
-            sign_decided=self._sign.decided,
-        )
-
-
-class _Asked:
-    """The quantities of a profile that a tester asked for while we listened."""
-
-    def __init__(self, profile: CanProfile) -> None:
-        self._poller = Poller(profile)
-        self._units = {
-            quantity: fields[-1].request.address.answers_from
-            for quantity, fields in profile.asked.items()
-            if quantity in QUANTITIES
-        }
-        self._frames: Counter[tuple[int, bool]] = Counter()
-        self._good: Counter[str] = Counter()
-
-    @property
-    def dropped(self) -> Counter[str]:
-        return self._poller.dropped
-
-    def is_answer(self, frame: CanFrame) -> bool:
-        return self._poller.is_answer(frame)
-
-    def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
-        self._frames[frame.can_id, frame.extended] += 1
-        readings = self._poller.decode(frame)
-        for reading in readings:
-            self._good.update(name for name, _ in _named_values(reading))
-        return readings
-
-    def fits(self) -> Iterator[MessageFit]:
-        """An answer takes many frames: what counts against a quantity are values dropped.
-
-        Ids of answers are the same in many cars. Frames that answer nothing we know speak of
-        another one.
-        """
-        for quantity, unit in self._units.items():
-            frames = self._frames[unit]
-            good = self._good["voltage" if quantity == "battery" else quantity]
-            bad = dict(self.dropped) if good else {NO_ANSWER: frames} if frames else {}
-            yield MessageFit(quantity, unit[0], frames, good, bad, has_checksum=False)
-
-
-def _named_values(reading: Reading) -> Iterable[tuple[str, float]]:
+def _named_values(reading: Reading) -> Iterator[tuple[str, float]]:
     if isinstance(reading, SpeedReading):
         yield "speed", reading.speed
     elif isinstance(reading, BatteryReading):

@@ -3,10 +3,9 @@ import math
 
 import pytest
 
-from evpinn_ros.can.bus_load import frame_bits
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.inspection import MOST_IDS, Inspection
+from evpinn_ros.can.inspection import MOST_IDS, Inspection, frame_bits
 from evpinn_ros.can.profile import MOTORS, load_profile
 from evpinn_ros.signals.readings import BatteryReading
 from test.can.conftest import ALL, PROFILES
