@@ -19,9 +19,8 @@ from typing import IO, Any
 import can
 from can.io import mf4
 
-from evpinn_ros.can.blf import BlfReader
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
-from evpinn_ros.can.gvret import HEADER, GvretReader
+from evpinn_ros.can.log_readers import GVRET_HEADER, BlfReader, gvret_messages
 from evpinn_ros.common.errors import InputError, one_line
 from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.plain_file import open_file
@@ -213,7 +212,8 @@ def _is_possible(message: Any) -> bool:
 
 def _csv_reader(lines: _Lines) -> Any:
     """The reader of SavvyCAN's columns, or of python-can's own."""
-    return (GvretReader if lines.peek().startswith(HEADER) else can.CSVReader)(lines)
+    is_gvret = lines.peek().startswith(GVRET_HEADER)
+    return gvret_messages(lines) if is_gvret else can.CSVReader(lines)
 
 
 class _Lines:

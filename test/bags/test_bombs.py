@@ -19,14 +19,14 @@ from evpinn_ros.bags.limits import most_messages
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
-from evpinn_ros.can.blf import LARGEST_OBJECT
+from evpinn_ros.can.log_readers import LARGEST_OBJECT
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common import unpacking
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.npz import read_arrays
 from evpinn_ros.common.text_lines import LONGEST_LINE
 from evpinn_ros.common.unpacking import FREE_BYTES, most_unpacked
-from evpinn_ros.drives import open_drive
+from evpinn_ros.drives.sources import open_drive
 
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then data
 ZEROS = bytes(64 * FREE_BYTES)

@@ -1,13 +1,23 @@
-"""Vector .blf logs of anywhere: python-can trusts every length that a damaged one claims."""
+"""Readers of logs that python-can does not read, or trusts too much, in its own form.
+
+Vector's .blf logs may come from anywhere, and python-can trusts every length that a damaged one
+claims. CSV logs of SavvyCAN and of GVRET firmware hold a frame a row, hexadecimal:
+`Time Stamp,ID,Extended,Dir,Bus,LEN,D1,...,D8`, times in microseconds; version 1 has no `Dir`
+(SavvyCAN, framefileio.cpp, loadNativeCSVFile).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+import csv
 import logging
 import struct
 from typing import IO, Any
 
 import can
+
+GVRET_HEADER = "Time Stamp,ID,Extended"
+MICROSECOND = 1e-6
 
 # Bytes of a log that are read or kept at once. Vector's and python-can's containers hold 128 KB;
 # deflate makes a thousand times as much of zeros, and an object can claim to go on for ever.
@@ -63,3 +73,30 @@ def _sound_until(data: bytes) -> int:
         if size < _OBJECT.size:
             return position
         position += size
+
+
+def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
+    """The frames of a CSV log of SavvyCAN, of its lines with the header first.
+
+    Raises:
+        ValueError: a row is none of such a log.
+    """
+    reader = csv.reader(lines)
+    names = [name.strip("\ufeff ") for name in next(reader)]
+    first = names.index("LEN") + 1
+    for row in filter(any, reader):
+        cells = dict(zip(names, row, strict=False))
+        length = int(cells["LEN"])
+        data = bytes(int(cell, 16) for cell in row[first : first + length])
+        if len(data) < length:
+            raise ValueError(f"{len(data)} of {length} bytes")
+        yield can.Message(
+            timestamp=int(cells["Time Stamp"]) * MICROSECOND,
+            arbitration_id=int(cells["ID"], 16),
+            is_extended_id=cells["Extended"].strip().lower() in ("true", "1"),
+            is_rx=cells.get("Dir", "").strip().lower() != "tx",
+            channel=cells.get("Bus"),
+            dlc=length,
+            data=data,
+            is_fd=length > 8,
+        )
