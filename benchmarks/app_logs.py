@@ -16,8 +16,8 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.evidence import Signal, at_times
+from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -61,10 +61,9 @@ def read_log(path: Path) -> LogRead:
         InputError: it cannot be read.
     """
     begun = time.perf_counter()
-    source = open_drive(path)
-    readings = list(source.readings())
+    drive = open_drive(path)
+    readings = list(drive.readings())
     took = time.perf_counter() - begun
-    drive = source.drive
     rows, used, dropped = drive.rows, drive.used, dict(drive.dropped)
     lost = sum(dropped.get(name, 0) for name in ("wrong_number_of_cells", "no_time"))
     way, odometer = _ways(readings, drive)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.recordings import recordings
+from evpinn_ros.drives.formats import recordings
 
 
 class Log(NamedTuple):

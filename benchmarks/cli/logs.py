@@ -15,7 +15,7 @@ from benchmarks.cli.output import json_at_the_end, table_of
 from evpinn_ros.cli.console import note, progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.recordings import recordings
+from evpinn_ros.drives.formats import recordings
 
 
 def logs(

@@ -6,31 +6,26 @@ from collections.abc import Sequence
 
 from evpinn_ros.cli.console import note
 from evpinn_ros.drives.column import Column
-from evpinn_ros.drives.open_drive import DriveSource
 from evpinn_ros.drives.sources import Source
 
 
 def explain_columns(source: Source) -> None:
     """Say what was guessed of a table; of one with our own names what is not used."""
-    if not isinstance(source, DriveSource):
-        return
-    drive = source.drive
-    guessed = [rule for rule in drive.rules if rule.why]
-    if not guessed:
-        if drive.ignored:
-            note(f"{source.path}: columns not used: {shorter(drive.ignored)}")
+    if not any(rule.why for rule in source.rules):
+        if source.ignored:
+            note(f"{source.path}: columns not used: {shorter(source.ignored)}")
         return
     note(f"{source.path}: columns were found by their names and values:")
-    for rule in drive.rules:
+    for rule in source.rules:
         note(f"  {_line(rule)}")
-    if drive.ignored:
-        note(f"  not used: {shorter(drive.ignored)}")
+    if source.ignored:
+        note(f"  not used: {shorter(source.ignored)}")
     note("  if one is wrong: --column speed='NAME:km/h', --column current='NAME:-A', ...")
 
 
 def explain_notes(source: Source) -> None:
     """Say what turned out on reading."""
-    for text in getattr(source, "notes", ()):
+    for text in source.notes:
         note(text if text.startswith(str(source.path)) else f"{source.path}: {text}")
 
 

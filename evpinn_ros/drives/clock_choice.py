@@ -9,7 +9,7 @@ import numpy as np
 
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.numbers import Style
-from evpinn_ros.drives.quantities import QUANTITIES, score
+from evpinn_ros.drives.quantities import score
 from evpinn_ros.drives.survey import Survey
 from evpinn_ros.drives.times import (
     DAY_NS,
@@ -48,9 +48,8 @@ def choose_clock(
 
 def _clock(column: Column, survey: Survey, styles: Mapping[int, Style]) -> Clock | None:
     cells = survey.cells[column.place]
-    own = column.name == QUANTITIES["time"].column
     numbers = clock_of_numbers(column.place, cells, styles[column.place], column.unit or None)
-    if own:  # its name says seconds; cells that are none are counted one by one
+    if column.is_ours:  # its name says seconds; cells that are none are counted one by one
         return numbers or Clock((column.place,), "number", style=styles[column.place])
     return numbers or clock_of_text((column.place,), [cells])
 
@@ -59,17 +58,16 @@ def _is_day_alone(clock: Clock, survey: Survey) -> bool:
     """True if the column holds dates without a clock, or with that of midnight."""
     if clock.kind != "date" or len(clock.columns) > 1:
         return False
-    stamps = clock.stamps([survey.cells[clock.columns[0]]])
+    stamps = clock.stamps(survey.cells)
     known = stamps[stamps != NONE]
     return known.size > 1 and not (known % DAY_NS).any()
 
 
 def _merit(clock: Clock, survey: Survey, header: Sequence[str]) -> tuple[float, ...]:
-    stamps = clock.stamps([survey.cells[place] for place in clock.columns])
+    stamps = clock.stamps(survey.cells)
     if is_newest_first(stamps[stamps != NONE]):
         stamps = stamps[::-1]
-    if unwrapped := clock.unwrapped:
-        stamps = unwrapped.add(stamps)
+    stamps = clock.running().add(stamps)
     known = stamps[stamps != NONE]
     steps = np.diff(known)
     return (

@@ -33,9 +33,18 @@ class Column:
     offset: float = 0.0  # to SI, added after the factor
     place: int = 0  # of the column in the file, from 0
 
+    @property
+    def is_ours(self) -> bool:
+        """True if its name is one of ours, which tells the unit and the sign."""
+        return self.name == QUANTITIES[self.quantity].column
+
     def measured_in(self, text: str, unit: Unit, why: str) -> Column:
         """The same column, its unit known."""
         return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
+
+    def turned(self) -> Column:
+        """The same column with the other sign."""
+        return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
 
     def in_unit(self, text: str, why: str) -> Column:
         """The same column in a unit of its quantity, as `QUANTITIES` spells it."""
@@ -131,16 +140,12 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
         given_unit, meant = unit_of(quantity, name)
         column = Column(quantity, name, why="as given", place=place)
         return column.measured_in(given_unit, meant, "as given") if meant else column
-    meant = known_unit(quantity, unit.lower().lstrip("-"))
+    bare = unit.lstrip("-")
+    meant = known_unit(quantity, bare.lower())
     if meant is None:
         raise InputError(f"--column {text}: the unit is one of {_spellings(quantity)}")
-    column = Column(quantity, name, place=place).measured_in(unit, meant, "as given")
-    return turned(column) if unit.startswith("-") else column
-
-
-def turned(column: Column) -> Column:
-    """The column with the other sign."""
-    return replace(column, factor=-column.factor, offset=-column.offset)
+    column = Column(quantity, name, place=place).measured_in(bare, meant, "as given")
+    return column.turned() if unit.startswith("-") else column
 
 
 def _by_name(quantity: str, header: Sequence[str], place: int) -> Column:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag, open_can_log
 from evpinn_ros.bags.convert import reported
@@ -18,8 +17,8 @@ from evpinn_ros.can.profile import bundled_profiles
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, data_coverage
-from evpinn_ros.drives.open_drive import DriveSource
-from evpinn_ros.drives.sources import Source, is_drive_table, open_source
+from evpinn_ros.drives.formats import is_drive_table
+from evpinn_ros.drives.sources import Source, open_source
 from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here
@@ -47,7 +46,7 @@ class Contents:
     topics: tuple[TopicContents, ...] = ()  # of a bag
     columns: tuple[Column, ...] = ()  # of a table that are used
     unused: tuple[str, ...] = ()  # names of those that are not
-    # what tells the day of a table, see `TableDrive`; None of what has stamps
+    # what tells the day of a table, see `Source`; None of what has stamps
     dated: str | None = None
     zoned: bool = True  # whether its clock is UTC or names its zone
     frames: int = 0  # of a CAN log or a bag, that were looked at for the profile; 0 without
@@ -125,10 +124,9 @@ def _with_frames(found: Contents, log: CanLog, bar: Bar) -> Contents:
 def _with_drive(
     found: Contents, profile: str | None, columns: Sequence[str], bar: Bar
 ) -> Contents:
-    """Add what the estimator can use; of a bag its topics, and its frames where there are none."""
-    own = None if found.kind == "bag" and _has_readings(found.path) else profile
+    """Add what the estimator can use."""
     try:
-        source = open_source(found.path, load_vehicle(GENERIC), own, columns=columns)
+        source = _source(found, profile, columns)
         with bar(source.seconds) as progress:
             drive = data_coverage(reported(source.readings(), progress))
     except InputError as error:
@@ -137,30 +135,20 @@ def _with_drive(
         return replace(found, notes=(str(error),))
     return replace(
         found,
-        **_of_table(source),
+        columns=source.rules,
+        unused=source.ignored,
+        dated=source.dated,
+        zoned=source.zoned,
         drive=drive,
         dropped=source.dropped,
-        notes=(*getattr(source, "notes", ()), *filter(None, [source.problem])),
+        notes=(*source.notes, *filter(None, [source.problem])),
     )
 
 
-def _of_table(source: Source) -> dict[str, Any]:
-    """Facts of a table beside its readings."""
-    if not isinstance(source, DriveSource):
-        return {}
-    drive = source.drive
-    return {
-        "columns": drive.rules,
-        "unused": drive.ignored,
-        "dated": drive.dated,
-        "zoned": drive.zoned,
-    }
-
-
-def _has_readings(path: Path) -> bool:
-    """True if a bag has topics of ours, which are preferred to its frames."""
-    try:
-        open_source(path, load_vehicle(GENERIC))
-    except InputError:
-        return False
-    return True
+def _source(found: Contents, profile: str | None, columns: Sequence[str]) -> Source:
+    """The drive in a recording; topics of ours are preferred to the frames of a bag."""
+    vehicle = load_vehicle(GENERIC)
+    if found.kind == "bag":
+        with suppress(InputError):
+            return open_source(found.path, vehicle)
+    return open_source(found.path, vehicle, profile, columns=columns)

@@ -39,6 +39,16 @@ class Signal:
     time: FloatArray
     value: FloatArray
 
+    def points(self) -> tuple[FloatArray, FloatArray]:
+        """Times and values where both are finite."""
+        known = np.isfinite(self.time) & np.isfinite(self.value)
+        return self.time[known], self.value[known]
+
+    @property
+    def known(self) -> FloatArray:
+        """The values that are finite."""
+        return self.value[np.isfinite(self.value)]
+
 
 def with_units(
     found: Mapping[str, Column], cells: Mapping[str, Signal], header: frozenset[str]
@@ -50,18 +60,13 @@ def with_units(
     done = {name: _by_app(column, header) for name, column in found.items()}
     if "odometer" in done and not done["odometer"].unit:
         done["odometer"] = done["odometer"].in_unit("km", "assumed")
-    if "power" in done and not done["power"].unit and not _is_known(done["power"]):
-        done["power"] = _power_unit(done["power"], cells["power"].value)
-    if "speed" in done and not _is_known(done["speed"]):
-        done["speed"] = _speed_unit(done["speed"], cells, _road(done, cells), done)
+    for name, decide in _BY_VALUES.items():  # the speed's needs the unit of power
+        if name in done and not _is_known(done[name]):
+            done[name] = decide(done[name], done, cells)
     for name in SIGNED:
-        if name in done and _is_guessed(done[name]):
+        if name in done and done[name].why != "as given" and not done[name].is_ours:
             positive, shows = _sign(cells[name], done["speed"], cells)
             done[name] = _say_sign(done[name], positive, shows)
-    if "charge" in done and not _is_known(done["charge"]):
-        done["charge"] = _charge_unit(done["charge"], cells["charge"].value)
-    if "ambient" in done and not _is_known(done["ambient"]):
-        done["ambient"] = _temperature_unit(done["ambient"], cells["ambient"].value)
     for name, column in done.items():
         if not _is_known(column):
             done[name] = column.in_unit(next(iter(QUANTITIES[name].units)), "assumed")
@@ -69,12 +74,7 @@ def with_units(
 
 
 def _is_known(column: Column) -> bool:
-    return bool(column.unit) or column.name == QUANTITIES[column.quantity].column
-
-
-def _is_guessed(column: Column) -> bool:
-    """True if neither its name nor a person decides how a column is to be read."""
-    return column.why != "as given" and column.name != QUANTITIES[column.quantity].column
+    return bool(column.unit) or column.is_ours
 
 
 def _by_app(column: Column, header: frozenset[str]) -> Column:
@@ -98,11 +98,11 @@ def _road(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:
     known = np.isfinite(counted.time) & (counted.value > 0)
     time, value = counted.time[known], counted.value[known]
     steps = np.flatnonzero(np.diff(value) > 0) + 1
-    known = np.isfinite(speed.time) & np.isfinite(speed.value)
-    if steps.size <= LEAST_SEGMENTS or known.sum() < LEAST_EVENTS:
+    times, speeds = speed.points()
+    if steps.size <= LEAST_SEGMENTS or times.size < LEAST_EVENTS:
         return np.nan
-    times, span = speed.time[known], np.diff(speed.time[known])
-    middle = 0.5 * np.abs(speed.value[known][1:] + speed.value[known][:-1])
+    span = np.diff(times)
+    middle = 0.5 * np.abs(speeds[1:] + speeds[:-1])
     way = np.concatenate(([0.0], np.cumsum(middle * span)))
     gaps = np.concatenate(([0.0], np.cumsum(span > LONGEST_STEP)))
     ways = np.diff(np.interp(time[steps], times, way))
@@ -144,10 +144,11 @@ def _power_of(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signa
 
 
 def _speed_unit(
-    column: Column, cells: Mapping[str, Signal], road: float, found: Mapping[str, Column]
+    column: Column, found: Mapping[str, Column], cells: Mapping[str, Signal]
 ) -> Column:
     signal, odometer = cells["speed"], found.get("odometer")
     units = QUANTITIES["speed"].units
+    road = _road(found, cells)
     if road > 0:
         ratios = {text: abs(np.log(units[text].factor / road)) for text in ("km/h", "mph", "m/s")}
         text = min(ratios, key=lambda each: ratios[each])
@@ -163,7 +164,7 @@ def _speed_unit(
         text = min(masses, key=lambda each: abs(np.log(masses[each] / USUAL_MASS)))
         if abs(np.log(masses[text] / USUAL_MASS)) < np.log(3.0):
             return column.in_unit(text, "by the power that accelerating takes")
-    value = signal.value[np.isfinite(signal.value)]
+    value = signal.known
     fastest = float(np.abs(value).max(initial=0.0))
     changes = np.sort(np.abs(accelerations(signal)[1]))
     strongest = changes[int(0.99 * changes.size)] if changes.size else 0.0
@@ -191,8 +192,7 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
     Returns:
         times, and unit of the speed per second; shape (n,) each.
     """
-    known = np.isfinite(speed.time) & np.isfinite(speed.value)
-    time, value = speed.time[known], speed.value[known]
+    time, value = speed.points()
     if time.size < 3:
         return np.empty(0), np.empty(0)
     steps = np.diff(time)
@@ -206,8 +206,7 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
 
 def at_times(signal: Signal, times: FloatArray) -> FloatArray:
     """The signal at other times by interpolation; NaN within a gap of its own."""
-    known = np.isfinite(signal.time) & np.isfinite(signal.value)
-    time, value = signal.time[known], signal.value[known]
+    time, value = signal.points()
     if time.size < 2:
         return np.full(times.shape, np.nan)
     order = np.argsort(time, kind="stable")
@@ -253,27 +252,21 @@ def _sag(current: Signal, voltage: Signal) -> float:
 
 def _say_sign(column: Column, positive: bool, shows: str) -> Column:
     text = column.unit or next(iter(QUANTITIES[column.quantity].units))
-    unit = QUANTITIES[column.quantity].units.get(text)
-    factor = column.factor if column.unit or unit is None else unit.factor
-    sign = 1.0 if positive else -1.0
-    return replace(
-        column,
-        factor=sign * factor,
-        unit=text if positive else f"-{text}",
-        why=f"{'positive' if positive else 'negative'} while it discharges, {shows}",
-    )
+    column = column if column.unit else column.in_unit(text, "")
+    why = f"{'positive' if positive else 'negative'} while it discharges, {shows}"
+    return replace(column if positive else column.turned(), why=why)
 
 
-def _power_unit(column: Column, values: FloatArray) -> Column:
+def _power_unit(column: Column, _: Mapping[str, Column], cells: Mapping[str, Signal]) -> Column:
     """Watts, or kilowatts where they would not move a car."""
-    known = np.abs(values[np.isfinite(values)])
+    known = np.abs(cells["power"].known)
     largest = float(np.quantile(known, 0.99)) if known.size else 0.0
     text = "kw" if 0 < largest < WEAKEST else "w"
     return column.in_unit(text, f"by its size, up to {largest:.3g}")
 
 
-def _charge_unit(column: Column, values: FloatArray) -> Column:
-    known = values[np.isfinite(values)]
+def _charge_unit(column: Column, _: Mapping[str, Column], cells: Mapping[str, Signal]) -> Column:
+    known = cells["charge"].known
     highest = float(known.max(initial=0.0))
     if 0 < highest <= 1.0:
         return column.in_unit("fraction", "by its size")
@@ -284,12 +277,23 @@ def _charge_unit(column: Column, values: FloatArray) -> Column:
     return column.in_unit("%", "by its size")
 
 
-def _temperature_unit(column: Column, values: FloatArray) -> Column:
-    known = values[np.isfinite(values)]
+def _temperature_unit(
+    column: Column, _: Mapping[str, Column], cells: Mapping[str, Signal]
+) -> Column:
+    known = cells["ambient"].known
     middle = float(np.median(known)) if known.size else 0.0
     if middle > HOTTEST:
         return column.in_unit("f", f"{middle:.3g} in the median is no weather in C")
     return column.in_unit("c", f"{middle:.3g} in the median, assumed")
+
+
+_BY_VALUES = {
+    "power": _power_unit,
+    "speed": _speed_unit,
+    "charge": _charge_unit,
+    "ambient": _temperature_unit,
+}
+"""What finds the unit of a quantity that has none, by its values; in this order."""
 
 
 def seconds(stamps_ns: NDArray[np.int64], first_ns: int) -> FloatArray:

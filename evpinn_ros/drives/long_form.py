@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from evpinn_ros.drives.quantities import QUANTITIES, score
+from evpinn_ros.drives.quantities import may_be_of_use, score
 from evpinn_ros.drives.survey import Head, Row, Table
 
 MOST_SIGNALS = 10_000
@@ -41,7 +41,7 @@ class LongTable:
     @property
     def torn(self) -> int:
         """Lines that are no row."""
-        return self._narrow + int(getattr(self._table, "torn", 0))
+        return self._narrow + self._table.torn
 
     def rows(self) -> Iterator[Row]:
         """The header, then a row for each value of a signal that has a column."""
@@ -63,6 +63,11 @@ class LongTable:
             cells[place] = row[self._value]
             yield number, cells
 
+    def last_row(self) -> list[str]:
+        """The times of the last row, none where the table does not show it."""
+        row = self._table.last_row()
+        return [row[time] for time in self._time if time < len(row)]
+
     def _find(self) -> None:
         seen: set[tuple[str, str]] = set()
         for number, row in self._table.rows():
@@ -73,7 +78,7 @@ class LongTable:
                 continue
             seen.add(key)
             name, unit = key[0].strip(), key[1].strip()
-            if any(score(quantity, name) > 0 for quantity in QUANTITIES if quantity != "time"):
+            if may_be_of_use(name):
                 self._columns[key] = len(self._names)
                 self._names.append(f"{name} ({unit})" if unit else name)
             else:

@@ -234,6 +234,11 @@ def score(quantity: str, name: str) -> float:
     return 1.0 + has(known.better) - 0.5 * min(1, has(known.worse))
 
 
+def may_be_of_use(name: str) -> bool:
+    """True if a signal of this name may hold a quantity beside the time."""
+    return any(score(quantity, name) > 0 for quantity in QUANTITIES if quantity != "time")
+
+
 def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
     """The unit that a name tells, as it is spelled; none when it tells none.
 

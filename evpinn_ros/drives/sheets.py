@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import date, datetime, time
 from itertools import islice
 from pathlib import Path
@@ -94,6 +95,10 @@ class SheetTable:
         except Exception as error:  # openpyxl over a damaged file: anything
             raise InputError(f"{self.path}: {error or type(error).__name__}") from error
 
+    def last_row(self) -> list[str]:
+        """No cells: a sheet does not show its end."""
+        return []
+
     def _of_sheet(self, sheet: Any) -> Iterator[Row]:
         # The size that a sheet states is not trusted: it may be a million rows.
         sheet.reset_dimensions()
@@ -152,17 +157,21 @@ class ParquetTable:
             InputError: it cannot be read.
         """
         yield 0, list(self._columns)
-        frame = pl.scan_parquet(self.path).select(
-            pl.col(self._columns).cast(pl.String, strict=False)
-        )
         start = 0
-        while True:
-            try:
-                part = frame.slice(start, ROWS_AT_ONCE).collect()
-            except (OSError, pl.exceptions.PolarsError) as error:
-                raise InputError(f"{self.path}: {one_line(error)[:200]}") from error
-            for number, row in enumerate(part.iter_rows(), start + 1):
-                yield number, ["" if cell is None else cell for cell in row]
-            if part.height < ROWS_AT_ONCE:
-                return
-            start += part.height
+        while part := self._part(start, ROWS_AT_ONCE):
+            yield from enumerate(part, start + 1)
+            start += len(part)
+
+    def last_row(self) -> list[str]:
+        """The cells of the last row, none where it cannot be read."""
+        with suppress(InputError):
+            return next(iter(self._part(-1, 1)), [])
+        return []
+
+    def _part(self, start: int, count: int) -> list[list[str]]:
+        columns = pl.col(self._columns).cast(pl.String, strict=False)
+        try:
+            part = pl.scan_parquet(self.path).select(columns).slice(start, count).collect()
+        except (OSError, pl.exceptions.PolarsError) as error:
+            raise InputError(f"{self.path}: {one_line(error)[:200]}") from error
+        return [["" if cell is None else cell for cell in row] for row in part.iter_rows()]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
-import zlib
+from typing import TYPE_CHECKING
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
 from evpinn_ros.bags.convert import BagReadings
@@ -14,50 +14,87 @@ from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.guard import FitGuard
-from evpinn_ros.can.gvret import HEADER as GVRET_HEADER
 from evpinn_ros.can.logs import LOG_SUFFIXES, LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import open_file
-from evpinn_ros.common.unpacking import open_gzipped
-from evpinn_ros.drives import open_drive
-from evpinn_ros.drives.formats import MEASUREMENT_SUFFIX, is_table, suffix_of
-from evpinn_ros.drives.measurement import holds_signals
+from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.formats import (
+    MEASUREMENT_SUFFIX,
+    PARQUET_SUFFIXES,
+    SHEET_SUFFIXES,
+    TEXT_SUFFIXES,
+    is_drive_table,
+    suffix_of,
+)
+from evpinn_ros.drives.measurement import MeasuredTable
+from evpinn_ros.drives.survey import Table
+from evpinn_ros.drives.text_table import TextTable
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.readings import Rotation
 from evpinn_ros.vehicle.files import Vehicle
 
-FRAME_COLUMN = "arbitration_id"  # tells a CAN log's CSV from a drive's
+if TYPE_CHECKING:
+    from evpinn_ros.drives.table_drive import TableDrive
+
+NOMINAL_VOLTAGE = 350.0  # V, of a car that is not known
 
 
-class Source(Protocol):
-    """A recorded drive."""
+class Source(ABC):
+    """A recorded drive.
 
-    path: Path  # where it lies
-    dropped: Counter[str]  # what was not used, by reason; complete once the readings are exhausted
+    Attributes:
+        path: where it lies.
+        dropped: what was not used, by reason; complete once the readings are exhausted.
+        rules: columns of a table that are used, in the order of the file.
+        ignored: names of those that are not.
+        dated: what tells the day of a table: `log`, `name` of the file, "" for nothing; None of
+            what has stamps.
+        zoned: the clock is UTC or names its zone.
+    """
+
+    rules: tuple[Column, ...] = ()
+    ignored: tuple[str, ...] = ()
+    dated: str | None = None
+    zoned = True
+
+    def __init__(self, path: Path) -> None:
+        """Nothing was dropped yet."""
+        self.path = path
+        self.dropped: Counter[str] = Counter()
 
     @property
+    @abstractmethod
     def seconds(self) -> float | None:
         """Length of the drive, s; None where only reading it tells."""
 
     @property
+    @abstractmethod
     def problem(self) -> str | None:
         """Unreadable part, in one line; None while all is well, final when exhausted."""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for a person on how it was read; complete once exhausted."""
+        return ()
+
+    @abstractmethod
     def readings(self) -> Iterator[Reading]:
-        """The readings in recorded order."""
+        """The readings in recorded order, up to where the drive can be read.
+
+        Raises:
+            InputError: there is none in it.
+        """
 
 
-class BagSource:
+class BagSource(Source):
     """A rosbag2 folder, a bare `.mcap` or `.db3`."""
 
     def __init__(self, path: Path, mounting: Rotation | None = None) -> None:
         """Open the bag; InputError when it is none or has none of our topics."""
-        self.path = path
+        super().__init__(path)
         self._reader = BagReader(path)
         self._readings = BagReadings(self._reader, mounting=mounting)
         self.dropped = self._readings.dropped
-        self.notes = self._readings.notes
 
     @property
     def seconds(self) -> float | None:
@@ -69,20 +106,23 @@ class BagSource:
         """Losses of the bag, in one line."""
         return self._reader.problem
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Topics that are nearly those that are missing."""
+        return self._readings.notes
+
     def readings(self) -> Iterator[Reading]:
         """The readings in order of log time."""
         with self._reader:
             yield from self._readings
 
 
-class CanLogSource:
+class CanLogSource(Source):
     """A CAN log, or the raw frames of a bag, decoded by a profile."""
 
     def __init__(self, log: CanLog, bridge: CanBridge) -> None:
-        self.path = log.path
-        self.dropped: Counter[str] = Counter()
+        super().__init__(log.path)
         self._log, self._bridge = log, bridge
-        self._decoded = 0
 
     @property
     def seconds(self) -> float | None:
@@ -102,21 +142,20 @@ class CanLogSource:
         Raises:
             InputError: it does from the start, or no frame of the whole log gave a reading.
         """
-        newest = 0
+        newest, decoded = 0, 0
         for frame in self._log.frames():
             newest = max(newest, frame.stamp_ns)
-            for reading in self._bridge.decode(frame):
-                self._decoded += 1
-                yield reading
+            found = self._bridge.decode(frame)
+            decoded += len(found)
+            yield from found
             if self._bridge.refusal:
                 break
-        for reading in self._bridge.finish():
-            self._decoded += 1
-            yield reading
+        found = self._bridge.finish()
+        yield from found
         status = self._bridge.status(newest)
         self.dropped.update(status.dropped)
         self.dropped.update(self._log.skipped)
-        if self._decoded == 0:
+        if not decoded and not found:
             raise InputError(self.problem or f"{self.path}: {status.text}")
 
 
@@ -136,7 +175,7 @@ def open_source(
         vehicle: whose drive it is.
         can_profile: of a CAN log, the vehicle's when None.
         trust_profile: read a CAN log also where it contradicts the profile.
-        columns: of a CSV file that are given, see `evpinn_ros.drives.column.columns_by_name`.
+        columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
         mounting: of the IMU in a bag, see `grade_reading`.
 
     Raises:
@@ -178,21 +217,33 @@ def _bridge(
     return CanBridge(profile, guard=guard)
 
 
-def is_drive_table(path: Path) -> bool:
-    """True if a path is that of a table which is not python-can's log of a bus.
+def open_drive(
+    path: Path, nominal_voltage: float = NOMINAL_VOLTAGE, columns: Sequence[str] = ()
+) -> TableDrive:
+    """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
+
+    Power alone becomes current at `nominal_voltage`, V; `columns` are those given, see
+    `column.columns_by_name`.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: it cannot be read, or holds no drive.
     """
-    if path.is_dir() or not is_table(path):
-        return False
-    if suffix_of(path) == MEASUREMENT_SUFFIX:
-        return holds_signals(path)
-    if suffix_of(path) != ".csv":
-        return True
-    try:
-        with open_gzipped(path) if path.suffix == ".gz" else open_file(path) as file:
-            header = file.readline(10_000)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: {error}") from error
-    return FRAME_COLUMN.encode() not in header and GVRET_HEADER.encode() not in header
+    # polars takes a quarter of a second: whoever opens no table does not wait for it.
+    from evpinn_ros.drives.sheets import ParquetTable, SheetTable
+    from evpinn_ros.drives.table_drive import TableDrive
+
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: a folder, a pipe or a device, no file")
+    tables: dict[str, Callable[[Path], Table]] = {
+        **dict.fromkeys(TEXT_SUFFIXES, TextTable),
+        **dict.fromkeys(SHEET_SUFFIXES, SheetTable),
+        **dict.fromkeys(PARQUET_SUFFIXES, ParquetTable),
+        MEASUREMENT_SUFFIX: MeasuredTable,
+    }
+    suffix = suffix_of(path)
+    if path.suffix.lower() == ".gz" and suffix not in TEXT_SUFFIXES:
+        raise InputError(f"{path}: unpack it first")
+    if suffix not in tables:
+        raise InputError(f"{path}: no table of a drive; known are {', '.join(tables)}")
+    return TableDrive(tables[suffix](path), path, nominal_voltage, columns)

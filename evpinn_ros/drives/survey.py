@@ -29,8 +29,15 @@ Row = tuple[int, list[str]]
 class Table(Protocol):
     """Rows of text cells, each with its number in the file."""
 
+    @property
+    def torn(self) -> int:
+        """Lines that are no row; complete after `rows`."""
+
     def rows(self) -> Iterator[Row]:
         """The rows from the first, header and all."""
+
+    def last_row(self) -> list[str]:
+        """The cells of the last row, none where only reading all rows shows it."""
 
 
 @dataclass(slots=True)

@@ -6,7 +6,7 @@ and jumps least. polars reads the cells by it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from itertools import product
@@ -83,37 +83,37 @@ class Clock:
     daily: bool = False  # numbers begin anew at midnight
 
     @property
-    def unwrapped(self) -> Unwrapped | None:
-        """Offsets that make times run on where the clock begins anew; None where it does not."""
+    def period_ns(self) -> int:
+        """Time after which it begins anew, a day or half of it; 0 where it runs on."""
         if self.kind != "time of day" and not self.daily:
-            return None
-        return Unwrapped(self.twelve and "%p" not in self.formats)
+            return 0
+        return HALF_DAY_NS if self.twelve and "%p" not in self.formats else DAY_NS
+
+    def running(self) -> RunningClock:
+        """The clock that makes its times run on where it begins anew."""
+        return RunningClock(self.period_ns)
 
     @property
     def dated(self) -> bool:
         """True if the cells hold the date."""
         return self.kind == "date" or (self.kind == "number" and self.zoned)
 
-    def stamps(self, cells: Sequence[Sequence[str]]) -> NDArray[np.int64]:
-        """Times of the rows, ns since 1970, midnight or the start; `NONE` where there is none.
+    def stamps(self, cells: Mapping[int, Sequence[str]]) -> NDArray[np.int64]:
+        """Times of n rows, ns since 1970, midnight or the start; `NONE` where there is none.
 
-        `cells` are n of each of `columns`.
+        `cells` are n of each of `columns`, and of others perhaps, by the place of the column.
         """
-        if self.kind == "number":
-            values = to_floats(cells[0], self.style)
-            whole = np.floor(values)
-            bad = ~np.isfinite(values) | (np.abs(values) > 9e18 / _NS[self.unit])
-            whole[bad] = 0.0
-            values = np.where(bad, 0.0, values)
-            factor = _NS[self.unit]
-            found = whole.astype(np.int64) * int(factor) + np.rint((values - whole) * factor)
-            stamps: NDArray[np.int64] = found.astype(np.int64)
-            if factor == 1e9:  # exact: a float of ns since 1970 is 256 ns coarse
-                stamps = whole.astype(np.int64) * NANOSECONDS
-                stamps = stamps + np.rint((values - whole) * 1e9).astype(np.int64)
-            stamps[bad] = NONE
-            return stamps
-        return _parsed(_joined(cells), self.formats)
+        own = [cells[place] for place in self.columns]
+        if self.kind != "number":
+            return _parsed(_joined(own), self.formats)
+        values = to_floats(own[0], self.style)
+        factor = _NS[self.unit]
+        bad = ~np.isfinite(values) | (np.abs(values) > 9e18 / factor)
+        values = np.where(bad, 0.0, values)
+        # Apart from the whole ones, for a float of ns since 1970 is 256 ns coarse.
+        whole = np.floor(values)
+        rest: NDArray[np.int64] = np.rint((values - whole) * factor).astype(np.int64)
+        return np.where(bad, NONE, whole.astype(np.int64) * int(factor) + rest)
 
 
 def _joined(cells: Sequence[Sequence[str]]) -> pl.Series:
@@ -279,22 +279,23 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
     return [*dated, *(("", pattern) for pattern in _JAVA)]
 
 
-class Unwrapped:
+class RunningClock:
     """Times of day made to run on over midnight, batch by batch.
 
     A 12 h clock without AM and PM goes from 12:59 to 1:00; what falls by about half a day and was
     never above 12 is such a one.
     """
 
-    def __init__(self, twelve_hours: bool) -> None:
-        self._period = HALF_DAY_NS if twelve_hours else DAY_NS
+    def __init__(self, period_ns: int) -> None:
+        """Make times run on that begin anew after a period; those of none are as they should."""
+        self._period = period_ns
         self._added = 0
         self._before: int | None = None
 
     def add(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
         """The times of the next rows."""
         there = np.flatnonzero(stamps != NONE)
-        if there.size == 0:
+        if there.size == 0 or not self._period:
             return stamps
         known = stamps[there]
         before = known[0] if self._before is None else self._before
@@ -321,7 +322,7 @@ def start_of_comments(comments: Sequence[str]) -> int | None:
             cells = [match[1].strip(' ,;"')]
             clock = clock_of_text((0,), [cells])
             if clock is not None and clock.kind == "date":
-                return int(clock.stamps([cells])[0])
+                return int(clock.stamps({0: cells})[0])
     return None
 
 

@@ -13,7 +13,7 @@ from urllib.parse import quote
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_file import open_file
 from evpinn_ros.common.yaml_section import compose
-from evpinn_ros.drives.recordings import recordings
+from evpinn_ros.drives.formats import recordings
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 COLUMNS = ("drive", "car", "vehicle")

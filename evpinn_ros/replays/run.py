@@ -110,7 +110,7 @@ def replay(
     drive = history.drive(chain.estimator.linear_power())
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:
-        why = next((text for text in getattr(source, "notes", ()) if "speed" in text), "")
+        why = next((text for text in source.notes if "speed" in text), "")
         raise InputError(
             f"{source.path}: no speed{where}, so nothing can be predicted{why and f': {why}'}"
         )

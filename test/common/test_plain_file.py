@@ -11,8 +11,8 @@ from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_file import open_file
-from evpinn_ros.drives import open_drive
-from evpinn_ros.drives.sources import is_drive_table
+from evpinn_ros.drives.formats import is_drive_table
+from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.fleet.manifest import cars_by_manifest
 from evpinn_ros.topics.parameter_file import check_parameter_file

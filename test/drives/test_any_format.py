@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from formats import CLOCKS, CURRENTS, SPEEDS, START, VOLTAGES, Style, drive, polled_at, write
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives import open_drive
+from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
@@ -92,11 +92,11 @@ def test_a_drive_in_any_format_reads_back_the_same(tmp_path, style):
     stamps = [reading.stamp_ns for reading in readings]
     assert stamps == sorted(stamps)
     dated = CLOCKS[style.clock][2]
-    assert source.drive.dated == ("log" if dated else ""), source.drive.clock
+    assert source.dated == ("log" if dated else ""), source.clock
     found = signals(readings)
     for name, column in columns_of(style).items():
         times = [at for at, _ in found[name]]
-        assert len(times) == len(ROWS), (name, source.drive.rules, dict(source.dropped))
+        assert len(times) == len(ROWS), (name, source.rules, dict(source.dropped))
         begin = START.timestamp() if dated else times[0] - polled_at(style, column)
         for row, (at, value) in zip(ROWS, found[name], strict=True):
             assert at - begin == pytest.approx(row.time + polled_at(style, column), abs=2e-3)

@@ -14,9 +14,9 @@ import pytest
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.text_lines import LONGEST_LINE
-from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.contents import contents
-from evpinn_ros.drives.sources import is_drive_table
+from evpinn_ros.drives.formats import is_drive_table
+from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     BatteryReading,
@@ -110,7 +110,7 @@ APPS = {
 def test_an_app_is_read_without_a_flag(tmp_path, name):
     made, dated = APPS[name]
     (tmp_path / name).write_text(made(), encoding="utf-8-sig")
-    drive = open_drive(tmp_path / name).drive
+    drive = open_drive(tmp_path / name)
     readings = list(drive.readings())
     assert drive.dated == dated and not drive.dropped and not drive.first_bad
     speeds = [r for r in readings if isinstance(r, SpeedReading)]
@@ -140,7 +140,7 @@ def test_teslamate_has_power_alone_in_kilowatts(tmp_path):
     )
     (tmp_path / "positions.csv").write_text(text)
     source = open_drive(tmp_path / "positions.csv", 360.0)
-    units = {rule.quantity: rule.unit for rule in source.drive.rules}
+    units = {rule.quantity: rule.unit for rule in source.rules}
     assert (units["speed"], units["power"], units["ambient"]) == ("km/h", "kw", "c")
     powers = [r.power for r in source.readings() if isinstance(r, BatteryReading)]
     assert max(powers) == pytest.approx(25_000, rel=0.1)
@@ -217,10 +217,10 @@ def times(source):
 
 def test_dates_that_can_be_read_in_two_ways_are_told(tmp_path):
     rows = [f"05/03/2024 07:08:{s:02d},{s}" for s in range(30)]
-    drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in rows)).drive
+    drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in rows))
     assert drive.clock.why == "day, month, year; could be month, day, year as well"
     later = [row.replace("05/03", "03/25") for row in rows]
-    drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in later)).drive
+    drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in later))
     assert drive.clock.why == "month, day, year"
     over = ["31/12/2023 23:59:59,1,1", "01/01/2024 00:00:00,1,1", "01/01/2024 00:00:01,1,1"]
     assert times(small(tmp_path, "date,speed_mps,power_w", *over)) == [0, 1, 2]
@@ -229,7 +229,7 @@ def test_dates_that_can_be_read_in_two_ways_are_told(tmp_path):
 def test_times_of_day_go_on_over_midnight_and_noon(tmp_path):
     day = ["23:59:58,1,1", "23:59:59,1,1", "00:00:01,1,1", "00:00:02,1,1"]
     source = small(tmp_path, "time,speed_mps,power_w", *day)
-    assert times(source) == [0, 1, 3, 4] and source.drive.dated == ""
+    assert times(source) == [0, 1, 3, 4] and source.dated == ""
     noon = ["12:59:58,1,1", "12:59:59,1,1", "1:00:01,1,1", "1:00:02,1,1"]
     assert times(small(tmp_path, "time,speed_mps,power_w", *noon)) == [0, 1, 3, 4]
     found = contents(tmp_path / "drive.csv")
@@ -243,7 +243,7 @@ def test_fahrenheit_is_not_taken_for_celsius(tmp_path):
         source = small(tmp_path, header, *rows)
         found = [r.celsius for r in source.readings() if isinstance(r, TemperatureReading)]
         assert found[0] == pytest.approx(celsius)
-        why = next(rule.why for rule in source.drive.rules if rule.quantity == "ambient")
+        why = next(rule.why for rule in source.rules if rule.quantity == "ambient")
         assert "in the median" in why
 
 
@@ -366,7 +366,7 @@ def test_real_logs_are_read_with_no_flag():
     logs = [*DATA.glob("peugeot_e208_car_scanner/*"), *DATA.glob("nissan_leaf_2013_leafspy/*")]
     assert len(logs) == 56
     for log in logs:
-        drive = open_drive(log).drive
+        drive = open_drive(log)
         readings = list(drive.readings())
         assert not drive.first_bad and "wrong_number_of_cells" not in drive.dropped
         assert "time_not_increasing" not in drive.dropped and drive.dated
@@ -387,7 +387,7 @@ def test_months_of_other_languages_and_a_byte_of_windows(tmp_path):
     ]
     (tmp_path / "d.csv").write_text("\n".join([*lines, "05-Dec-2024 07:03:00,36,1,7", ""]))
     source = open_drive(tmp_path / "d.csv")
-    assert times(source) == [0, 60, 120, 180] and source.drive.dated == "log"
+    assert times(source) == [0, 60, 120, 180] and source.dated == "log"
     rows = [f"{i},1,1,warm 7 °C" for i in range(3000)]
     text = "\n".join(["t_s,speed_mps,power_w,note", *rows])
     (tmp_path / "w.csv").write_bytes(text.encode("cp1252"))

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives import open_drive
 from evpinn_ros.drives.column import columns_by_name
 from evpinn_ros.drives.evidence import Signal, at_times
+from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
 from evpinn_ros.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
 
@@ -37,7 +37,7 @@ def rows(count: int = 1200):
 def drive_of(folder: Path, header: str, lines, encoding: str = "utf-8", **options) -> TableDrive:
     text = "\n".join([header, *lines]) + "\n"
     (folder / "drive.csv").write_bytes(text.encode(encoding))
-    return open_drive(folder / "drive.csv", NOMINAL, **options).drive
+    return open_drive(folder / "drive.csv", NOMINAL, **options)
 
 
 def check(drive: TableDrive, start_ns: int = DRIVE_START_NS) -> None:
@@ -180,7 +180,7 @@ def test_any_header_is_taken_or_left(header):
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
 @pytest.mark.parametrize("name", ["TripA01", "TripB11"])
 def test_a_real_drive_under_other_names(tmp_path, name):
-    ours = open_drive(DATA / "bmw_i3" / f"{name}.csv.gz", NOMINAL).drive
+    ours = open_drive(DATA / "bmw_i3" / f"{name}.csv.gz", NOMINAL)
     with gzip.open(DATA / "bmw_i3" / f"{name}.csv.gz", "rt") as file:
         header, *table = csv.reader(file)
     at = {n: i for i, n in enumerate(header)}

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import re
 import time
 
+from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
@@ -20,10 +21,10 @@ ANY_NAME = {
 }
 
 
-class Recorded:
+class Recorded(Source):
     """Readings in memory, as a source, of which two could not be read."""
 
-    problem, path = None, "drive"
+    problem, seconds, path = None, None, "drive"
 
     def __init__(self, readings) -> None:
         self._readings = readings

@@ -14,6 +14,7 @@ import pytest
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.paper.settings import SETTINGS
@@ -26,10 +27,10 @@ from evpinn_ros.topics import topic_of
 from evpinn_ros.topics.readings import to_reading
 
 
-class Recorded:
+class Recorded(Source):
     """Readings in memory, as a source."""
 
-    problem = None
+    problem = seconds = None
 
     def __init__(self, readings, path) -> None:
         self.path, self._readings = path, readings

@@ -16,6 +16,7 @@ import pytest
 
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
+from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.live.state import LiveState
@@ -191,10 +192,10 @@ def reported() -> ReportedDrive:
     return ReportedDrive(replayed.drive, replayed.metrics, car, 30.0, truth=drive.truth.parameters)
 
 
-class Recorded:
+class Recorded(Source):
     """Readings in memory, as a source."""
 
-    problem = None
+    problem = seconds = None
 
     def __init__(self, readings: list[Reading]) -> None:
         self.path, self._readings = Path("out/town"), readings
