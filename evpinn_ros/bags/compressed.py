@@ -17,7 +17,9 @@ _PIECE = 1 << 20
 
 
 class BagFile(Protocol):
-    """An open file with messages: `McapFile`, `RosbagsFile`, and those here around one."""
+    """An open file with messages: `McapFile`, `RosbagsFile`, and one here around one."""
+
+    path: Path  # of it, in messages
 
     @property
     def channels(self) -> Mapping[int, Channel]:
@@ -38,80 +40,55 @@ class BagFile(Protocol):
         """Close the file."""
 
 
-class UnpackedFile:
-    """A `.zstd` file; it is unpacked into a folder that lasts until `close`.
+def open_packed(packed: Path, open_file: Callable[[Path], BagFile]) -> BagFile:
+    """Unpack a `.zstd` file and open it.
 
-    Attributes:
-        channels: by channel id.
-        counts: messages by channel id.
+    Raises:
+        InputError: it cannot be read, does not unpack, or to more than is allowed.
     """
-
-    def __init__(self, packed: Path, open_file: Callable[[Path], BagFile]) -> None:
-        """Unpack and open it.
-
-        Raises:
-            InputError: it cannot be read, does not unpack, or to more than is allowed.
-        """
-        self._packed, self._folder = packed, TemporaryDirectory()
-        self._path = Path(self._folder.name) / packed.stem
+    # Once it is open, it can be read without its name.
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / packed.stem
         try:
-            self._unpack()
-            self._file = open_file(self._path)
+            _unpack(packed, path)
+            file = open_file(path)
         except (OSError, zstandard.ZstdError) as error:
-            self._folder.cleanup()
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"{packed}: cannot be unpacked: {reason}") from error
         except InputError as error:
-            self._folder.cleanup()
-            raise InputError(self._named(str(error))) from error
-        self.channels, self.counts = self._file.channels, self._file.counts
+            raise InputError(str(error).replace(str(path), str(packed))) from error
+    file.path = packed  # which the person knows
+    return file
 
-    @property
-    def problem(self) -> str | None:
-        """Damage and losses, in one line."""
-        return self._named(self._file.problem) if self._file.problem else None
 
-    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
-        """The messages of the wanted channel ids in log time order."""
-        return self._file.messages(wanted)
-
-    def close(self) -> None:
-        """Close the file and remove the folder."""
-        self._file.close()
-        self._folder.cleanup()
-
-    def _named(self, text: str) -> str:
-        """The text with the name that the person knows."""
-        return text.replace(str(self._path), str(self._packed))
-
-    def _unpack(self) -> None:
-        left = most_unpacked(self._packed.stat().st_size)
-        with self._packed.open("rb") as source, self._path.open("wb") as target:
-            reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
-            while piece := reader.read(_PIECE):
-                left -= len(piece)
-                if left < 0:
-                    raise InputError(f"{self._path}: unpacks to over {RATIO} times its size")
-                target.write(piece)
+def _unpack(packed: Path, path: Path) -> None:
+    left = most_unpacked(packed.stat().st_size)
+    with packed.open("rb") as source, path.open("wb") as target:
+        reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+        while piece := reader.read(_PIECE):
+            left -= len(piece)
+            if left < 0:
+                raise InputError(f"{packed}: unpacks to over {RATIO} times its size")
+            target.write(piece)
 
 
 class CompressedMessages:
     """A file whose messages are compressed one by one."""
 
     def __init__(self, file: BagFile, path: Path) -> None:
-        self._file, self._path = file, path
+        self._file, self.path = file, path
         self.channels, self.counts, self.close = file.channels, file.counts, file.close
         self._lost = 0
 
     @property
     def problem(self) -> str | None:
         """Damage and losses, in one line."""
-        lost = f"{self._path}: {self._lost} messages do not unpack" if self._lost else None
+        lost = f"{self.path}: {self._lost} messages do not unpack" if self._lost else None
         return " | ".join(filter(None, (self._file.problem, lost))) or None
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
         """The messages of the wanted channel ids in log time order, unpacked."""
-        left = most_unpacked(self._path.stat().st_size)
+        left = most_unpacked(self.path.stat().st_size)
         for log_time_ns, channel, packed in self._file.messages(wanted):
             try:
                 data = unpack_zstd(packed, min(left, most_unpacked(len(packed))))

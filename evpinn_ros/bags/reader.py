@@ -10,7 +10,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.bags.compressed import BagFile, CompressedMessages, UnpackedFile
+from evpinn_ros.bags.compressed import BagFile, CompressedMessages, open_packed
 from evpinn_ros.bags.limits import LONGEST_MESSAGE
 from evpinn_ros.bags.mcap_file import Channel, McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
@@ -193,7 +193,7 @@ def _files(folder: Path, storage: str) -> list[Path]:
 
 def _open_compressed(path: Path, mode: str) -> BagFile:
     if path.suffix == PACKED:
-        return UnpackedFile(path, _open_file)
+        return open_packed(path, _open_file)
     return CompressedMessages(_open_file(path), path) if mode == "message" else _open_file(path)
 
 

@@ -68,7 +68,7 @@ class RosbagsFile:
 
     def _reason(self, error: Exception) -> str:
         """In one line, without the path that rosbags puts in some."""
-        return " ".join(str(error).replace(str(self.path), "").split())
+        return " ".join(str(error).replace(str(self._reader.path), "").split())
 
 
 def _refuse_programs(path: Path) -> None:
