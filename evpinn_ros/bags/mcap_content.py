@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 import struct
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 import zlib
 
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -24,6 +24,7 @@ import zstandard
 
 from evpinn_ros.bags.limits import MEBIBYTE
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_file import FileBytes
 
 MOST_DEFINITIONS = 64 * MEBIBYTE  # all schemas and channels of a file together
 
@@ -64,15 +65,6 @@ class ChunkHead(NamedTuple):
     compression: str
     first: int
     packed: int
-
-
-class BytesAnywhere(Protocol):
-    """A file read at any place: `mcap_scan.FileBytes`."""
-
-    size: int
-
-    def read(self, begin: int, length: int) -> bytes:
-        """The bytes from here on, fewer at the end of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +232,7 @@ def indexed_records(data: bytes, index: MessageIndex, definitions: Definitions) 
     return Records(index, last=int(offsets[-1]), end=len(data))
 
 
-def block_content(file: BytesAnywhere, block: Block) -> bytes | None:
+def block_content(file: FileBytes, block: Block) -> bytes | None:
     """The records of a block, of one that the file cuts as far as they go; None when damaged."""
     try:
         data = file.read(block.begin, block.end - block.begin)

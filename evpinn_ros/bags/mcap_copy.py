@@ -37,6 +37,7 @@ from evpinn_ros.bags.mcap_content import (
     MessageIndex,
     Records,
 )
+from evpinn_ros.bags.metadata import WrittenFile
 from evpinn_ros.common.errors import InputError
 
 INDEX = struct.Struct("<BQHI")  # opcode, bytes that follow, channel, bytes of entries
@@ -48,15 +49,14 @@ class McapCopy:
     Attributes:
         path: of the file.
         counts: messages by channel id.
-        start_ns: first log time, zero without a message.
-        end_ns: last log time.
+        written: number and log times of all of them.
     """
 
     def __init__(self, path: Path, library: str) -> None:
         """Make the file; InputError when it is there or cannot be made."""
         self.path = path
         self.counts: Counter[int] = Counter()
-        self.start_ns = self.end_ns = 0
+        self.written = WrittenFile(path.name)
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -96,9 +96,7 @@ class McapCopy:
                 uncompressed_size=head.size,
             )
         )
-        if found.index:
-            self.start_ns = min(self.start_ns, start_ns) if self.counts else start_ns
-            self.end_ns = max(self.end_ns, end_ns)
+        self.written.add(start_ns, end_ns, found.count)
         self.counts.update({id_: len(entries) for id_, entries in found.index.items()})
 
     def pack(self, content: bytes, found: Records, known: Definitions) -> None:
@@ -144,9 +142,9 @@ class McapCopy:
             channel_count=len(channels),
             channel_message_counts=dict(self.counts),
             chunk_count=len(self._chunks),
-            message_count=self.counts.total(),
-            message_end_time=self.end_ns,
-            message_start_time=self.start_ns,
+            message_count=self.written.count,
+            message_end_time=self.written.end_ns,
+            message_start_time=self.written.start_ns,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )

@@ -7,8 +7,6 @@ lie outside of chunks have none: what is inside them cannot be checked.
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 import re
 import struct
 
@@ -32,64 +30,14 @@ from evpinn_ros.bags.mcap_content import (
     index_size,
     parsed_from,
 )
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_file import WINDOW, FileBytes
 
 LONGEST_RECORD = 16 * MEBIBYTE  # of any other kind
-WINDOW = 4 * MEBIBYTE  # bytes read at once
 NEAR_NS = 86_400_000_000_000  # a day: messages that follow each other are nearer in log time
 PRIVATE = 0x80  # opcodes from here on are free for any use
 _SIZES = {Opcode.FOOTER: FOOTER.size, Opcode.SUMMARY_OFFSET: 17, Opcode.DATA_END: 4}
 # A record of less than 4 GiB: what to look for behind a damage.
 _BEGINNING = re.compile(rb"(?=[\x01-\x0f].{4}\0{4})", re.DOTALL)
-
-
-class FileBytes:
-    """A file read at any place, a window at a time; a map of it would crash on a bad sector."""
-
-    def __init__(self, path: Path) -> None:
-        """Open it; InputError when that fails."""
-        self.path = path
-        try:
-            self._descriptor = os.open(path, os.O_RDONLY)
-            self.size = os.fstat(self._descriptor).st_size
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from error
-        self._window, self._begin = b"", 0
-
-    def close(self) -> None:
-        """Close the file."""
-        os.close(self._descriptor)
-
-    def read(self, begin: int, length: int) -> bytes:
-        """The bytes from here on, fewer at the end of the file."""
-        length = max(0, min(length, self.size - begin))
-        offset = begin - self._begin
-        if not 0 <= offset <= len(self._window) - length:
-            self._window, self._begin, offset = self._load(begin, length), begin, 0
-        return self._window[offset : offset + length]
-
-    def peek(self, begin: int, length: int) -> bytes:
-        """The same without what lies behind them."""
-        try:
-            return os.pread(self._descriptor, length, begin)
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror} at byte {begin}") from error
-
-    def _load(self, begin: int, wanted: int) -> bytes:
-        """Bytes wanted, and as many behind them as a window holds and can be read."""
-        parts, left = [], max(wanted, WINDOW)
-        end = begin + wanted
-        try:
-            while left > 0 and (part := os.pread(self._descriptor, left, begin)):
-                parts.append(part)
-                begin, left = begin + len(part), left - len(part)
-        except OSError as error:
-            if begin < end:
-                raise InputError(
-                    f"{self.path}: {error.strerror} at byte {begin}; "
-                    "copy the disk with ddrescue first"
-                ) from error
-        return b"".join(parts)
 
 
 class _Body:

@@ -24,8 +24,9 @@ from evpinn_ros.bags.mcap_content import (
     Block,
     Definitions,
 )
-from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
+from evpinn_ros.bags.mcap_scan import McapScan
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_file import FileBytes
 from evpinn_ros.common.unpacking import most_unpacked
 
 LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the file is searched
@@ -86,7 +87,7 @@ def summary_of(file: FileBytes) -> FileSummary:
     """
     found = FileSummary()
     at = file.size - len(MAGIC) - FOOTER.size - HEAD.size
-    tail = file.peek(max(at, 0), file.size)
+    tail = file.read(max(at, 0), file.size)
     if at < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC:
         return found
     if HEAD.unpack_from(tail) != (Opcode.FOOTER, FOOTER.size):
@@ -95,7 +96,7 @@ def summary_of(file: FileBytes) -> FileSummary:
     found.ended = start == 0
     if not len(MAGIC) <= start < at or file.size - start > LARGEST_SUMMARY:
         return found
-    data = file.peek(start, file.size - start)
+    data = file.read(start, file.size - start)
     if checksum and zlib.crc32(data[: at + HEAD.size + 2 * LENGTH.size - start]) != checksum:
         return found
     found.start, found.ended = start, True

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from mcap.records import Attachment, Channel, Metadata
 
 from evpinn_ros.bags.mcap_copy import McapCopy
 from evpinn_ros.bags.mcap_part import LIBRARY
-from evpinn_ros.bags.mcap_scan import FileBytes
 from evpinn_ros.bags.metadata import (
     METADATA,
     WrittenFile,
@@ -24,6 +22,7 @@ from evpinn_ros.bags.metadata import (
 )
 from evpinn_ros.bags.salvage import Loss, Piece, Salvage
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_file import FileBytes
 from evpinn_ros.common.yaml_section import plain_text
 
 MOST_LOSSES = 1000  # kept one by one; beyond, only their sum
@@ -68,10 +67,6 @@ class RecoveredFile:
             return None
         return sum(count or 0 for count in known) + self.unknown_topic
 
-    def written_as(self, path: Path) -> WrittenFile:
-        """Storage of what was saved, as metadata.yaml names it."""
-        return WrittenFile(path.name, self.messages, self.start_ns, self.end_ns)
-
     @property
     def whole(self) -> bool:
         """Nothing was lost but, perhaps, the index."""
@@ -79,7 +74,7 @@ class RecoveredFile:
         return not (lost or self.unknown_topic or self.problem)
 
 
-def recover(source: Path, out: Path, progress: Progress | None = None) -> list[RecoveredFile]:
+def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> list[RecoveredFile]:
     """Save what a broken MCAP file, or a folder of them, still holds as a new bag.
 
     A file that cannot be read stops no other. Interrupted, or where the disk is full, it leaves
@@ -111,24 +106,25 @@ def recover(source: Path, out: Path, progress: Progress | None = None) -> list[R
 
 
 def _recover_files(
-    paths: list[Path], out: Path, files: list[Path], progress: Progress | None
+    paths: list[Path], out: Path, files: list[Path], progress: Progress
 ) -> list[RecoveredFile]:
     """Save each of them; `files` are those that were made."""
     found: list[RecoveredFile] = []
     topics: dict[str, WrittenTopic] = {}
+    written: list[WrittenFile] = []
     for path in paths:
         copy = McapCopy(out / f"{out.resolve().name}_{len(files)}.mcap", LIBRARY)
         files.append(copy.path)
         before = sum(each.size for each in found)
         try:
-            found.append(_recover_file(path, copy, topics, partial(_tell, progress, before)))
+            found.append(_recover_file(path, copy, topics, progress, before))
         finally:
             copy.close()
-        if not found[-1].messages:
+        if copy.written.count:
+            written.append(copy.written)
+        else:
             files.pop().unlink()
     if files:
-        saved = [one for one in found if one.messages]
-        written = [one.written_as(path) for one, path in zip(saved, files, strict=True)]
         write_metadata(out, bag_information(written, topics.values()))
     return found
 
@@ -171,13 +167,8 @@ def _number(path: Path) -> int:
     return int(digits) if digits.isascii() and digits.isdigit() else -1
 
 
-def _tell(progress: Progress | None, before: int, done: int) -> None:
-    if progress is not None:
-        progress(before + done)
-
-
 def _recover_file(
-    path: Path, copy: McapCopy, topics: dict[str, WrittenTopic], progress: Progress
+    path: Path, copy: McapCopy, topics: dict[str, WrittenTopic], progress: Progress, before: int
 ) -> RecoveredFile:
     one = RecoveredFile(path)
     try:
@@ -189,30 +180,34 @@ def _recover_file(
         one.size = file.size
         salvage = Salvage(file)
         try:
-            _save_all(salvage, one, copy, progress)
+            for done in _save_all(salvage, one, copy):
+                progress(before + done)
         except InputError as error:
             one.problem = str(error)
         one.stated, one.ended = salvage.stated, salvage.ended
         one.unknown_topic = salvage.unknown
         one.doubtful_topics = tuple(sorted(salvage.doubtful))
-        counts = copy.counts
-        for id_ in sorted(counts):
-            _count_topic(topics, salvage, id_, counts[id_])
-        information = bag_information([one.written_as(copy.path)], topics.values())
+        one.messages = copy.written.count
+        one.start_ns, one.end_ns = copy.written.start_ns, copy.written.end_ns
+        for id_ in sorted(copy.counts):
+            _count_topic(topics, salvage, id_, copy.counts[id_])
+        information = bag_information([copy.written], topics.values())
         copy.note(Metadata(ROSBAG2, {"serialized_metadata": as_yaml(information)}))
         copy.finish(salvage.definitions)
         return one
 
 
-def _save_all(salvage: Salvage, one: RecoveredFile, copy: McapCopy, progress: Progress) -> None:
+def _save_all(salvage: Salvage, one: RecoveredFile, copy: McapCopy) -> Iterator[int]:
+    """Save what there is; gives the bytes done."""
     unended: list[Loss] = []
     for each in salvage:
         if isinstance(each, Loss):
+            each.after_ns = copy.written.end_ns if copy.written.count else None
             _note_loss(one, each, unended)
-            progress(each.end)
+            yield each.end
         elif isinstance(each, Piece):
             _save(one, each, copy, salvage, unended)
-            progress(each.end)
+            yield each.end
         elif isinstance(each, Attachment):
             copy.attach(each)
         elif isinstance(each, Metadata) and each.name != ROSBAG2:
@@ -229,19 +224,14 @@ def _save(
         one.chunks += 1
     else:
         copy.pack(piece.content, piece.found, salvage.definitions)
-    start_ns, end_ns = piece.found.span_ns
     for loss in unended:
-        loss.before_ns = start_ns
+        loss.before_ns = piece.found.span_ns[0]
     unended.clear()
-    one.start_ns = min(one.start_ns, start_ns) if one.messages else start_ns
-    one.end_ns = max(one.end_ns, end_ns)
-    one.messages += piece.found.count
     one.unproven += 0 if piece.proven else piece.found.count
 
 
 def _note_loss(one: RecoveredFile, loss: Loss, unended: list[Loss]) -> None:
     one.lost_bytes += loss.end - loss.begin
-    loss.after_ns = one.end_ns if one.messages else None
     if len(one.losses) == MOST_LOSSES:
         one.more_losses += 1
         return

@@ -30,9 +30,10 @@ from evpinn_ros.bags.mcap_content import (
     records_in,
     unpacked,
 )
-from evpinn_ros.bags.mcap_scan import FileBytes, McapScan
+from evpinn_ros.bags.mcap_scan import McapScan
 from evpinn_ros.bags.mcap_summary import summary_of
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_file import FileBytes
 from evpinn_ros.common.unpacking import RATIO, most_unpacked
 
 STRETCH = MEBIBYTE  # messages outside of chunks that are handled together

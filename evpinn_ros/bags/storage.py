@@ -9,12 +9,11 @@ from typing import Any
 
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
+from evpinn_ros.bags.metadata import VERSION
 from evpinn_ros.bags.rosbags_file import READ_ERRORS
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
-
-VERSION = 9  # of metadata.yaml: Jazzy
 
 
 class Storage(str, Enum):

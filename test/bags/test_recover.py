@@ -1,6 +1,7 @@
 """Broken MCAP files saved, against the whole ones."""
 
 import errno
+import io
 import os
 from pathlib import Path
 import resource
@@ -24,6 +25,7 @@ from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.cli.main import app
+from evpinn_ros.common import plain_file
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.topics.messages import scalar
 
@@ -228,16 +230,21 @@ def test_ten_files_keep_their_order(tmp_path):
 
 def read_fails(monkeypatch, path: Path, from_byte: int) -> None:
     """The disk gives an error where this file is read from this byte on, as a bad sector does."""
-    real, failing = os.pread, path.stat()
 
-    def pread(descriptor: int, length: int, begin: int) -> bytes:
-        if os.path.samestat(os.fstat(descriptor), failing):
-            if begin >= from_byte:
+    class BadSector(io.FileIO):
+        def readinto(self, buffer) -> int:
+            if self.tell() >= from_byte:
                 raise OSError(errno.EIO, "Input/output error")
-            length = min(length, from_byte - begin)  # the kernel gives what is before it
-        return real(descriptor, length, begin)
+            # The kernel gives what is before it.
+            data = self.read(min(len(buffer), from_byte - self.tell()))
+            buffer[: len(data)] = data
+            return len(data)
 
-    monkeypatch.setattr(os, "pread", pread)
+    def opened(asked: Path, window: int) -> io.BufferedReader:
+        file = BadSector if asked == path else io.FileIO
+        return io.BufferedReader(file(asked), window)
+
+    monkeypatch.setattr(plain_file, "open_file", opened)
 
 
 def test_a_file_that_cannot_be_read_stops_no_other(tmp_path, monkeypatch):
