@@ -322,10 +322,9 @@ def _explain(error: BaseException, interface: str, channel: str | int) -> str:
 
 
 def _explain_bus_off(interface: str, channel: str | int) -> str:
-    what = f"CAN bus {interface} {channel}: {BusState.OFF.value}"
-    if interface != "socketcan":
-        return what
-    return f"{what}; `sudo ip link set {channel} type can restart-ms 100` lets it begin again"
+    restart = f"; `sudo ip link set {channel} type can restart-ms 100` lets it begin again"
+    off = f"CAN bus {interface} {channel}: {BusState.OFF.value}"
+    return off + (restart if interface == "socketcan" else "")
 
 
 def _remedy(error: BaseException, interface: str, channel: str | int) -> str | None:

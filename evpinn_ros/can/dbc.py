@@ -7,7 +7,7 @@ from io import TextIOWrapper
 from itertools import combinations
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import cantools
 
@@ -114,20 +114,15 @@ def _fault_of_pages(message: Any) -> str | None:
     for signal in message.signals:
         if _hangs_over(signal, message):
             return _overhang(signal, message)
-    for one, other in combinations(message.signals, 2):
-        if bits(one) & bits(other) and _share_page(one, other):
-            return f"'{one.name}' and '{other.name}' overlap in message '{message.name}'"
+    places = {signal.name: place_of(signal) for signal in message.signals}
+    for one, other in combinations(places, 2):
+        if places[one].overlaps(places[other]):
+            return f"'{one}' and '{other}' overlap in message '{message.name}'"
     return None
 
 
-def _share_page(one: Any, other: Any) -> bool:
-    """True if one frame can hold both of two signals of a message."""
-    pages, others = one.multiplexer_ids, other.multiplexer_ids
-    return not pages or not others or bool(set(pages) & set(others))
-
-
 def _hangs_over(signal: Any, message: Any) -> bool:
-    return max(bits(signal)) >= 8 * int(message.length)
+    return max(place_of(signal).bits) >= 8 * int(message.length)
 
 
 def _overhang(signal: Any, message: Any) -> str:
@@ -144,13 +139,26 @@ def refuse_other_unit(section: Section, signal: Any) -> None:
         raise section.error_at("unit", reason)
 
 
-def bits(signal: Any) -> frozenset[int]:
-    """The places of a signal's bits in the payload: bit 0 is the lowest of byte 0."""
+class Place(NamedTuple):
+    """Place in the payloads of a message."""
+
+    bits: frozenset[int]  # bit 0 is the lowest of byte 0
+    pages: frozenset[int] = frozenset()  # of a multiplexed message that have it; empty for all
+
+    def overlaps(self, other: Place) -> bool:
+        """True if one frame can hold both, and one bit is of both."""
+        other_page = self.pages and other.pages and not self.pages & other.pages
+        return bool(self.bits & other.bits) and not other_page
+
+
+def place_of(signal: Any) -> Place:
+    """The place of a `cantools.database.Signal`."""
+    pages = frozenset(signal.multiplexer_ids or ())
     if signal.byte_order == "little_endian":
-        return frozenset(range(signal.start, signal.start + signal.length))
+        return Place(frozenset(range(signal.start, signal.start + signal.length)), pages)
     # Motorola counts on from the highest bit of a byte to its lowest, then to the next byte.
     first = signal.start ^ 7
-    return frozenset(place ^ 7 for place in range(first, first + signal.length))
+    return Place(frozenset(bit ^ 7 for bit in range(first, first + signal.length)), pages)
 
 
 def _excess(text: str) -> str | None:

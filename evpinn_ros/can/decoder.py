@@ -210,13 +210,12 @@ class _Reader:
             raise _DroppedError("unknown_multiplexer" if paged else "undecodable") from None
 
     def _check_checksum(self, frame: CanFrame) -> None:
-        checksum, position = self.rule.checksum, self.rule.checksum_byte
+        checksum, position = self.rule.checksum_of(frame.data), self.rule.checksum_byte
         if checksum is None:
             return
         if len(frame.data) <= position:
             raise _DroppedError("short_frame")
-        payload = frame.data[:position] + frame.data[position + 1 :]
-        if checksum(frame.can_id, payload) != frame.data[position]:
+        if checksum != frame.data[position]:
             raise _DroppedError("bad_checksum")
 
     def _check_counter(self, raw: dict[str, int]) -> None:

@@ -53,8 +53,10 @@ class Encoder:
             bits = message.get_signal_by_name(rule.counter).length
             self._counters[quantity] = (self._counters[quantity] + 1) % (1 << bits)
             raw[rule.counter] = self._counters[quantity]
-        data = _with_checksum(rule, message.encode(raw, scaling=False, strict=False))
-        return CanFrame(stamp_ns, message.frame_id, data, message.is_extended_frame)
+        data = bytearray(message.encode(raw, scaling=False, strict=False))
+        if (checksum := rule.checksum_of(bytes(data))) is not None:
+            data[rule.checksum_byte] = checksum
+        return CanFrame(stamp_ns, message.frame_id, bytes(data), message.is_extended_frame)
 
 
 def _raw_values(rule: MessageRule, values: Sequence[float]) -> dict[str, int]:
@@ -69,11 +71,3 @@ def _raw_values(rule: MessageRule, values: Sequence[float]) -> dict[str, int]:
         if raw[signal.name] in signal.not_available:
             raise ValueError(f"{signal.name} = {value:g} would read as 'not available'")
     return raw
-
-
-def _with_checksum(rule: MessageRule, data: bytes) -> bytes:
-    if rule.checksum is None:
-        return data
-    before, after = data[: rule.checksum_byte], data[rule.checksum_byte + 1 :]
-    checksum = rule.checksum(rule.message.frame_id, before + after)
-    return before + bytes((checksum,)) + after

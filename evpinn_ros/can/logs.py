@@ -113,27 +113,22 @@ class LogFile:
         Raises:
             InputError: the file cannot be opened, or there is no frame in it.
         """
-        if self._suffix == _MF4:
-            yield from self._converted()
-            return
-        with self._open() as file:
-            lines = None if self._suffix == ".blf" else _Lines(file)
-            frames = self._read(lines or file)
-            while True:
-                # The readers are foreign code over a damaged file: whatever they raise says the
-                # same thing, that the log ends here. Only they are inside the try.
-                try:
-                    frame = next(frames, None)
-                except Exception as error:
-                    place = f"{self.path}:{lines.number}" if lines else str(self.path)
-                    self.problem = f"{place}: broken after {self.count} frames: {one_line(error)}"
-                    break
-                if frame is None:
-                    break
-                self.count += 1
-                yield frame
+        for frame in self._converted() if self._suffix == _MF4 else self._until_broken():
+            self.count += 1
+            yield frame
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN frame in it")
+
+    def _until_broken(self) -> Iterator[CanFrame]:
+        with self._open() as file:
+            lines = None if self._suffix == ".blf" else _Lines(file)
+            # The readers are foreign code over a damaged file: whatever they raise says the same
+            # thing, that the log ends here. Whoever takes the frames is not inside the try.
+            try:
+                yield from self._read(lines or file)
+            except Exception as error:
+                place = f"{self.path}:{lines.number}" if lines else str(self.path)
+                self.problem = f"{place}: broken after {self.count} frames: {one_line(error)}"
 
     def _converted(self) -> Iterator[CanFrame]:
         """The frames of an .mf4, by way of a candump log that another process makes of it."""
@@ -144,13 +139,9 @@ class LogFile:
             with suppress(InputError):  # no file, or no frame in it: refused below
                 log = LogFile(path)
                 self.skipped = log.skipped
-                for frame in log.frames():
-                    self.count += 1
-                    yield frame
+                yield from log.frames()
         if failed:
             self.problem = f"{self.path}: broken after {self.count} frames: {failed}"
-        if self.count == 0:
-            raise InputError(self.problem or f"{self.path}: no CAN frame in it")
 
     def _open(self) -> IO[Any]:
         try:

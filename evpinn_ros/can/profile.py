@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from evpinn_ros.can.checksum import CHECKSUM_RULES, ChecksumRule
-from evpinn_ros.can.dbc import DbcFile, bits, find_signal, refuse_other_unit
+from evpinn_ros.can.dbc import DbcFile, Place, find_signal, place_of, refuse_other_unit
 from evpinn_ros.can.request import (
     AnswerField,
     RequestRule,
@@ -64,6 +64,13 @@ class MessageRule:
     def key(self) -> tuple[int, bool]:
         """The id of the message, and whether it has 29 bits."""
         return int(self.message.frame_id), bool(self.message.is_extended_frame)
+
+    def checksum_of(self, data: bytes) -> int | None:
+        """What the checksum byte of a payload has to be; None where no rule is known."""
+        if self.checksum is None:
+            return None
+        before, after = data[: self.checksum_byte], data[self.checksum_byte + 1 :]
+        return self.checksum(self.message.frame_id, before + after)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,43 +197,30 @@ def _refuse_broadcast_ids(
             raise root.section("requests").error_at(request.name, reason)
 
 
-class _MessageField(NamedTuple):
-    """Field read from a message: a value, or the counter or checksum that protects it."""
-
-    name: str
-    is_value: bool
-    pages: frozenset[int]
-    bits: frozenset[int]
-
-    def clashes(self, other: _MessageField) -> bool:
-        """True if both claim one bit; two quantities of a message may share what protects it."""
-        if self.name == other.name and not (self.is_value or other.is_value):
-            return False
-        other_page = self.pages and other.pages and not self.pages & other.pages
-        return bool(self.bits & other.bits) and not other_page
-
-
 def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> None:
     """Raise when two values, or a value and what protects it, are read from the same bits."""
-    taken: dict[str, list[_MessageField]] = {}
+    taken: dict[str, list[tuple[str, bool, Place]]] = {}
     for quantity, rule in messages.items():
         fields = taken.setdefault(rule.message.name, [])
-        for field in _fields(rule):
-            for other in filter(field.clashes, fields):
-                reason = f"'{field.name}' and '{other.name}' overlap in '{rule.message.name}'"
-                raise root.error_at(quantity, reason)
-            fields.append(field)
+        for name, is_value, place in _fields(rule):
+            for other, other_is_value, other_place in fields:
+                # Two quantities of a message may share what protects it.
+                shared = name == other and not (is_value or other_is_value)
+                if place.overlaps(other_place) and not shared:
+                    reason = f"'{name}' and '{other}' overlap in '{rule.message.name}'"
+                    raise root.error_at(quantity, reason)
+            fields.append((name, is_value, place))
 
 
-def _fields(rule: MessageRule) -> Iterator[_MessageField]:
-    values = [signal.name for signal in rule.signals]
-    for name in (*values, *filter(None, (rule.counter,))):
-        signal = rule.message.get_signal_by_name(name)
-        pages = frozenset(signal.multiplexer_ids or ())
-        yield _MessageField(name, name in values, pages, bits(signal))
+def _fields(rule: MessageRule) -> Iterator[tuple[str, bool, Place]]:
+    """Name and place of what is read of a message, and whether it is a value or protects them."""
+    for signal in rule.signals:
+        yield signal.name, True, place_of(rule.message.get_signal_by_name(signal.name))
+    if rule.counter is not None:
+        yield rule.counter, False, place_of(rule.message.get_signal_by_name(rule.counter))
     if rule.checksum is not None:
         first = 8 * rule.checksum_byte
-        yield _MessageField("checksum", False, frozenset(), frozenset(range(first, first + 8)))
+        yield "checksum", False, Place(frozenset(range(first, first + 8)))
 
 
 def _message_rule(section: Section, quantity: str, database: DbcFile) -> MessageRule:

@@ -66,11 +66,6 @@ class RequestRule:
         """First bytes of a positive answer."""
         return bytes((self.payload[0] + 0x40,)) + self.payload[1:]
 
-    @property
-    def text(self) -> str:
-        """For people: name and bytes."""
-        return f"{self.name} ({self.payload.hex(' ').upper()})"
-
 
 @dataclass(frozen=True, slots=True)
 class AnswerField:
@@ -153,12 +148,10 @@ def refuse_overlaps(root: Section, fields: Iterable[AnswerField]) -> None:
 
 def _request_rule(section: Section, name: str) -> RequestRule:
     section.refuse_unknown(REQUEST_KEYS)
-    address = _address(section)
-    payload = _payload(section)
     return RequestRule(
         name=name,
-        address=address,
-        payload=payload,
+        address=_address(section),
+        payload=_payload(section),
         min_length=section.whole("min_length", 1, LONGEST_ANSWER),
         period_s=section.number("period", SHORTEST_PERIOD, LONGEST_PERIOD),
     )
