@@ -10,7 +10,7 @@ fields of ABRP (documenter.getpostman.com, "Iternio Telemetry API"); TeslaMate's
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 import math
 import re
 from typing import NamedTuple
@@ -24,35 +24,21 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """Quantity that a column may hold."""
+    """Quantity that a column may hold; its phrases stand in one text each, with commas."""
 
     column: str  # the name that needs no guessing, with the unit in it
-    words: tuple[str, ...]  # phrases of which a name must have one
-    needs: tuple[str, ...]  # phrases of which it must have one as well; empty for none
-    better: tuple[str, ...]  # that speak for a name
-    worse: tuple[str, ...]  # that speak against it, where another one is there
-    never: tuple[str, ...]  # that rule a name out
+    words: str  # phrases of which a name must have one
     # by their lower-case spelling; the first is taken when nothing tells
     units: Mapping[str, Unit]
+    needs: str = ""  # phrases of which it must have one as well; empty for none
+    better: str = ""  # that speak for a name
+    worse: str = ""  # that speak against it, where another one is there
+    never: str = ""  # that rule a name out
 
 
+@cache
 def _phrases(text: str) -> tuple[str, ...]:
     return tuple(phrase.strip() for phrase in text.split(",") if phrase.strip())
-
-
-def _quantity(
-    column: str,
-    words: str,
-    units: Mapping[str, Unit],
-    *,
-    needs: str = "",
-    better: str = "",
-    worse: str = "",
-    never: str = "",
-) -> Quantity:
-    """A quantity whose phrases stand in one text each, with commas."""
-    found = _phrases(words), _phrases(needs), _phrases(better), _phrases(worse), _phrases(never)
-    return Quantity(column, *found, units)
 
 
 def _units(**factors: float) -> dict[str, Unit]:
@@ -85,7 +71,7 @@ _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,s
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "time": _quantity(
+    "time": Quantity(
         "t_s",
         "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,elapsed,stamp,utc,epoch",
         _TIME,
@@ -93,7 +79,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="since,trip",
         never="charging,remaining,left,to full,charge,max,min,parking",
     ),
-    "speed": _quantity(
+    "speed": Quantity(
         "speed_mps",
         "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,"
         "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,prędkość,rychlost,скорость,车速",
@@ -102,40 +88,40 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="gps,gnss,ground",
         never=_OTHERS + ",wheel,shaft,rpm,angular,air",
     ),
-    "voltage": _quantity(
+    "voltage": Quantity(
         "voltage_v",
         "voltage,volt,volts,spannung,batteriespannung,tension,tensión,tensione,spänning",
         _units(v=1.0, volts=1.0, mv=1e-3),
         better=_BATTERY,
         never=_OTHERS + ",12,control",
     ),
-    "current": _quantity(
+    "current": Quantity(
         "current_a",
         "current,amps,ampere,amperage,strom,batteriestrom,courant,corriente,corrente",
         _units(a=1.0, amps=1.0, ma=1e-3),
         better=_BATTERY,
         never=_OTHERS,
     ),
-    "power": _quantity(
+    "power": Quantity(
         "power_w", "power,pwr,leistung,kw", _POWER, better=_BATTERY, never=_OTHERS + ",sw"
     ),
-    "elevation": _quantity(
+    "elevation": Quantity(
         "elevation_m",
         "elevation,altitude,alt,elv,height,höhe",
         _LENGTH,
         better="v p",
         never="accuracy,error",
     ),
-    "latitude": _quantity("latitude", "latitude,lat", _DEGREES, never=_NO_PLACE),
-    "longitude": _quantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
-    "ambient": _quantity(
+    "latitude": Quantity("latitude", "latitude,lat", _DEGREES, never=_NO_PLACE),
+    "longitude": Quantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
+    "ambient": Quantity(
         "ambient_c",
         "ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp",
         _TEMPERATURE,
         better="temperature,temp,air",
         never="pressure,humidity,light",
     ),
-    "heating": _quantity(
+    "heating": Quantity(
         "heating_w",
         "heating,heater,htr,heizung",
         _POWER,
@@ -143,7 +129,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="est",
         never="can,no,on," + _NO_POWER,
     ),
-    "aircon": _quantity(
+    "aircon": Quantity(
         "aircon_w",
         "aircon,airconditioning,air conditioning,a c,ac,climate",
         _POWER,
@@ -151,14 +137,14 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="est",
         never="charger,motor,charge,heater,heating,htr," + _NO_POWER,
     ),
-    "auxiliary": _quantity(
+    "auxiliary": Quantity(
         "auxiliary_w",
         "aux,auxiliary",
         _POWER,
         needs="power,pwr,w,kw",
         never=_NO_POWER + ",battery,bat",
     ),
-    "charge": _quantity(
+    "charge": Quantity(
         "soc_pct",
         "soc,stateofcharge,state of charge,battery level,ladezustand",
         _PERCENT,
@@ -166,19 +152,19 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="usable",
         never="min,max,target,limit,health,cell",
     ),
-    "motor_torque": _quantity(
+    "motor_torque": Quantity(
         "motor_torque_nm",
         "motor torque,motortorque,inverter torque",
         _units(nm=1.0),
         never="request,requested,target,limit,max,min",
     ),
-    "motor_speed": _quantity(
+    "motor_speed": Quantity(
         "motor_speed_rad_s",
         "motor speed,motorspeed,motor rpm",
         {"rad/s": Unit(1.0), "rpm": Unit(math.pi / 30), "1/min": Unit(math.pi / 30)},
         never="request,requested,target,limit,max,min,vehicle",
     ),
-    "odometer": _quantity(
+    "odometer": Quantity(
         "odometer_km",
         "odo,odometer,kilometerstand,v p odometer",
         _DISTANCE,
@@ -188,7 +174,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 PLACES = ("latitude", "longitude")  # only shown: one in another unit ends no file, it is left out
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 # In brackets behind a name, but no unit: where the number comes from.
-QUALIFIERS = frozenset(_phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real"))
+QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real")
 
 # By an unmistakable column of an app: what its other names do not tell. LeafSpy writes the ambient
 # temperature in degrees F beside packs in both ("LeafSpy Log file format", lstech.io). Its Speed
@@ -222,11 +208,11 @@ def score(quantity: str, name: str) -> float:
     for text in brackets[:-1]:
         words += f"{text} "
 
-    def has(phrases: tuple[str, ...]) -> int:
-        return sum(f" {phrase} " in words for phrase in phrases)
+    def has(phrases: str) -> int:
+        return sum(f" {phrase} " in words for phrase in _phrases(phrases))
 
     spelled = words if not brackets else f"{words}{re.sub(r'[^a-z]', '', brackets[-1])} "
-    needed = not known.needs or any(f" {phrase} " in spelled for phrase in known.needs)
+    needed = not known.needs or any(f" {phrase} " in spelled for phrase in _phrases(known.needs))
     if not has(known.words) or has(known.never) or not needed:
         return 0.0
     if quantity in PLACES and unit_of(quantity, name)[0] not in ("", *known.units):

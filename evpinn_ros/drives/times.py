@@ -77,7 +77,6 @@ class Clock:
     unit: str = "s"  # of numbers
     zoned: bool = False  # the cells name a zone or are seconds since 1970, so the stamps are UTC
     why: str = ""  # this was chosen, for people
-    backwards: int = 0  # steps back in what was looked at
     twelve: bool = False  # hours are counted to twelve
     style: Style = POINT  # of numbers
     daily: bool = False  # numbers begin anew at midnight
@@ -180,22 +179,16 @@ def clock_of_numbers(
         return None  # 20240305070809 is a date
     known = _forward(known)
     steps = np.diff(known)
-    backwards = int((steps < 0).sum())
     size = float(np.median(np.abs(known)))
     since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
     if since_1970 is not None and (unit is None or size * _NS[unit] / 1e9 >= RELATIVE_BELOW_S):
         name = unit or since_1970
-        return Clock(
-            (column,), "number", "", name, True, "since 1970, by its size", backwards, style=style
-        )
-    name, why = (
-        unit or _unit_of_steps(steps),
-        "by its name" if unit else "by the step between rows",
-    )
+        why = "since 1970, by its size"
+        return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
+    name = unit or _unit_of_steps(steps)
+    why = "by its name" if unit else "by the step between rows"
     daily = _begins_anew(known, DAY_NS / _NS[name])
-    return Clock(
-        (column,), "number", "", name, why=why, backwards=backwards, style=style, daily=daily
-    )
+    return Clock((column,), "number", unit=name, why=why, style=style, daily=daily)
 
 
 def _unit_of_steps(steps: NDArray[np.float64]) -> str:
@@ -241,7 +234,7 @@ def clock_of_text(columns: tuple[int, ...], cells: Sequence[Sequence[str]]) -> C
         span = float(np.ptp(stamps)) if with_date else 0.0
         merit = (-float(stamps.size), float(backwards), long, span, float(rank))
         kind = "date" if with_date else "time of day"
-        clock = Clock(columns, kind, pattern, "", "%z" in pattern, order, backwards, twelve)
+        clock = Clock(columns, kind, pattern, "", "%z" in pattern, order, twelve)
         found.append((merit, clock))
     return _best(found)
 
