@@ -66,7 +66,7 @@ class MessageRule:
         return int(self.message.frame_id), bool(self.message.is_extended_frame)
 
     def checksum_of(self, data: bytes) -> int | None:
-        """What the checksum byte of a payload has to be; None where no rule is known."""
+        """Checksum byte that a payload has to have; None where no rule is known."""
         if self.checksum is None:
             return None
         before, after = data[: self.checksum_byte], data[self.checksum_byte + 1 :]

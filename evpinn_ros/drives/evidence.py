@@ -293,7 +293,7 @@ _BY_VALUES = {
     "charge": _charge_unit,
     "ambient": _temperature_unit,
 }
-"""What finds the unit of a quantity that has none, by its values; in this order."""
+"""Rules for the unit of a quantity that has none, by its values; in this order."""
 
 
 def seconds(stamps_ns: NDArray[np.int64], first_ns: int) -> FloatArray:

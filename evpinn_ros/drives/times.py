@@ -89,7 +89,7 @@ class Clock:
         return HALF_DAY_NS if self.twelve and "%p" not in self.formats else DAY_NS
 
     def running(self) -> RunningClock:
-        """The clock that makes its times run on where it begins anew."""
+        """Counter that lets its times run on where it begins anew."""
         return RunningClock(self.period_ns)
 
     @property
