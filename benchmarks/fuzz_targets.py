@@ -38,7 +38,7 @@ from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.plan import plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.energy.rknn import SHIPPED_WEIGHTS, load_rknn
+from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.estimation.worker import InlineWorker
@@ -256,7 +256,6 @@ TARGETS = (
     ),
     Target("state", "s.json", _estimator_seed, _estimator_state, weight=SLOW, mutate=mutate_json),
     Target("energy", "e.json", _account_seed, _energy_state, mutate=mutate_json),
-    Target("rknn", "w.npz", lambda: [SHIPPED_WEIGHTS.read_bytes()], load_rknn),
     Target("message", "m", seeds.messages, partial(_refused, _reading)),
     Target("model", "m", seeds.model, partial(_refused, _model)),
     Target("plan", "m", seeds.plans, partial(_refused, _plan)),
