@@ -35,8 +35,8 @@ from evpinn_ros.energy.plan import plan_from_speed_profile
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.nodes.diagnosis import Health
-from evpinn_ros.nodes.estimator_diagnosis import EstimatorReport, estimator_status
+from evpinn_ros.nodes.diagnosis import Condition, Health
+from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
@@ -94,8 +94,8 @@ def record(out: Path) -> None:
                 if not isinstance(output, ParameterSet):
                     continue
                 found += breakdown_messages(new_message, now_ns, chain.estimator.breakdown())
-                report = EstimatorReport(chain.estimator.status(), Health({}, {}), 0.0, 0, None)
-                name, *rest = estimator_status(report)
+                well = Condition(Health({}, {}), 0.0, 0, None)
+                name, *rest = estimator_status(chain.estimator.status(), well)
                 status = (f"{NAMESPACE}/estimator: {name}", *rest)
                 hardware = f"{VEHICLE} {NAMESPACE}"
                 found.append((DIAGNOSTICS, diagnostics(new_message, now_ns, [status], hardware)))
