@@ -73,7 +73,7 @@ class MessageFit:
         self._data = frame.data
 
     def restart(self) -> None:
-        """Forget the counts, not what value and payload came last."""
+        """Forget the counts, not the last value and payload."""
         self.frames = self.good = 0
         self.bad.clear()
 
@@ -101,16 +101,16 @@ class MessageFit:
         return self.has_checksum and self.good >= ENOUGH_PROOF and not self.fails
 
     def __str__(self) -> str:
-        what = f"{self.quantity} (0x{self.can_id:X})"
+        place = f"{self.quantity} (0x{self.can_id:X})"
         if not self.frames:
-            return f"{what} never came"
+            return f"{place} never came"
         if self.share >= NEARLY_ALL:
-            return f"{what} holds"
+            return f"{place} holds"
         total = self.good + self.bad.total()
         if not total:
-            return f"{what}: no values"
+            return f"{place}: no values"
         reason, count = max(self.bad.items(), key=itemgetter(1))
-        return f"{what}: {100 * count / total:.0f} % {reason}"
+        return f"{place}: {100 * count / total:.0f} % {reason}"
 
     def _jumped(self, stamp_ns: int, value: float) -> bool:
         elapsed_ns = stamp_ns - self._stamp_ns
@@ -151,7 +151,7 @@ class ProfileFit:
             self._by_quantity[quantity].add_bad(frame, reason)
 
     def restart(self) -> None:
-        """Forget the counts, not what values and payloads came last."""
+        """Forget the counts, not the last values and payloads."""
         for message in self.messages:
             message.restart()
 

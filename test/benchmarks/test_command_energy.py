@@ -22,6 +22,14 @@ def write_drive(path, seconds=60):
     path.write_text("\n".join(rows) + "\n")
 
 
+def measure(folder, *arguments):
+    """Run the command in this process; gives its output and its JSON."""
+    out = folder / "out.json"
+    done = CliRunner().invoke(app, ["bench", "energy", *arguments, f"--json={out}"])
+    assert done.exit_code == 0, done.output
+    return done.output, json.loads(out.read_text())
+
+
 def test_a_short_run_measures_all(tmp_path):
     drives = tmp_path / "drives"
     drives.mkdir()
@@ -51,12 +59,9 @@ def test_the_library_alone(tmp_path, monkeypatch):
     """In this process, so that each is timed once."""
     monkeypatch.setattr(energy_library, "REPEATS", 1)
     write_drive(tmp_path / "drive.csv")
-    out = tmp_path / "out.json"
-    arguments = ["bench", "energy", f"{tmp_path / 'drive.csv'}=bmw_i3", "--part=library"]
-    done = CliRunner().invoke(app, [*arguments, f"--json={out}"])
-    assert done.exit_code == 0, done.output
-    assert "learned model, numpy" in done.output
-    assert min(json.loads(out.read_text())["library"].values()) > 0
+    output, found = measure(tmp_path, f"{tmp_path / 'drive.csv'}=bmw_i3", "--part=library")
+    assert "learned model, numpy" in output
+    assert min(found["library"].values()) > 0
 
 
 def test_integrators_alone(tmp_path, monkeypatch):
@@ -64,19 +69,15 @@ def test_integrators_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(integrators, "SIMULATED_TIME", 60.0)
     write_drive(tmp_path / "drive.csv", seconds=160)
     (tmp_path / "short.csv").write_text("t_s,speed_mps,power_w\n0,1,1\n1,1,1\n")
-    arguments = ["bench", "energy", f"{tmp_path / 'drive.csv'}=bmw_i3"]
-    arguments += [f"{tmp_path / 'short.csv'}=bmw_i3", "--part=integrators", "--epochs=20"]
-    out = tmp_path / "out.json"
-    done = CliRunner().invoke(app, [*arguments, f"--json={out}"])
-    assert done.exit_code == 0, done.output
-    assert "short.csv: no 150 s of power" in done.output
-    found = json.loads(out.read_text())
+    drives = [f"{tmp_path / name}.csv=bmw_i3" for name in ("drive", "short")]
+    output, found = measure(tmp_path, *drives, "--part=integrators", "--epochs=20")
+    assert "short.csv: no 150 s of power" in output
     assert set(found) == {"load_average", "integrators"}
     cars = {row["car"] for row in found["integrators"]["rows"]}
     assert cars == {"bmw_i3", "simulated"}
     (agreement,) = found["integrators"]["agreement"]
     assert abs(agreement["percent"]) < 0.1
-    assert "1 whole logs" in done.output and "trapezoid" in done.output
+    assert "1 whole logs" in output and "trapezoid" in output
 
 
 def test_counting_alone(tmp_path, monkeypatch):
@@ -87,11 +88,8 @@ def test_counting_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(energy_integration, "STRIDE", 20.0)
     monkeypatch.setattr(energy_integration, "DROPOUT", 20.0)
     write_drive(tmp_path / "drive.csv")
-    out = tmp_path / "out.json"
-    arguments = ["bench", "energy", f"{tmp_path / 'drive.csv'}=bmw_i3", "--part=counting"]
-    done = CliRunner().invoke(app, [*arguments, f"--json={out}"])
-    assert done.exit_code == 0, done.output
-    names = [row["name"] for row in json.loads(out.read_text())["counting"]]
+    _, found = measure(tmp_path, f"{tmp_path / 'drive.csv'}=bmw_i3", "--part=counting")
+    names = [row["name"] for row in found["counting"]]
     for start in ("drift in 24 h", "quadrature of 10 Hz", "1 Hz with 10% missing", "bmw_i3, "):
         assert any(name.startswith(start) for name in names), start
     assert "bmw_i3, battery dropout of 20 s: median" in names

@@ -43,9 +43,9 @@ def loss(learner: PaperLearner, drive, first, last) -> tuple[float, float]:
     pairs = list(zip(drive.samples, drive.powers, strict=True))[first:last]
     for sample, power in pairs:
         said = learner.predict(sample).power / POWER_SCALE
-        believed = float(learner._physics(sample, learner._values())) / POWER_SCALE
+        by_physics = float(learner._physics(sample, learner._values())) / POWER_SCALE
         data += (power / POWER_SCALE - said) ** 2 / len(pairs)
-        physics += (believed - said) ** 2 / len(pairs)
+        physics += (by_physics - said) ** 2 / len(pairs)
     return data, physics
 
 
