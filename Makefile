@@ -45,7 +45,8 @@ endif
 demo: $(INSTALLED)
 	@$(EVPINN) demo
 
-test: lint $(ROS2_INSTALLED) $(MSGS_INSTALLED)
+test:
+	@$(MAKE) --no-print-directory -j 2 lint $(ROS2_INSTALLED) $(MSGS_INSTALLED)
 	@$(BIN)/python -m pytest $(IN_PARALLEL) --hypothesis-profile=ci
 
 # What finds most mistakes within a minute: no DDS, no browser, no colcon.
@@ -119,9 +120,10 @@ $(VENV)/ros2/installed: $(INSTALLED)
 	@$(ROS2_TOOLS)/install.sh "$(CURDIR)/$(VENV)/ros2"
 	@touch $@
 
+# Python compiles a module where it is first imported: of PyTorch that is a small part.
 $(INSTALLED): setup.py setup.cfg constraints.txt
 	@echo "Installing evpinn_ros and its tools into $(VENV); the first time takes minutes."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
-	@$(BIN)/python -m pip install -qq --no-input --disable-pip-version-check \
-		-c $(CONSTRAINTS) -e '.[$(EXTRAS)]'
+	@$(BIN)/python -m pip install -qq --no-input --no-compile \
+		--disable-pip-version-check -c $(CONSTRAINTS) -e '.[$(EXTRAS)]'
 	@touch $@

@@ -7,6 +7,7 @@ from itertools import chain, zip_longest
 import os
 from pathlib import Path
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -43,6 +44,11 @@ NOT_QUICK = frozenset(
 
 Single tests of other files are marked `slow`.
 """
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell starts what it runs in the background so, and each process that a test starts and
+    # interrupts would have it from here.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("quick", settings.get_profile("ci"), max_examples=25)
 

@@ -169,8 +169,6 @@ def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProc
         stdout=(cwd / "stdout").open("w"),
         stderr=subprocess.PIPE,
         text=True,
-        # A shell in the background ignores it, and children inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 120
     while not once() and time.monotonic() < deadline and process.poll() is None:
