@@ -55,7 +55,7 @@ class Drive(NamedTuple):
 
 DRIVES = (
     Drive("urban", Mode.HYBRID, np.inf, 1e-6),
-    Drive("highway", Mode.HYBRID, np.inf, 1e-6),
+    Drive("highway", Mode.HYBRID, 150.0, 1e-6),
     Drive("urban", Mode.PAPER, 60.0, 1e-3),
 )
 
