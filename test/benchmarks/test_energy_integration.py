@@ -14,7 +14,6 @@ from evpinn_ros.vehicle.files import load_vehicle
 
 def test_figures_that_need_no_data(monkeypatch):
     monkeypatch.setattr(energy_integration, "DAY", 600)  # a whole one: test_quadrature.py
-    monkeypatch.setattr(energy_integration, "SIMULATED_TIME", 900.0)
     drift, quadrature, *gaps = integration_rows([], time.thread_time)
     assert drift.name.startswith("drift") and drift.figure <= 1e-6
     assert quadrature.name.startswith("quadrature") and 0.0 < quadrature.figure <= 1e-4
