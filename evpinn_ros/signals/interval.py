@@ -31,7 +31,9 @@ from evpinn_ros.signals.road import Conditions, Road
 STEP = 0.5  # s, shortest step within an interval
 DURATION = 1.5  # s, shortest interval
 READINGS = 6  # usual steps of the slower signal that an interval spans at least
-EDGE_HALF_NS = 250_000_000  # ns to either side over which the speed at an edge is averaged
+# Speed after an edge that its own is smoothed with, ns. By a local quadratic: a mean flattens the
+# ups and downs of speed, which made m/eta 0.7 % too large.
+EDGE_AHEAD_NS = 250_000_000
 PASSED = 20  # edges among which late altitudes find their place
 WAIT_NS = 60 * NANOSECONDS  # longest wait for the height or battery around an interval
 
@@ -127,7 +129,7 @@ class IntervalBuilder:
         """Start empty; nothing younger than late_ns is looked at, for more may come."""
         self._speed, self._battery, self._motor, self._road = speed, battery, motor, road
         self._height = HeightProfile()
-        self._settled_ns = max(late_ns, EDGE_HALF_NS)
+        self._settled_ns = max(late_ns, EDGE_AHEAD_NS)
         self._edges: list[_Edge] = []
         self._complete: deque[list[_Edge]] = deque()
         self._passed: deque[tuple[int, float]] = deque(maxlen=PASSED)
@@ -173,7 +175,7 @@ class IntervalBuilder:
             distance, air = self._speed.travelled(last, stamp_ns, conditions.head_wind)
             self._odometer, self._air = self._odometer + distance, self._air + air
             motor = self._motor.energy(last, stamp_ns)
-        speed = self._speed.mean(stamp_ns - EDGE_HALF_NS, stamp_ns + EDGE_HALF_NS)
+        speed, _ = self._speed.smoothed(stamp_ns, stamp_ns + EDGE_AHEAD_NS)
         edge = _Edge(stamp_ns, speed, self._odometer, self._air, motor, conditions)
         self._passed.append((stamp_ns, self._odometer))
         stamps, odometers = zip(*self._passed, strict=True)

@@ -54,11 +54,6 @@ class SpeedTrack(SignalTrack):
         self.stamps.clear()
         self.values.clear()
 
-    def mean(self, start_ns: int, end_ns: int) -> float:
-        """Mean of the speeds of a span, m/s; it must hold one."""
-        first, last = bisect_left(self.stamps, start_ns), bisect_right(self.stamps, end_ns)
-        return sum(self.values[first:last]) / (last - first)
-
     def travelled(self, start_ns: int, end_ns: int, head_wind: float) -> tuple[float, float]:
         """Distance, m, and integral of the air's flow, m^3/s^2, between two speeds' stamps.
 

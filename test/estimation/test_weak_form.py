@@ -14,6 +14,7 @@ from evpinn_ros.estimation.weak_form import (
     motor_energy,
     spent,
     unit_step,
+    wheels_at,
 )
 from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.road import Conditions
@@ -76,11 +77,8 @@ def drawn_state(seed: int) -> np.ndarray:
 
 def far_from_bends(mean: np.ndarray, steps: Steps, around: Conditions, warmth: Warmth) -> bool:
     """Where the wheels turn from driving to braking the energy has no gradient."""
-    found = [
-        spent(mean, Steps(*(column[k : k + 1] for column in steps)), around, warmth, CAR)
-        for k in range(len(steps.duration))
-    ]
-    return all(float(np.minimum.reduce(f.throughput)) > 100.0 for f in found)
+    wheels = wheels_at(mean, steps, around, warmth, CAR)
+    return float(np.abs(wheels.total).min()) > 100.0
 
 
 @pytest.mark.slow
@@ -90,7 +88,7 @@ def far_from_bends(mean: np.ndarray, steps: Steps, around: Conditions, warmth: W
 def test_the_gradient_is_that_of_finite_differences(motor, seed, around, tyres, cabin):
     """All but that of copper loss by the force itself, which is taken as it is."""
     steps, mean, warmth = drawn_steps(seed, motor), drawn_state(seed), Warmth(tyres, cabin)
-    assume(far_from_bends(mean, drawn_steps(seed, motor=False), around, warmth))
+    assume(far_from_bends(mean, steps, around, warmth))
     mean[:, State.COPPER] = 0.0
     functions = [
         lambda x: (lambda f: (f.energy, f.gradient))(spent(x, steps, around, warmth, CAR))

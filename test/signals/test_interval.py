@@ -62,6 +62,19 @@ def settled(events) -> list[Interval]:
     return found
 
 
+def test_ups_and_downs_of_speed_are_as_large_as_they_are(new_stream, play, journey, at):
+    """In traffic speed swings within seconds; a mean over half a second takes 1.6 % of that."""
+
+    def traffic(t):
+        return 12.0 + 2.0 * math.sin(2 * math.pi * t / 5.0)
+
+    found = of(play(new_stream(), journey(100.0, speed=traffic)))[3:-3]
+    edges = np.array([[one.start_ns - at(0), one.end_ns - at(0)] for one in found]) / NANOSECONDS
+    true = np.diff(np.vectorize(traffic)(edges) ** 2 / 2)[:, 0]
+    kinetic = np.array([one.steps.kinetic.sum() for one in found])
+    assert kinetic @ true == pytest.approx(true @ true, rel=2e-3)
+
+
 def test_a_drive_telescopes(new_stream, play, journey, at):
     """Distances, kinetic energy and climb of all intervals are those of the whole way."""
     found = settled(play(new_stream(), journey(200.0)))
