@@ -20,10 +20,10 @@ from benchmarks.can_decoding import (
     measure_throughput,
 )
 from benchmarks.can_traffic import Idle, measure_idle
-from benchmarks.cli.output import json_at_the_end, number
+from benchmarks.cli.output import figures_table, json_at_the_end, number
 from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import figures_table, titled_table
+from evpinn_ros.common.plain_table import PlainTable
 
 BUSY = 0.3  # load of other programs from which the figures are not those of the bridge alone
 
@@ -97,10 +97,9 @@ def _offline_rows(throughput: Throughput) -> Iterator[tuple[str, str, str]]:
 
 
 def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
-    table = titled_table("Captures: battery frames and table rows that are equal, live to offline")
-    table.add_column("log", no_wrap=True)
-    for column in ("frames", "battery", "rows", "wheel speed", "within 2 %", "live"):
-        table.add_column(column, justify="right")
+    title = "Captures: battery frames and table rows that are equal, live to offline"
+    columns = ("log", "frames", "battery", "rows", "wheel speed", "within 2 %", "live")
+    table = PlainTable(title, columns, unbroken=("log",))
     for each, live in agreements:
         table.add_row(
             each.log.rpartition("/")[2].partition(".")[0],

@@ -73,7 +73,8 @@ def _report(found: dict[str, CarriedForecast], json_file: Path | None) -> None:
 
 
 def _table(found: dict[str, CarriedForecast]) -> PlainTable:
-    table = PlainTable("drive", "measured Wh", "forecast Wh", "error %", "RMSE W", "in 90 % band")
+    columns = ("drive", "measured Wh", "forecast Wh", "error %", "RMSE W", "in 90 % band")
+    table = PlainTable("", columns)
     for name, one in found.items():
         numbers = (
             (one.measured_j and one.measured_j / 3600.0, ".0f"),

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from benchmarks.cli.integration import EPOCHS, battery, counting, integrators, show_battery
-from benchmarks.cli.output import json_at_the_end, table_of
+from benchmarks.cli.output import figures_table, json_at_the_end, table_of
 from benchmarks.energy_forecast import ForecastBenchmark, PlannedForecast, forecast_totals
 from benchmarks.energy_library import (
     BATCH,
@@ -28,7 +28,6 @@ from benchmarks.fastsim_peer import fastsim_version
 from benchmarks.logs import Log, find_logs
 from evpinn_ros.cli.console import note, progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
-from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source

@@ -12,8 +12,8 @@ import typer
 
 from evpinn_ros.cli.console import note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 
 if TYPE_CHECKING:
     from benchmarks.faults.fault import Result
@@ -66,13 +66,12 @@ def faults(
 
 
 def _show(found: list[Result]) -> None:
-    table = titled_table("Faults, injected into running nodes")
-    table.add_column("fault", no_wrap=True)
-    table.add_column("lost")
-    table.add_column("took", justify="right", no_wrap=True)
-    table.add_column("limit", justify="right", no_wrap=True)
-    table.add_column("diagnostics say")
-    table.add_column("", no_wrap=True)
+    table = PlainTable(
+        "Faults, injected into running nodes",
+        ("fault", "lost", "took", "limit", "diagnostics say", ""),
+        words=("lost", "diagnostics say", ""),
+        unbroken=("fault", "took", "limit", ""),
+    )
     for each in found:
         finding = each.finding
         table.add_row(

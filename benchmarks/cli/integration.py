@@ -8,6 +8,7 @@ import time
 from typing import Any
 
 from benchmarks.battery_end import BatteryRow, battery_rows
+from benchmarks.cli.output import figures_table
 from benchmarks.energy_integration import integration_rows
 from benchmarks.integrators import (
     SIMULATED,
@@ -21,8 +22,8 @@ from benchmarks.integrators import (
 )
 from benchmarks.logs import Log
 from evpinn_ros.cli.console import note, say, show
-from evpinn_ros.cli.tables import figures_table, titled_table
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 
 EPOCHS = 1000
 
@@ -62,16 +63,12 @@ def _drives(logs: Sequence[Log]) -> list[PowerSeries]:
 def _compared(car: str, drives: Sequence[PowerSeries], epochs: int) -> list[IntegratorRow]:
     """One car's figures, shown with methods down and samplings across."""
     rows = list(compare_integrators(car, drives, epochs))
-    table = titled_table(f"{car} ({len(drives)}): median / worst error, % of gross energy")
-    table.add_column("method")
     cells: dict[str, list[str]] = {}
     for row in rows:
-        cells.setdefault(row.method, []).append(f"{row.median:.3f} / {row.worst:.3f}")
-    for sampling in dict.fromkeys(row.sampling for row in rows):
-        table.add_column(sampling, justify="right")
-    for method, errors in cells.items():
-        table.add_row(method, *errors)
-    show(table)
+        cells.setdefault(row.method, [row.method]).append(f"{row.median:.3f} / {row.worst:.3f}")
+    title = f"{car} ({len(drives)}): median / worst error, % of gross energy"
+    samplings = dict.fromkeys(row.sampling for row in rows)
+    show(PlainTable(title, ("method", *samplings), cells.values()))
     return rows
 
 
@@ -84,9 +81,8 @@ def battery(logs: Sequence[Log]) -> dict[str, Any]:
 
 def show_battery(title: str, rows: Mapping[str, BatteryRow]) -> None:
     """A table of drives."""
-    table = titled_table(title)
-    for column in ("drive", "charge used", "by capacity", "by state", "V held", "V by state"):
-        table.add_column(column, justify="left" if column == "drive" else "right")
+    columns = ("drive", "charge used", "by capacity", "by state", "V held", "V by state")
+    table = PlainTable(title, columns)
     for name, row in rows.items():
         shares = ("-" if each is None else f"{100 * each:+.2f} points" for each in row[1:3])
         volts = ("-" if each is None else f"{each:+.1f} V" for each in row[3:])

@@ -156,12 +156,14 @@ def _entry(log: Log, run: Run, scores: Mapping[str, Score]) -> dict[str, Any]:
 
 def _show(title: str, scores: Mapping[str, Score], markdown: bool) -> None:
     """The scores of one log, or of all, a row for each method."""
-    table = PlainTable(title=title, box=MARKDOWN if markdown else SIMPLE_HEAD)
-    table.add_column("method", no_wrap=True)
-    for header in HEADERS:
-        table.add_column(header.replace("\n", " ") if markdown else header, justify="right")
-    for name, score in scores.items():
-        table.add_row(name, *_row(score))
+    headers = [each.replace("\n", " ") if markdown else each for each in HEADERS]
+    table = PlainTable(
+        title,
+        ("method", *headers),
+        [(name, *_row(score)) for name, score in scores.items()],
+        unbroken=("method",),
+        box=MARKDOWN if markdown else SIMPLE_HEAD,
+    )
     # Markdown is for a file: no line of it is folded, however narrow the terminal.
     show(table, at_least=MARKDOWN_WIDTH if markdown else 0)
 

@@ -45,10 +45,12 @@ def table_of(
             of the tuple.
         left: how many of the columns are texts, aligned left.
     """
-    table = PlainTable(title=title)
-    for place, (header, _) in enumerate(columns):
-        table.add_column(header, justify="left" if place < left else "right")
-    for row in rows:
-        objects = row if type(row) is tuple else (row,)
-        table.add_row(*(cell.format(*objects) for _, cell in columns))
-    return table
+    headers = [header for header, _ in columns]
+    objects = (row if type(row) is tuple else (row,) for row in rows)
+    cells = ([cell.format(*each) for _, cell in columns] for each in objects)
+    return PlainTable(title, headers, cells, words=headers[:left])
+
+
+def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> PlainTable:
+    """Table of figures, each beside its goal: (name, measured, goal)."""
+    return PlainTable(title, ("", "measured", "goal"), rows)

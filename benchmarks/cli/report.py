@@ -11,10 +11,10 @@ from typing import Annotated
 
 import typer
 
+from benchmarks.cli.output import figures_table
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
-from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimator import EstimatorSettings

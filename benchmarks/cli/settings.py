@@ -25,9 +25,9 @@ from benchmarks.unseen.drives import cars_in
 from benchmarks.variants import SCORE_COLUMNS, RecordedCar, Row, Variant, read_car, score
 from evpinn_ros.cli.console import progress_bar, show
 from evpinn_ros.cli.options import MetricsOption
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 
 
 def settings(
@@ -93,10 +93,8 @@ def _found(
 
 
 def _show_alternatives(scores: Scores) -> None:
-    table = titled_table("Likelihood less that of the product's constants")
-    table.add_column("instead")
-    for key in (*scores, "all cars"):
-        table.add_column(key, justify="right")
+    title = "Likelihood less that of the product's constants"
+    table = PlainTable(title, ("instead", *scores, "all cars"))
     for variant in alternatives()[1:]:
         gains = [
             support(scores, judges, variant.name) - support(scores, judges, PRODUCT)

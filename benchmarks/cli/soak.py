@@ -10,12 +10,11 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.cli.output import json_at_the_end, table_of
+from benchmarks.cli.output import figures_table, json_at_the_end, table_of
 from benchmarks.soak import HOUR, Hour, memory_growth, time_drift
 from benchmarks.soak import soak as drive_for
 from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.tables import figures_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 
 COLUMNS = (

@@ -30,7 +30,7 @@ AGES = ("0.1", "1", "10", "60", "600")
 
 def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """Whole drives and dropouts: median and mean of the errors, coverage and width."""
-    table = PlainTable("method", *ENERGY_COLUMNS)
+    table = PlainTable("", ("method", *ENERGY_COLUMNS))
     for name, scores in methods.items():
         carried, short, long = (scores[key] for key in ("carried", "withheld", "dropout_600"))
         table.add_row(
@@ -50,7 +50,7 @@ def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
 
 def age_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """RMSE and error of energy by the age of the last battery sample."""
-    table = PlainTable("s since the battery", *(f"{age}:\nW, %" for age in AGES))
+    table = PlainTable("", ("s since the battery", *(f"{age}:\nW, %" for age in AGES)))
     for name, scores in methods.items():
         ages = scores["by_battery_age"]
         cells = (
@@ -63,7 +63,7 @@ def age_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
 
 def truth_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """Bias, percent (W for p_aux), and how often the 95 % interval holds the truth."""
-    table = PlainTable("bias %; 95 % covers %", *TRUTH_COLUMNS.values())
+    table = PlainTable("", ("bias %; 95 % covers %", *TRUTH_COLUMNS.values()))
     for name, scores in methods.items():
         found = scores["truth"]
         if found:

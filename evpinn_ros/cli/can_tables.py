@@ -8,7 +8,6 @@ from typing import Any
 from evpinn_ros.can.fit import MessageFit
 from evpinn_ros.can.inspection import BusReport, IdStatus, ProfileReport
 from evpinn_ros.cli.console import say, show
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.plain_table import PlainTable
 
 PEOPLE: dict[str, tuple[str, float, int]] = {
@@ -58,11 +57,8 @@ def verdict(profile: ProfileReport) -> str:
 
 
 def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> PlainTable:
-    table = titled_table("Ids")
-    table.add_column("id")
-    for title in ("frames", "Hz", "period ms", "jitter ms", "age s", "bytes"):
-        table.add_column(title, justify="right")
-    table.add_column("read as")
+    numbers = ("frames", "Hz", "period ms", "jitter ms", "age s", "bytes")
+    table = PlainTable("Ids", ("id", *numbers, "read as"), words=("read as",))
     read: dict[int, list[str]] = {}
     for message in best.fit.messages if best is not None else ():
         read.setdefault(message.can_id, []).append(message.quantity)
@@ -81,11 +77,8 @@ def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> PlainTab
 
 
 def _profile_table(profiles: tuple[ProfileReport, ...]) -> PlainTable:
-    table = titled_table("Profiles, best first")
-    table.add_column("profile")
-    table.add_column("score", justify="right")
-    table.add_column("verdict")
-    table.add_column("why")
+    columns = ("profile", "score", "verdict", "why")
+    table = PlainTable("Profiles, best first", columns, words=("verdict", "why"))
     for profile in profiles:
         why = "; ".join(map(str, profile.fit.messages)) if profile.fit.frames else ""
         score = f"{100 * profile.fit.score:.0f} %"
@@ -94,11 +87,8 @@ def _profile_table(profiles: tuple[ProfileReport, ...]) -> PlainTable:
 
 
 def _value_table(best: ProfileReport) -> PlainTable:
-    table = titled_table(f"Values as {best.fit.profile} reads them")
-    table.add_column("signal")
-    for title in ("readings", "newest", "lowest", "highest"):
-        table.add_column(title, justify="right")
-    table.add_column("")
+    columns = ("signal", "readings", "newest", "lowest", "highest", "")
+    table = PlainTable(f"Values as {best.fit.profile} reads them", columns, words=("",))
     for name, found in best.values.items():
         unit, factor, decimals = PEOPLE[name]
         numbers = (found.newest, found.lowest, found.highest)

@@ -20,8 +20,8 @@ from evpinn_ros.cli.options import (
     VehicleOption,
 )
 from evpinn_ros.cli.table_columns import explain_columns
-from evpinn_ros.cli.tables import columns_table
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives
@@ -86,9 +86,9 @@ def _show(found: Comparison) -> None:
     for problem in found.problems:
         note(f"evpinn: {problem}")
     rows = trip_rows(found) + part_rows(found.parts())
-    show(columns_table(f"Where the energy went, {UNIT}", ("", *found.names), rows))
+    show(PlainTable(f"Where the energy went, {UNIT}", ("", *found.names), rows))
     less = tuple(f"{name} less {found.names[0]}" for name in found.names[1:])
     rows = part_rows(found.differences(), signed=True)
-    show(columns_table("What explains the difference", ("", *less), rows))
+    show(PlainTable("What explains the difference", ("", *less), rows))
     for line in sentences(found):
         say(line)

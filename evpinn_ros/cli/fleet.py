@@ -12,8 +12,8 @@ import typer
 
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet
@@ -149,12 +149,7 @@ def _show(summary: FleetSummary, out: Path) -> None:
     if counts["problems"] > MOST_SHOWN:
         note(f"evpinn: and {counts['problems'] - MOST_SHOWN} more problems, in the tables")
     for key, population in summary.populations.items():
-        table = titled_table(f"Cars of model {key}")
         name, _, *rest = POPULATION_HEAD  # the vehicle file beside it is for the report
-        table.add_column(name)
-        for column in rest:
-            table.add_column(column, justify="right", no_wrap=True)
-        for name, _, *cells in population_cells(population):
-            table.add_row(name, *cells)
-        show(table)
+        rows = [(name, *cells) for name, _, *cells in population_cells(population)]
+        show(PlainTable(f"Cars of model {key}", (name, *rest), rows, unbroken=rest))
     say(f"{out}: {fleet_sentence(counts)}")

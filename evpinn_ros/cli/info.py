@@ -15,8 +15,8 @@ import typer
 from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
 from evpinn_ros.cli.options import ColumnOption
 from evpinn_ros.cli.table_columns import shorter
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.drives.contents import Contents, contents
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -52,12 +52,9 @@ def info(
 
 def _show(found: Contents) -> None:
     if found.topics:
-        table = titled_table(f"{found.path}")
-        for name in ("topic", "type", "messages", "Hz", "longest gap"):
-            table.add_column(name, justify="left" if name in ("topic", "type") else "right")
-        for topic in found.topics:
-            table.add_row(topic.name, topic.type_name, *_flow(topic.flow))
-        show(table)
+        columns = ("topic", "type", "messages", "Hz", "longest gap")
+        rows = [(topic.name, topic.type_name, *_flow(topic.flow)) for topic in found.topics]
+        show(PlainTable(f"{found.path}", columns, rows, words=("type",)))
     for line in _lines(found):
         say(line)
 

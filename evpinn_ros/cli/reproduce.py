@@ -27,9 +27,9 @@ from evpinn_ros.cli.console import (
     write_json,
 )
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
 from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, Settings
@@ -200,12 +200,7 @@ def training_progress() -> Iterator[OnProgress]:
 
 
 def _print(table: ResultTable) -> None:
-    shown = titled_table(table.title)
-    for index, column in enumerate(table.columns):
-        shown.add_column(column, justify="right" if index else "left", no_wrap=index == 0)
-    for row in table.rows:
-        shown.add_row(*row)
-    show(shown)
+    show(PlainTable(table.title, table.columns, table.rows, unbroken=table.columns[:1]))
     say(table.note, style="dim")
     say()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +26,13 @@ def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -
     """Live value, 1-sigma, prior share and state of each parameter, and the truth if known."""
     columns = parameter_columns(truth)
     rows = parameter_rows(found, truth)
-    return columns_table("Parameters of the car", columns, rows, left=("state",))
+    return PlainTable("Parameters of the car", columns, rows, words=("state",))
 
 
 def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
     """Live value, 1-sigma, prior share and truth of a drive recorded from the nodes."""
-    table = titled_table("Parameters of the car")
-    table.add_column("parameter")
-    for name in ("live value", "1-sigma", "true value", "off by", "prior"):
-        table.add_column(name, justify="right")
+    columns = ("parameter", "live value", "1-sigma", "true value", "off by", "prior")
+    table = PlainTable("Parameters of the car", columns)
     final = drive.final.parameters if drive.final is not None else {}
     for name, estimate in final.items():
         true = float(getattr(truth, name)) if truth is not None else None
@@ -51,43 +49,17 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
 
 def breakdown_table(found: Mapping[str, Any]) -> PlainTable:
     """Breakdown of the energy: kWh, 1-sigma, kWh/100 km and share of each part."""
-    return columns_table("Where the energy went", COLUMNS, breakdown_rows(found))
+    return PlainTable("Where the energy went", COLUMNS, breakdown_rows(found))
 
 
 def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
     """Scores of power and energy, with the baselines that say what they are worth."""
     title = f"Predict, then update; after {warm_up:.0f} s"
-    return columns_table(title, SCORE_COLUMNS, score_rows(drive, found, warm_up))
+    return PlainTable(title, SCORE_COLUMNS, score_rows(drive, found, warm_up))
 
 
 def drives_table(drives: Sequence[tuple[Drive, Mapping[str, Any]]]) -> PlainTable:
     """Drives of one car with their metrics, a row each."""
     names = short_names([Path(found["input"]["path"]) for _, found in drives])
     rows = drives_rows([(name, *each) for name, each in zip(names, drives, strict=True)])
-    return columns_table("Drives", DRIVES_COLUMNS, rows, left=("took most",))
-
-
-def columns_table(
-    title: str,
-    columns: Sequence[str],
-    rows: Iterable[Iterable[str]],
-    left: Sequence[str] = (),
-) -> PlainTable:
-    """Rows of numbers under their columns; the first column and those of `left` are words."""
-    table = titled_table(title)
-    for column in columns:
-        words = column in (columns[0], *left)
-        table.add_column(column, justify="left" if words else "right")
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def titled_table(title: str) -> PlainTable:
-    """An empty table with a title, in the style of all."""
-    return PlainTable(title=title)
-
-
-def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> PlainTable:
-    """Table of figures, each beside its goal: (name, measured, goal)."""
-    return columns_table(title, ("", "measured", "goal"), rows)
+    return PlainTable("Drives", DRIVES_COLUMNS, rows, words=("took most",))

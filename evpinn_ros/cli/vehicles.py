@@ -11,8 +11,8 @@ import typer
 from evpinn_ros.cli.console import say, show, show_json
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import complete_vehicle
-from evpinn_ros.cli.tables import titled_table
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
 from evpinn_ros.vehicle.written import write_vehicle
@@ -42,14 +42,12 @@ def search(
     found = [load_vehicle(key) for key in find_vehicles(" ".join(words))]
     if not found:
         raise InputError(f"no vehicle's name has {' '.join(words)!r}; evpinn vehicles lists all")
+    lines = [_line(vehicle) for vehicle in found]
     if as_json_text:
-        show_json([_line(vehicle) for vehicle in found])
+        show_json(lines)
         return
-    table = titled_table("Vehicles")
-    for name, value in _line(found[0]).items():
-        table.add_column(name, justify="right" if isinstance(value, float) else "left")
-    for vehicle in found:
-        table.add_row(*(_cell(value) for value in _line(vehicle).values()))
+    rows = [[_cell(value) for value in line.values()] for line in lines]
+    table = PlainTable("Vehicles", list(lines[0]), rows, words=("can_profile", "from"))
     show(table, at_least=120)
 
 

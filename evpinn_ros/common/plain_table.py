@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -14,22 +15,36 @@ from evpinn_ros.common.errors import printable
 class PlainTable(Table):
     """A table without markup: names of topics, files and cars are text and nothing else."""
 
-    def __init__(self, *headers: str, title: str = "", box: Any = SIMPLE_HEAD) -> None:
-        """An empty table in the style of all.
+    def __init__(
+        self,
+        title: str,
+        columns: Sequence[str],
+        rows: Iterable[Iterable[str]] = (),
+        *,
+        words: Collection[str] = (),
+        unbroken: Collection[str] = (),
+        box: Any = SIMPLE_HEAD,
+    ) -> None:
+        """A table in the style of all.
 
         Args:
-            headers: of columns to the left; others come with `add_column`.
             title: above it.
+            columns: their headers. The first column is aligned left, as words are, the others
+                right, as numbers are.
+            rows: a cell for each column.
+            words: other columns that are aligned left.
+            unbroken: columns whose cells are not folded.
             box: of rich, the lines between the cells.
         """
         shown = Text(printable(title), style="table.title") if title else None
         super().__init__(title=shown, title_justify="left", box=box, pad_edge=False)
-        for header in headers:
-            self.add_column(header)
-
-    def add_column(self, header: Any = "", *more: Any, **options: Any) -> None:
-        """Add a column with a header of plain text; `options` are rich's."""
-        super().add_column(_plain(header), *more, **options)
+        for column in columns:
+            left = column in (columns[0], *words)
+            self.add_column(
+                _plain(column), justify="left" if left else "right", no_wrap=column in unbroken
+            )
+        for row in rows:
+            self.add_row(*row)
 
     def add_row(self, *cells: Any, **options: Any) -> None:
         """Add a row of plain texts; `options` are rich's."""
