@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 import math
-from typing import Protocol
 
+from evpinn_ros.can.fit import MessageFit, ProfileFit
 from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.profile import CanProfile, MessageRule
 from evpinn_ros.can.signal_rule import SignalRule
@@ -35,16 +35,6 @@ ALONE_AFTER_NS = 2 * NANOSECONDS
 """A car whose second motor sent nothing for so long since the first has none."""
 
 
-class Witness(Protocol):
-    """Witness of the result of every frame of the profile's ids."""
-
-    def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
-        """The frame gave values, SI, in the order of the quantity's signals."""
-
-    def bad(self, quantity: str, frame: CanFrame, reason: str) -> None:
-        """The frame was dropped."""
-
-
 class _DroppedError(Exception):
     """The frame holds no value that may be used; the text is the reason to count."""
 
@@ -60,13 +50,12 @@ class Decoder:
             `unknown_multiplexer`, `stuck_counter`, `not_available`, `out_of_range`.
     """
 
-    def __init__(self, profile: CanProfile, witness: Witness | None = None) -> None:
-        """Decode by a profile; a witness weighs whether the profile is the right one."""
+    def __init__(self, profile: CanProfile, evidence: ProfileFit | None = None) -> None:
+        """Decode by a profile; `evidence`, of the same one, is given the result of every frame."""
         self.known = 0
         self.unknown: Counter[int] = Counter()
         self.uncounted = 0
         self.dropped: Counter[str] = Counter()
-        self._witness = witness
         self._readers: dict[tuple[int, bool], list[_Reader]] = {}
         self._charge_stamp_ns = 0
         self._charge = math.nan
@@ -78,10 +67,11 @@ class Decoder:
             "speed": self._speed,
             "battery": self._battery,
         }
+        fits = {fit.quantity: fit for fit in evidence.messages} if evidence is not None else {}
         for quantity, maker in makers.items():
             if quantity in profile.messages:
                 rule = profile.messages[quantity]
-                reader = _Reader(quantity, rule, maker)
+                reader = _Reader(rule, maker, fits.get(quantity))
                 self._readers.setdefault(rule.key, []).append(reader)
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
@@ -100,13 +90,13 @@ class Decoder:
                 values = reader.values(frame)
             except _DroppedError as reason:
                 self.dropped[str(reason)] += 1
-                if self._witness is not None:
-                    self._witness.bad(reader.quantity, frame, str(reason))
+                if reader.fit is not None:
+                    reader.fit.add_bad(frame, str(reason))
                 continue
             if values is None:
                 continue
-            if self._witness is not None:
-                self._witness.good(reader.quantity, frame, values)
+            if reader.fit is not None:
+                reader.fit.add_good(frame, values[0])
             reading = reader.make(frame, reader.rule, values)
             if reading is not None:
                 readings.append(reading)
@@ -169,8 +159,8 @@ _Maker = Callable[[CanFrame, MessageRule, list[float]], Reading | None]
 class _Reader:
     """Reads the signals of one message and remembers its counter."""
 
-    def __init__(self, quantity: str, rule: MessageRule, make: _Maker) -> None:
-        self.quantity, self.rule, self.make = quantity, rule, make
+    def __init__(self, rule: MessageRule, make: _Maker, fit: MessageFit | None) -> None:
+        self.rule, self.make, self.fit = rule, make, fit
         counter = () if rule.counter is None else (rule.counter,)
         self._raw = unpacker(rule.message, {*(signal.name for signal in rule.signals), *counter})
         signals = [rule.message.get_signal_by_name(signal.name) for signal in rule.signals]

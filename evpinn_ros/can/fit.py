@@ -122,7 +122,7 @@ class MessageFit:
 
 
 class ProfileFit:
-    """Fit of one profile by the frames so far: the `Witness` of its decoder.
+    """Fit of one profile by the frames so far, which its decoder counts.
 
     Attributes:
         profile: its key.
@@ -133,22 +133,11 @@ class ProfileFit:
 
     def __init__(self, profile: CanProfile) -> None:
         self.profile, self.name = profile.key, profile.name
-        self._by_quantity = {
-            quantity: MessageFit(quantity, rule.key[0], rule.checksum is not None)
+        self.messages = [
+            MessageFit(quantity, rule.key[0], rule.checksum is not None)
             for quantity, rule in profile.messages.items()
             if quantity not in MOTORS
-        }
-        self.messages = list(self._by_quantity.values())
-
-    def good(self, quantity: str, frame: CanFrame, values: list[float]) -> None:
-        """A frame gave values (see `Witness`)."""
-        if quantity in self._by_quantity:
-            self._by_quantity[quantity].add_good(frame, values[0])
-
-    def bad(self, quantity: str, frame: CanFrame, reason: str) -> None:
-        """A frame was dropped (see `Witness`)."""
-        if quantity in self._by_quantity:
-            self._by_quantity[quantity].add_bad(frame, reason)
+        ]
 
     def restart(self) -> None:
         """Forget the counts, not the last values and payloads."""

@@ -40,10 +40,10 @@ class ProfileVerdict(Enum):
 
 
 class FitGuard:
-    """Stands behind the decoder of one bus; is its witness.
+    """Stands behind the decoder of one bus.
 
     Attributes:
-        evidence: for the decoder of the guarded profile to tell.
+        evidence: counted by the decoder of the guarded profile.
         verdict: now.
         contradiction: why readings are refused, None while they are not.
         dropped: readings: `undecided`, held and never let out; `contradicted`, come after that.
