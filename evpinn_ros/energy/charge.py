@@ -64,9 +64,9 @@ class _ChargeSample(NamedTuple):
 class SavedGauge:
     """Capacity that was learned, and the step of the readings; None before. Not the readings."""
 
-    capacity: Uncertain | None
-    learned: Annotated[int, Range(0, MOST_LEARNED)]
-    step: Annotated[float, Range(SMALLEST_STEP, LARGEST_STEP)] | None
+    capacity: Uncertain | None = None
+    learned: Annotated[int, Range(0, MOST_LEARNED)] = 0
+    step: Annotated[float, Range(SMALLEST_STEP, LARGEST_STEP)] | None = None
 
 
 class ChargeGauge(Saveable[SavedGauge]):
@@ -90,9 +90,16 @@ class ChargeGauge(Saveable[SavedGauge]):
 
     def reset(self) -> None:
         """Forget all readings and all that was learned."""
-        self.capacity, self.learned = self._prior, 0
-        self._step = FIRST_STEP
-        self._step_seen = False
+        self.take(SavedGauge())
+
+    def take(self, saved: SavedGauge) -> None:
+        """Go on from what was learned; ValueError where no battery holds that."""
+        low, high = self._limits
+        capacity = saved.capacity
+        if capacity is not None and not (low <= capacity[0] <= high and 0 < capacity[1] <= high):
+            raise ValueError(f"the capacity is not within {low:g} to {high:g}")
+        self.capacity, self.learned = capacity or self._prior, saved.learned
+        self._step, self._step_seen = saved.step or FIRST_STEP, saved.step is not None
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -205,13 +212,3 @@ class ChargeGauge(Saveable[SavedGauge]):
         """State to save."""
         capacity = self.capacity if self.learned > 0 else None
         return SavedGauge(capacity, self.learned, self._step if self._step_seen else None)
-
-    def take(self, saved: SavedGauge) -> None:
-        """Go on from what was learned; ValueError where no battery holds that."""
-        low, high = self._limits
-        capacity = saved.capacity
-        if capacity is not None and not (low <= capacity[0] <= high and 0 < capacity[1] <= high):
-            raise ValueError(f"the capacity is not within {low:g} to {high:g}")
-        self.capacity, self.learned = capacity or self._prior, saved.learned
-        self._step, self._step_seen = saved.step or FIRST_STEP, saved.step is not None
-        self.begin_anew()

@@ -9,7 +9,7 @@ that time is counted, and no line is drawn across it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 import math
 from typing import NamedTuple
@@ -93,16 +93,16 @@ class EnergyState:
 class SavedMeter:
     """Integrals of a meter, their 1-sigma, J, and what `Dropouts` holds; see `EnergyState`."""
 
-    measured: SavedIntegral
-    predicted: SavedIntegral
-    rknn: float
-    measured_sigma: UnknownJoules
-    predicted_sigma: UnknownJoules
-    bridged: Bridge
-    bridged_sigma: UnknownJoules
-    lasting_sigma: UnknownJoules
-    unmeasured_s: Seconds
-    lasting: LastingShare
+    measured: SavedIntegral = field(default_factory=SavedIntegral)
+    predicted: SavedIntegral = field(default_factory=SavedIntegral)
+    rknn: float = 0.0
+    measured_sigma: UnknownJoules = 0.0
+    predicted_sigma: UnknownJoules = 0.0
+    bridged: Bridge = field(default_factory=Bridge)
+    bridged_sigma: UnknownJoules = 0.0
+    lasting_sigma: UnknownJoules = 0.0
+    unmeasured_s: Seconds = 0.0
+    lasting: LastingShare = field(default_factory=LastingShare)
 
     def __post_init__(self) -> None:
         """Refuse what no car can have drawn in that time."""
@@ -151,19 +151,22 @@ class EnergyMeter(Saveable[SavedMeter]):
 
     def reset(self) -> None:
         """Set everything to zero, as if nothing had ever been counted."""
-        self._measured = EnergyIntegral(MAX_GAP)
-        self._predicted = EnergyIntegral(self._max_gap)
-        self._rknn, self._rknn_power = CompensatedSum(), math.nan
-        self._measured_error = CorrelatedError()
-        self._predicted_error = CorrelatedError()
-        self.lasting = LastingShare()
-        self._begin(Dropouts())
+        self.take(SavedMeter())
 
-    def _begin(self, dropouts: Dropouts) -> None:
+    def take(self, saved: SavedMeter) -> None:
+        """Go on from what was counted; the next sample starts a new step, not a gap."""
+        self._measured = EnergyIntegral(MAX_GAP, saved.measured)
+        self._predicted = EnergyIntegral(self._max_gap, saved.predicted)
+        self._rknn, self._rknn_power = CompensatedSum(saved.rknn), math.nan
+        self._measured_error = CorrelatedError(start_sigma=saved.measured_sigma)
+        self._predicted_error = CorrelatedError(start_sigma=saved.predicted_sigma)
+        self.lasting = saved.lasting
         self._newest_ns = 0
         self._dropout_since_ns: int | None = None
         self.last_dropout: Dropout | None = None
-        self._dropouts = dropouts  # those that ended, and what the course of power added
+        # Those that ended, and what the course of power added.
+        variances = saved.bridged_sigma**2, saved.lasting_sigma**2
+        self._dropouts = Dropouts(saved.bridged, *variances, saved.unmeasured_s)
         by_network = self._integrator is Integrator.RKNN
         self._interpolation = PowerInterpolation(
             self._max_gap, self._network if by_network else None
@@ -303,19 +306,6 @@ class EnergyMeter(Saveable[SavedMeter]):
             unmeasured_s=now.seconds,
             lasting=self.lasting,
         )
-
-    def take(self, saved: SavedMeter) -> None:
-        """Go on from what was counted; the next sample starts a new step, not a gap."""
-        self._measured = EnergyIntegral(MAX_GAP)
-        self._predicted = EnergyIntegral(self._max_gap)
-        self._measured.take(saved.measured)
-        self._predicted.take(saved.predicted)
-        self._rknn, self._rknn_power = CompensatedSum(saved.rknn), math.nan
-        self._measured_error = CorrelatedError(start_sigma=saved.measured_sigma)
-        self._predicted_error = CorrelatedError(start_sigma=saved.predicted_sigma)
-        self.lasting = saved.lasting
-        variances = saved.bridged_sigma**2, saved.lasting_sigma**2
-        self._begin(Dropouts(saved.bridged, *variances, saved.unmeasured_s))
 
     def _until_now(self) -> Dropouts:
         """All dropouts, the present one among them."""

@@ -97,16 +97,15 @@ class PowerInterpolation:
         return self._completed()
 
     def _completed(self) -> Iterator[EnergyCorrection]:
-        while self._steps and self._predictions and self._past(self._steps[0].end_ns):
+        while self._steps and self._predictions:
+            if self._predictions[-1].stamp_ns < self._steps[0].end_ns:
+                return
             step = self._steps.popleft()
             while len(self._predictions) > 1 and self._predictions[1].stamp_ns <= step.begin_ns:
                 self._predictions.popleft()
             correction = self._correction(step)
             if correction is not None:
                 yield correction
-
-    def _past(self, stamp_ns: int) -> bool:
-        return self._predictions[-1].stamp_ns >= stamp_ns
 
     def _correction(self, step: MeasuredStep) -> EnergyCorrection | None:
         """Correction by the predictions around and in a step to what was counted for it."""

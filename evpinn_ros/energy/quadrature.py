@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.energy.plausible import ROUNDING
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.track import Cadence
@@ -87,13 +87,13 @@ class SavedIntegral:
     Without it an integral restored the next morning does not count the night as a gap.
     """
 
-    drawn: Amount
-    regenerated: Amount
-    covered_s: Amount
-    gaps: Count
-    gap_s: Amount
-    out_of_order: Count
-    not_finite: Count
+    drawn: Amount = 0.0
+    regenerated: Amount = 0.0
+    covered_s: Amount = 0.0
+    gaps: Count = 0
+    gap_s: Amount = 0.0
+    out_of_order: Count = 0
+    not_finite: Count = 0
 
     def refuse_above(self, most: float) -> None:
         """ValueError when it is more than a power of `most`, W, all the time would have made."""
@@ -101,10 +101,10 @@ class SavedIntegral:
             raise ValueError(f"more than {most:g} all the time was integrated")
 
 
-FIELDS = fields(SavedIntegral)
+FIELDS, NOTHING = fields(SavedIntegral), SavedIntegral()
 
 
-class EnergyIntegral(Saveable[SavedIntegral]):
+class EnergyIntegral:
     """Integrates power sample by sample.
 
     A step longer than `longest_step` is not integrated: it counts as a gap. A sample that is not
@@ -117,18 +117,21 @@ class EnergyIntegral(Saveable[SavedIntegral]):
         not_finite: samples dropped because their power is NaN or infinite.
     """
 
-    def __init__(self, max_gap: float = MAX_GAP) -> None:
-        """An integral of zero.
+    def __init__(self, max_gap: float = MAX_GAP, saved: SavedIntegral = NOTHING) -> None:
+        """An integral of zero, or one that goes on from what was saved.
 
         Args:
             max_gap: longest step that is integrated, s; of slow samples some of their own steps
                 (`signals.track.Cadence`).
+            saved: totals and counters before the first sample.
         """
         self._cadence = Cadence(max_gap)
         self._last: tuple[int, float] | None = None
-        self._drawn, self._regenerated = CompensatedSum(), CompensatedSum()
-        self._covered = CompensatedSum()
-        self.gaps, self.gap_s, self.out_of_order, self.not_finite = 0, 0.0, 0, 0
+        self._drawn = CompensatedSum(saved.drawn)
+        self._regenerated = CompensatedSum(saved.regenerated)
+        self._covered = CompensatedSum(saved.covered_s)
+        self.gaps, self.gap_s = saved.gaps, saved.gap_s
+        self.out_of_order, self.not_finite = saved.out_of_order, saved.not_finite
 
     @property
     def longest_step(self) -> float:
@@ -180,7 +183,8 @@ class EnergyIntegral(Saveable[SavedIntegral]):
         if not math.isfinite(power):
             self.not_finite += 1
             return None
-        last, since = self._last, self._since(stamp_ns)
+        last = self._last
+        since = math.inf if last is None else (stamp_ns - last[0]) / NANOSECONDS
         if since <= 0:
             self.out_of_order += 1
             return None
@@ -200,18 +204,6 @@ class EnergyIntegral(Saveable[SavedIntegral]):
         self._covered.add(since)
         return step
 
-    def _since(self, stamp_ns: int) -> float:
-        return math.inf if self._last is None else (stamp_ns - self._last[0]) / NANOSECONDS
-
     def saved(self) -> SavedIntegral:
         """Totals and counters."""
         return SavedIntegral(**{each.name: getattr(self, each.name) for each in FIELDS})
-
-    def take(self, saved: SavedIntegral) -> None:
-        """Go on from totals and counters."""
-        self._last = None
-        self._drawn = CompensatedSum(saved.drawn)
-        self._regenerated = CompensatedSum(saved.regenerated)
-        self._covered = CompensatedSum(saved.covered_s)
-        self.gaps, self.gap_s = saved.gaps, saved.gap_s
-        self.out_of_order, self.not_finite = saved.out_of_order, saved.not_finite

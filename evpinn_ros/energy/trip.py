@@ -101,11 +101,10 @@ class TripLog(Saveable[SavedTrip]):
     def __init__(self) -> None:
         """Nothing driven yet; across more than `MAX_GAP` speed is not joined."""
         self.windows = tuple(DistanceWindow(length) for length in WINDOWS)
-        self._energy = CompensatedSum()
-        self._begin(EnergyIntegral(MAX_GAP))
+        self.reset_trip()
 
-    def _begin(self, speed: EnergyIntegral) -> None:
-        self._speed = speed
+    def _go_on(self, saved: SavedIntegral) -> None:
+        self._speed = EnergyIntegral(MAX_GAP, saved)
         self._energy_before: float | None = None
 
     @property
@@ -134,7 +133,7 @@ class TripLog(Saveable[SavedTrip]):
     def reset_trip(self) -> None:
         """Count the trip from zero."""
         self._energy = CompensatedSum()
-        self._begin(EnergyIntegral(MAX_GAP))
+        self._go_on(SavedIntegral())
 
     def begin_anew(self) -> None:
         """Join nothing to the speed before: time jumped."""
@@ -150,8 +149,3 @@ class TripLog(Saveable[SavedTrip]):
         self.windows = tuple(map(DistanceWindow, WINDOWS, saved.windows))
         self._energy = CompensatedSum(saved.energy)
         self._go_on(saved.speed)
-
-    def _go_on(self, saved: SavedIntegral) -> None:
-        speed = EnergyIntegral(MAX_GAP)
-        speed.take(saved)
-        self._begin(speed)

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.quadrature import CompensatedSum, EnergyIntegral, Step
 
 SECOND = 1_000_000_000
@@ -89,19 +88,9 @@ def test_a_step_of_exactly_the_limit_is_integrated():
 
 
 @given(st.lists(st.tuples(st.floats(0, 100), powers), max_size=30))
-def test_restored_totals_are_the_exported_ones(samples):
+def test_an_integral_goes_on_from_the_saved_totals(samples):
     integral = integrate(samples)
-    copy = EnergyIntegral()
-    copy.restore(integral.export())
-    assert copy.export() == integral.export()
+    copy = EnergyIntegral(saved=integral.saved())
+    assert copy.saved() == integral.saved()
     assert copy.append(10**15, 1000.0) is None
     assert copy.gaps == integral.gaps
-
-
-@pytest.mark.parametrize("wrong", [{}, {"drawn": math.nan}, {"gaps": -1}, {"regenerated": "x"}])
-def test_a_wrong_saved_integral_is_refused_and_changes_nothing(wrong):
-    integral = integrate([(0.0, 1000.0), (1.0, 1000.0)])
-    before = integral.export()
-    with pytest.raises(InputError, match="saved"):
-        integral.restore({**before, **wrong} if wrong else {})
-    assert integral.export() == before

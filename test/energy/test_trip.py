@@ -116,3 +116,12 @@ def test_a_wrong_saved_trip_is_refused_and_changes_nothing(wrong):
     with pytest.raises(InputError, match="saved"):
         log.restore({**before, **wrong})
     assert log.export() == before
+
+
+@pytest.mark.parametrize("wrong", [{"drawn": math.nan}, {"gaps": -1}, {"regenerated": "x"}])
+def test_a_wrong_saved_integral_is_refused_and_changes_nothing(wrong):
+    log = drive(TripLog(), 100.0)
+    before = log.export()
+    with pytest.raises(InputError, match="saved"):
+        log.restore({**before, "speed": {**before["speed"], **wrong}})
+    assert log.export() == before
