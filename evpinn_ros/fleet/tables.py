@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 import math
@@ -99,16 +99,19 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
     summary = FleetSummary()
     found: dict[str, list[Evidence]] = defaultdict(list)
     vehicles: dict[str, Vehicle] = {}
-    with _table(out / DRIVES, DRIVE_COLUMNS) as drives, _table(out / CARS, CAR_COLUMNS) as cars:
+    with (
+        _table(out / DRIVES, DRIVE_COLUMNS) as add_drive,
+        _table(out / CARS, CAR_COLUMNS) as add_car,
+    ):
         for car in fleet:
             result = read_result(car_folder(out, car), car.vehicle)
             rows = [*result.get("drives", []), *result.get("unreadable", [])]
             if not rows and car.car not in failed:
                 continue
             for row in rows:
-                drives.add({"car": car.car, "vehicle": car.vehicle.key, **row})
+                add_drive({"car": car.car, "vehicle": car.vehicle.key, **row})
             row = _car_row(car, rows, failed.get(car.car))
-            cars.add(row)
+            add_car(row)
             _count(summary, row, rows)
             vehicles[car.vehicle.key] = car.vehicle
             if row["in_population"]:
@@ -117,10 +120,10 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
                     summary.known[car.vehicle.key][car.car] = found[car.vehicle.key][-1]
     for key, vehicle in sorted(vehicles.items()):
         summary.populations[key] = Population(vehicle, found[key])
-    with _table(out / POPULATION, POPULATION_COLUMNS) as table:
+    with _table(out / POPULATION, POPULATION_COLUMNS) as add:
         for key, population in summary.populations.items():
             for row in population_rows(key, population):
-                table.add(row)
+                add(row)
     return summary
 
 
@@ -187,40 +190,29 @@ def _evidence(result: Mapping[str, Any]) -> Evidence:
     return Evidence(np.array(result["precision"]), np.array(result["information"]))
 
 
-class _Table:
-    """Rows on their way to a Parquet file."""
-
-    def __init__(self, columns: Mapping[str, str], writer: Any, schema: Any) -> None:
-        self._names, self._writer, self._schema = tuple(columns), writer, schema
-        self._rows: list[dict[str, Any]] = []
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Add one row, and write when there are many."""
-        self._rows.append({name: row[name] for name in self._names})
-        if len(self._rows) >= ROWS:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what waits."""
-        import pyarrow
-
-        self._writer.write_table(pyarrow.Table.from_pylist(self._rows, schema=self._schema))
-        self._rows.clear()
-
-
 @contextmanager
-def _table(path: Path, columns: Mapping[str, str]) -> Iterator[_Table]:
-    """A new table that takes the place of the old once it is whole."""
+def _table(path: Path, columns: Mapping[str, str]) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Function that adds a row to a table, which takes the place of the old once it is whole."""
     import pyarrow
     from pyarrow.parquet import ParquetWriter
 
-    types = {"list": pyarrow.list_(pyarrow.float64()), "bool": pyarrow.bool_()}
-    types |= {name: pyarrow.type_for_alias(name) for name in ("string", "int64", "double")}
+    types = {"list": pyarrow.list_(pyarrow.float64())}
+    types |= {name: pyarrow.type_for_alias(name) for name in ("bool", "string", "int64", "double")}
     schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    rows: list[dict[str, Any]] = []
+
+    def flush() -> None:
+        writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
+        rows.clear()
+
+    def add(row: dict[str, Any]) -> None:
+        rows.append(row)
+        if len(rows) >= ROWS:
+            flush()
+
     try:
         with replaced(path) as draft, ParquetWriter(draft, schema) as writer:
-            table = _Table(columns, writer, schema)
-            yield table
-            table.flush()
+            yield add
+            flush()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error

@@ -23,10 +23,10 @@ from evpinn_ros.can.log_readers import LARGEST_OBJECT
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common import unpacking
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.npz import read_arrays
 from evpinn_ros.common.text_lines import LONGEST_LINE
 from evpinn_ros.common.unpacking import FREE_BYTES, most_unpacked
 from evpinn_ros.drives.sources import open_drive
+from evpinn_ros.reproduction import checkpoint
 
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then data
 ZEROS = bytes(64 * FREE_BYTES)
@@ -287,8 +287,9 @@ def test_a_blf_object_that_never_ends(tmp_path, objects, reason):
     assert reason in log.problem
 
 
-def test_arrays_that_unpack_to_too_much(tmp_path):
+def test_a_training_that_unpacks_to_too_much(tmp_path, monkeypatch):
     path = tmp_path / "w.npz"
-    np.savez_compressed(path, n1_weight0=np.zeros(1 << 20))
-    with pytest.raises(ValueError, match="more than 1048576"):
-        read_arrays(path, 1 << 20)
+    np.savez_compressed(path, settings=np.array("x"), weights=np.zeros(1 << 20))
+    assert len(checkpoint.load_checkpoint(path, "x")["weights"]) == 1 << 20
+    monkeypatch.setattr(checkpoint, "MOST_BYTES", 1 << 20)
+    assert checkpoint.load_checkpoint(path, "x") is None
