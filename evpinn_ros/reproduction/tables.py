@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from evpinn_ros.reproduction.experiment import Outcome
@@ -21,6 +21,10 @@ from evpinn_ros.vehicle.parameters import Parameters
 JOULES_PER_WH = 3600.0
 UNKNOWN = "-"
 FOUR = ("eta", "mass", "c_rr", "c_d")
+FINDING_COLUMNS = (
+    *("", "guess", "found, 1-sigma", "from guess"),
+    *("prior", "from data", "paper", "fit"),
+)
 DIGITS = {
     "eta": 4,
     "mu": 4,
@@ -105,22 +109,14 @@ def energy_loss_table(outcome: Outcome) -> ResultTable:
 def parameter_table(outcome: Outcome) -> ResultTable:
     """Table V, with what tells a finding from a prior."""
     published = PREDICTED.get(outcome.vehicle.key)
-    rows = [
-        [
-            _title(row.name),
-            _number(row.name, row.initial),
-            f"{_number(row.name, row.value)} \u00b1 {_number(row.name, row.std)}",
-            f"{100 * (row.value - row.initial) / row.initial:+.1f} %",
-            *_knowledge(row),
-            UNKNOWN if published is None else _number(row.name, getattr(published, row.name)),
-            _number(row.name, getattr(outcome.regression, row.name)),
-        ]
-        for row in outcome.parameters
-    ]
     return ResultTable(
         "Table V: parameters",
-        ["", "guess", "found, 1-sigma", "from guess", "prior", "from data", "paper", "fit"],
-        rows,
+        FINDING_COLUMNS,
+        _finding_rows(
+            outcome.parameters,
+            {} if published is None else published._asdict(),
+            outcome.regression._asdict(),
+        ),
         "The paper calls the distance from the initial guess an error; no truth is known. "
         "Prior: share of the variance that the data did not take away; from data: whether they "
         "determine it, which they cannot for eta, mass and C_d alone. Fit: eq. 21 by least "
@@ -130,26 +126,38 @@ def parameter_table(outcome: Outcome) -> ResultTable:
 
 def combination_table(outcome: Outcome) -> ResultTable:
     """Table of what eq. 21 lets data determine at all."""
+    published = PREDICTED.get(outcome.vehicle.key)
     area, form = outcome.vehicle.frontal_area, outcome.settings.form
-    fitted = combinations(outcome.regression, area, form)
-    rows = [
+    return ResultTable(
+        "What the data can determine",
+        FINDING_COLUMNS,
+        _finding_rows(
+            outcome.combinations,
+            {} if published is None else combinations(published, area, form),
+            combinations(outcome.regression, area, form),
+        ),
+        "(eta, mass, C_d) scaled together, and in the form wheel_power mu the other way, change "
+        "no power: only these combinations enter eq. 21.",
+    )
+
+
+def _finding_rows(
+    found: Sequence[TableFiveRow], published: Mapping[str, float], fitted: Mapping[str, float]
+) -> list[list[str]]:
+    """Findings under `FINDING_COLUMNS`, beside the paper's values and those of a fit."""
+    return [
         [
             _title(row.name),
             _number(row.name, row.initial),
             f"{_number(row.name, row.value)} \u00b1 {_number(row.name, row.std)}",
-            *_knowledge(row),
-            _published_combination(outcome, row),
+            f"{100 * (row.value - row.initial) / row.initial:+.1f} %",
+            f"{100 * row.prior_share:.0f} %",
+            "yes" if row.determined else "no",
+            _number(row.name, published[row.name]) if row.name in published else UNKNOWN,
             _number(row.name, fitted[row.name]),
         ]
-        for row in outcome.combinations
+        for row in found
     ]
-    return ResultTable(
-        "What the data can determine",
-        ["", "guess", "found, 1-sigma", "prior", "from data", "paper", "fit"],
-        rows,
-        "(eta, mass, C_d) scaled together, and in the form wheel_power mu the other way, change "
-        "no power: only these combinations enter eq. 21.",
-    )
 
 
 def vehicle_table(outcome: Outcome) -> ResultTable:
@@ -239,20 +247,6 @@ def r2_text(value: float | None) -> str:
 
 def _losses(losses: Losses | None) -> list[str]:
     return [UNKNOWN] * len(Losses._fields) if losses is None else [_loss(x) for x in losses]
-
-
-def _published_combination(outcome: Outcome, row: TableFiveRow) -> str:
-    published = PREDICTED.get(outcome.vehicle.key)
-    if published is None:
-        return UNKNOWN
-    return _number(
-        row.name,
-        combinations(published, outcome.vehicle.frontal_area, outcome.settings.form)[row.name],
-    )
-
-
-def _knowledge(row: TableFiveRow) -> list[str]:
-    return [f"{100 * row.prior_share:.0f} %", "yes" if row.determined else "no"]
 
 
 def _four(values: Parameters) -> list[str]:
