@@ -11,6 +11,8 @@ import os
 import signal
 import sys
 
+NODES = {"can_bridge": "CanBridgeNode", "energy": "EnergyNode", "estimator": "EstimatorNode"}
+
 
 def can_bridge() -> int:
     """Run the node `can_bridge`; gives the exit code."""
@@ -38,8 +40,9 @@ def evpinn() -> None:
 
 def _node(name: str) -> int:
     _end_at_signals()
-    code: int = import_module(f"evpinn_ros.nodes.{name}").main()
-    return code
+    from evpinn_ros.nodes.running import run
+
+    return run(getattr(import_module(f"evpinn_ros.nodes.{name}"), NODES[name]))
 
 
 def _end_at_signals() -> None:

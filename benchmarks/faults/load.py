@@ -50,11 +50,11 @@ while True:
 
 SLOW_UPDATES = """
 import sys, time
+from evpinn_ros import executables
 from evpinn_ros.estimation import worker
-from evpinn_ros.nodes import estimator
 quick = worker.ThreadWorker.submit
 worker.ThreadWorker.submit = lambda self, work: quick(self, lambda: (time.sleep(1.6), work())[1])
-raise SystemExit(estimator.main())
+raise SystemExit(executables.estimator())
 """
 
 

@@ -21,10 +21,9 @@ from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.can.log_readers import GVRET_HEADER, BlfReader, gvret_messages
-from evpinn_ros.common.errors import InputError, one_line
+from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.fsync import replaced
-from evpinn_ros.common.plain_file import open_file
-from evpinn_ros.common.text_lines import bounded_lines
+from evpinn_ros.common.plain_file import LONGEST_LINE, open_file
 from evpinn_ros.common.unpacking import open_gzipped
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -79,10 +78,8 @@ class LogFile:
             raise InputError(f"{self.path}: not a CAN log; known are {known}, also as .gz")
         if self._suffix == _MF4 and mf4.asammdf is None:
             raise InputError(f"{self.path}: .mf4 needs asammdf; pip install 'evpinn_ros[mf4]'")
-        try:
+        with as_input_error(self.path):
             empty = self.path.stat().st_size == 0
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}") from error
         if empty:
             raise InputError(f"{self.path}: the file is empty")
 
@@ -144,13 +141,11 @@ class LogFile:
             self.problem = f"{self.path}: broken after {self.count} frames: {failed}"
 
     def _open(self) -> IO[Any]:
-        try:
+        with as_input_error(self.path):
             file = open_gzipped(self.path) if self._gzipped else open_file(self.path)
-            if self._suffix == ".blf":
-                return file
-            return io.TextIOWrapper(file, encoding="utf-8", errors="replace")
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}") from error
+        if self._suffix == ".blf":
+            return file
+        return io.TextIOWrapper(file, encoding="utf-8", errors="replace")
 
     def _read(self, file: IO[Any] | _Lines) -> Iterator[CanFrame]:
         reader = _READERS[self._suffix](file)
@@ -217,21 +212,25 @@ class _Lines:
     def __init__(self, file: IO[str]) -> None:
         self.number, self.cut_off = 0, False
         self.read, self.close = file.read, file.close
-        self._lines = bounded_lines(file)
+        self._file = file
         self._peeked: str | None = None
 
     def peek(self) -> str:
         """The next line, which will come again; empty at the end."""
         if self._peeked is None:
-            self._peeked = next(self._lines, None)
-        return (self._peeked or "").lstrip("\ufeff")
+            self._peeked = self._file.readline(LONGEST_LINE + 1)
+        return self._peeked.lstrip("\ufeff")
 
     def __iter__(self) -> Iterator[str]:
         return self
 
     def __next__(self) -> str:
-        line = self._peeked if self._peeked is not None else next(self._lines)
-        self._peeked = None
+        self.peek()
+        line, self._peeked = self._peeked, None
+        if not line:
+            raise StopIteration
+        if len(line) > LONGEST_LINE:
+            raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
         self.number += 1
         self.cut_off = not line.endswith("\n")
         if self.cut_off:
@@ -272,13 +271,14 @@ def write_log(path: str | Path, frames: Iterable[CanFrame]) -> int:
         InputError: the file cannot be written.
     """
     count = 0
-    try:
-        with replaced(Path(path)) as draft, draft.open("w", encoding="ascii") as file:
-            for frame in frames:
-                file.write(_candump_line(frame))
-                count += 1
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+    with (
+        as_input_error(path),
+        replaced(Path(path)) as draft,
+        draft.open("w", encoding="ascii") as file,
+    ):
+        for frame in frames:
+            file.write(_candump_line(frame))
+            count += 1
     return count
 
 

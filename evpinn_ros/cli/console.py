@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from datetime import datetime, timezone
 import json
 import math
 from pathlib import Path
@@ -24,9 +25,10 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from evpinn_ros.common.errors import InputError, printable
+from evpinn_ros.common.errors import InputError, as_input_error, printable
 from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.signals.readings import NANOSECONDS
 
 Report = Callable[[float], None]  # takes what is done, seconds of the drive unless named otherwise
 
@@ -57,6 +59,15 @@ def show(table: PlainTable, at_least: int = 0) -> None:
     (Console(width=at_least, stderr=results.stderr) if narrow else results).print(table)
 
 
+def moment(stamp_ns: int, timespec: str = "seconds") -> str:
+    """UTC of a stamp, as exact as `isoformat` is asked; the bare number where it is no date."""
+    try:
+        found = datetime.fromtimestamp(stamp_ns / NANOSECONDS, timezone.utc)
+    except (OverflowError, ValueError, OSError):
+        return f"{stamp_ns} ns"
+    return found.isoformat(sep=" ", timespec=timespec).removesuffix("+00:00")
+
+
 def show_json(found: Any) -> None:
     """Results for scripts, on stdout; null where a number is not finite."""
     print(_json(found, indent=2), flush=True)
@@ -77,12 +88,10 @@ def write_json(path: Path, found: Any) -> None:
     if str(path) == STDOUT:
         print(text, flush=True)
         return
-    try:
+    with as_input_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replaced(path) as draft:
             draft.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
 
 
 def _json(found: Any, indent: int) -> str:

@@ -17,7 +17,7 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import live_table, score_table
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.replays.recorded import recorded_drive
 from evpinn_ros.replays.run import WARM_UP
@@ -55,11 +55,9 @@ def demo(
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"
     _clear(bag, log)
     frames = _frames(source)
-    try:
+    with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
-        write_log(log, frames)
-    except OSError as error:
-        raise InputError(f"{out}: {error.strerror}") from error
+    write_log(log, frames)
     end_ns, duration = frames[-1].stamp_ns, (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9
     note(f"Driving {duration:.0f} s in town at {RATE:g} times real time, through three nodes.")
     parameters: dict[str, Value] = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from datetime import datetime, timezone
 from functools import partial
 import math
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
+from evpinn_ros.cli.console import moment, note, progress_bar, say, show, show_json
 from evpinn_ros.cli.options import ColumnOption
 from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.common.errors import InputError
@@ -87,7 +86,7 @@ def _start(found: Contents, begin_ns: int) -> str:
         return ", undated"
     day = ", the day by the file's name" if found.dated == "name" else ""
     zone = " UTC" if found.zoned else ""
-    return f" from {_date(begin_ns)}{zone}{day}"
+    return f" from {moment(begin_ns)}{zone}{day}"
 
 
 def _drive_lines(drive: DataCoverage, begin_ns: int) -> Iterator[str]:
@@ -115,14 +114,6 @@ def _flow(flow: ReadingFlow) -> tuple[str, str, str]:
         return "0", "", ""
     rate = f"{flow.rate:.1f}" if math.isfinite(flow.rate) else ""
     return str(flow.count), rate, f"{flow.longest_gap:.2f} s"
-
-
-def _date(stamp_ns: int) -> str:
-    try:
-        moment = datetime.fromtimestamp(stamp_ns // NANOSECONDS, timezone.utc)
-    except (OverflowError, ValueError, OSError):
-        return f"{stamp_ns} ns"
-    return f"{moment:%Y-%m-%d %H:%M:%S}"
 
 
 def _as_json(found: Contents) -> dict[str, Any]:

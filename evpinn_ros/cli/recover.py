@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,10 +13,11 @@ import typer
 from evpinn_ros.bags.recover import RecoveredFile, broken_files
 from evpinn_ros.bags.recover import recover as recover_bag
 from evpinn_ros.bags.salvage import Loss
-from evpinn_ros.cli.console import bytes_bar, note, say, show_json, writing
+from evpinn_ros.cli.console import bytes_bar, moment, note, say, show_json, writing
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_LINES = 20  # of losses on the terminal; --json has them all
+_time = partial(moment, timespec="milliseconds")
 
 
 def recover(
@@ -81,15 +82,6 @@ def _loss(loss: Loss) -> str:
     if loss.after_ns is not None:
         return f"{text}; after {_time(loss.after_ns)}"
     return text
-
-
-def _time(stamp_ns: int) -> str:
-    """UTC to the millisecond; the bare number where it is no date."""
-    try:
-        moment = datetime.fromtimestamp(stamp_ns / NANOSECONDS, timezone.utc)
-    except (OverflowError, ValueError, OSError):
-        return f"{stamp_ns} ns"
-    return moment.isoformat(sep=" ", timespec="milliseconds").removesuffix("+00:00")
 
 
 def _as_json(one: RecoveredFile) -> dict[str, Any]:

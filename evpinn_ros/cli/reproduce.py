@@ -28,7 +28,7 @@ from evpinn_ros.cli.console import (
 )
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
@@ -101,7 +101,9 @@ def reproduce(
     limit_blas_threads()
     car = load_vehicle(vehicle)
     read = read_drive_log(log, car, can_profile)
-    folder = _new_folder(out or Path("out") / "reproduce" / log.stem)
+    folder = out or Path("out") / "reproduce" / log.stem
+    with as_input_error(f"{folder}: cannot be written"):
+        folder.mkdir(parents=True, exist_ok=True)
     note(_what_was_read(read))
     chosen = optimizer or (OptimizerName.GAUSS_NEWTON if quick else OptimizerName.ADAM)
     settings = Settings(
@@ -126,14 +128,6 @@ def reproduce(
     for table in all_tables(outcome):
         _print(table)
     _write(outcome, read, folder, log, label)
-
-
-def _new_folder(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
-    return folder
 
 
 def _what_was_read(read: ReadLog) -> str:
@@ -210,7 +204,7 @@ def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str)
     command = shlex.join(["evpinn", *sys.argv[1:]])
     report, numbers = folder / "report.html", folder / "results.json"
     state, vehicle = folder / "state.json", folder / "vehicle.yaml"
-    try:
+    with as_input_error(f"{folder}: cannot be written"):
         write_reproduction(report, outcome, command, label)
         found = {
             "command": command,
@@ -220,8 +214,6 @@ def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str)
         write_json(numbers, found)
         write_estimator_state(state, outcome)
         write_vehicle_file(vehicle, outcome, log.name)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
     for path, use in (
         (report, "every table and figure"),
         (numbers, "the same as numbers"),

@@ -35,7 +35,8 @@ def view(
 
     Example: evpinn view bags/urban --rate 4 --loop
     """
-    _warn_if_public(host)
+    if not is_loopback(host):
+        note(f"Warning: {host} is not loopback; whoever reaches it can read along.")
     with BagReader(bag) as reader:
         known = typestore().fielddefs
         offered = {
@@ -68,12 +69,6 @@ def _serve(reader: BagReader, server: FoxgloveServer, rate: float, loop: bool) -
             time.sleep(POLL)
     except KeyboardInterrupt:
         pass
-
-
-def _warn_if_public(host: str) -> None:
-    """Say so when what is served can be read by others."""
-    if not is_loopback(host):
-        note(f"Warning: {host} is not loopback; whoever reaches it can read along.")
 
 
 def _play(reader: BagReader, server: FoxgloveServer, rate: float) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 LONGEST_TEXT = 1000  # characters: what is shown may be quoted from a file, which may hold anything
@@ -20,9 +21,24 @@ class InputError(Exception):
         return printable(super().__str__())
 
 
+@contextmanager
+def as_input_error(what: object) -> Iterator[None]:
+    """Say in one line what of the system failed in a block, after `what`: a path in most cases."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{what}: {error.strerror or error}") from error
+
+
 def one_line(error: BaseException) -> str:
     """Text of an error of foreign code in one line; its kind where it has no text."""
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def with_kind(error: BaseException) -> str:
+    """Text of an error in one line, with its kind unless a person can mend it."""
+    text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+    return " ".join(text.split())
 
 
 def printable(text: str) -> str:

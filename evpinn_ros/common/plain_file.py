@@ -8,9 +8,12 @@ from pathlib import Path
 import stat
 from typing import BinaryIO
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 
 WINDOW = 4 << 20  # bytes that `FileBytes` reads at once
+LONGEST_LINE = 1_000_000
+"""Characters of a line of text, one without an end would fill the memory: a frame of CAN FD takes
+200, a row of a wide table 10 000."""
 
 
 def open_file(path: Path, window: int = -1) -> BinaryIO:
@@ -38,11 +41,9 @@ class FileBytes:
     def __init__(self, path: Path) -> None:
         """Open it; InputError when that fails."""
         self.path = path
-        try:
+        with as_input_error(path):
             self._file = open_file(path, WINDOW)
             self.size = path.stat().st_size
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from error
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""

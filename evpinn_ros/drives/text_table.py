@@ -14,8 +14,7 @@ from typing import IO, Any
 import zlib
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import open_file
-from evpinn_ros.common.text_lines import LONGEST_LINE
+from evpinn_ros.common.plain_file import LONGEST_LINE, open_file
 from evpinn_ros.common.unpacking import open_gzipped
 
 MOST_COLUMNS = 10_000

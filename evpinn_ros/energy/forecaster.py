@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,13 +35,6 @@ from evpinn_ros.vehicle.linear_power import LinearPower
 
 MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
 RESIDUAL_MEMORY = 300.0  # samples of power/smoothed over which that is averaged
-STALE_AFTER = {  # s since it was received, then it counts as unknown
-    TemperatureReading: 1800.0,
-    PressureReading: 1800.0,
-    WindReading: WIND_STALE_AFTER,
-}
-
-AirReading = TypeVar("AirReading", TemperatureReading, PressureReading, WindReading)
 
 
 class Air(NamedTuple):
@@ -50,12 +43,16 @@ class Air(NamedTuple):
     Attributes:
         celsius: temperature.
         pascal: pressure.
-        head_wind: against the car as it points now, m/s over ground.
+        head: wind against the car as it points now, m/s over ground.
     """
 
     celsius: float | None = None
     pascal: float | None = None
-    head_wind: float | None = None
+    head: float | None = None
+
+
+STALE_AFTER = Air(1800.0, 1800.0, WIND_STALE_AFTER)
+"""s since each was received, after which it counts as unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +119,7 @@ class Forecaster:
         self._combined, self._sigmas = prior_identifiable(self._vehicle)
         self._model: PowerModel | None = None
         self._residual_variance = FIRST_RESIDUAL**2
-        self._readings: dict[type, tuple[object, int]] = {}
+        self._air: dict[str, tuple[float, int]] = {}  # values, and when they were received, ns
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
@@ -149,7 +146,9 @@ class Forecaster:
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
     ) -> None:
         """Take a reading of the air, received now."""
-        self._readings[type(reading)] = reading, now_ns
+        for name in Air._fields:
+            if hasattr(reading, name):
+                self._air[name] = getattr(reading, name), now_ns
 
     def set_sigma(self, sigma: float) -> None:
         """Take the 1-sigma of one prediction of power, W; its mean square is what plans get."""
@@ -158,14 +157,12 @@ class Forecaster:
 
     def air(self, now_ns: int) -> Air:
         """Air at this moment; a clock that went back makes nothing younger."""
-        temperature = self._fresh(TemperatureReading, now_ns)
-        pressure = self._fresh(PressureReading, now_ns)
-        wind = self._fresh(WindReading, now_ns)
-        return Air(
-            None if temperature is None else temperature.celsius,
-            None if pressure is None else pressure.pascal,
-            None if wind is None else wind.head,
-        )
+        fresh = {
+            name: value
+            for name, (value, received_ns) in self._air.items()
+            if abs(now_ns - received_ns) <= getattr(STALE_AFTER, name) * NANOSECONDS
+        }
+        return Air(**fresh)
 
     def answer(
         self,
@@ -192,7 +189,7 @@ class Forecaster:
         air = self.air(now_ns)
         density = density_of_air(self._vehicle.air_density, air.celsius, air.pascal)
         model = self._model or self._simple()
-        wind = air.head_wind or 0.0
+        wind = air.head or 0.0
         result = forecast_plan(plan, model, density, wind)
         differences = self._compare(asked, plan, result.end, model, (density, wind))
         end = battery.after(result, charge)
@@ -225,12 +222,6 @@ class Forecaster:
         if asked.together is not None and points + plan.time.size <= MOST_POINTS_TOGETHER:
             self._others[asked.name] = plan, end
         return differences
-
-    def _fresh(self, kind: type[AirReading], now_ns: int) -> AirReading | None:
-        """The newest reading of a kind, while it is no older than such may be."""
-        reading, received_ns = self._readings.get(kind, (None, 0))
-        fresh = abs(now_ns - received_ns) <= STALE_AFTER[kind] * NANOSECONDS
-        return reading if isinstance(reading, kind) and fresh else None
 
     def _simple(self) -> PowerModel:
         residual = math.sqrt(self._residual_variance)

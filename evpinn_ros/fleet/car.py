@@ -22,7 +22,7 @@ from typing import Any
 
 from evpinn_ros import __version__
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error, with_kind
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimator import EstimatorSettings, evidence_of_state
 from evpinn_ros.estimation.evidence import NO_EVIDENCE
@@ -103,11 +103,11 @@ class _Input:
         """Look at a drive; what is known of it already is not read again."""
         try:
             fingerprint = _fingerprint(path)
-            known = found.start_of(fingerprint)
+            known = found.starts.get(fingerprint)
             start_ns = known if known is not None else _first_stamp(path, found.vehicle)
             return cls(path, fingerprint, start_ns, None)
         except Exception as error:  # whatever is wrong with one drive, the others go on
-            return cls(path, "", 0, _reason(error))
+            return cls(path, "", 0, with_kind(error))
 
     def order(self) -> tuple[int, str]:
         """By time, those of one moment by name."""
@@ -129,11 +129,7 @@ class _Found:
         self.rows: list[dict[str, Any]] = before.get("drives", [])
         self.state: dict[str, Any] | None = None
         self._written = before
-        self._starts = {row["fingerprint"]: row["start_ns"] for row in self.rows}
-
-    def start_of(self, fingerprint: str) -> int | None:
-        """First stamp of a drive that was done, None of others."""
-        return self._starts.get(fingerprint)
+        self.starts: dict[str, int] = {r["fingerprint"]: r["start_ns"] for r in self.rows}
 
     def keep(self, fingerprints: list[str]) -> int:
         """Keep what is there if the drives begin with it, else begin anew; how many are kept."""
@@ -172,12 +168,10 @@ class _Found:
             self._write(None, {**nothing, **self._written, "unreadable": rows})
 
     def _write(self, state: dict[str, Any] | None, result: dict[str, Any]) -> None:
-        try:
+        with as_input_error(self._folder):
             if state is not None:
                 write_state(self._folder / STATE_FILE, state)
             write_state(self._folder / RESULT_FILE, result)
-        except OSError as error:
-            raise InputError(f"{self._folder}: {error.strerror}") from error
         self._written = result
 
 
@@ -205,7 +199,7 @@ def _learn(
     except StoppedError:
         raise
     except Exception as error:  # whatever is wrong with one drive, the others go on
-        return failed_row(_reason(error)), None
+        return failed_row(with_kind(error)), None
 
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
@@ -251,8 +245,3 @@ def _read(path: Path) -> dict[str, Any]:
         return read_state(path) or {}
     except InputError:
         return {}
-
-
-def _reason(error: Exception) -> str:
-    text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-    return " ".join(text.split())

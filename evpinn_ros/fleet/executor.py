@@ -20,7 +20,7 @@ import signal
 import threading
 from typing import Any, Generic, Protocol, TypeVar
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, with_kind
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -178,8 +178,7 @@ def _outcome(task: Task, future: Any, error: BaseException | None) -> TaskOutcom
         return TaskOutcome(task, future.result(), None)
     if isinstance(error, BrokenProcessPool):
         return TaskOutcome(task, None, "the worker died; is there enough memory?")
-    text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-    return TaskOutcome(task, None, " ".join(text.split()))
+    return TaskOutcome(task, None, with_kind(error))
 
 
 def _dask_error(future: Any) -> BaseException:

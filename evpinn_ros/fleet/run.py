@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import fcntl
 from pathlib import Path
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.fleet.car import CarDone, CarTask, learn_car
 from evpinn_ros.fleet.executor import Executor, TaskOutcome
 from evpinn_ros.fleet.manifest import CarDrives
@@ -22,11 +22,9 @@ def claimed(out: Path) -> Iterator[None]:
     Raises:
         InputError: it cannot be made, or another run writes there.
     """
-    try:
+    with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
         lock = (out / LOCK).open("w")
-    except OSError as error:
-        raise InputError(f"{out}: {error.strerror}") from error
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.fsync import replaced
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.fleet.car import read_result
@@ -210,9 +210,6 @@ def _table(path: Path, columns: Mapping[str, str]) -> Iterator[Callable[[dict[st
         if len(rows) >= ROWS:
             flush()
 
-    try:
-        with replaced(path) as draft, ParquetWriter(draft, schema) as writer:
-            yield add
-            flush()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    with as_input_error(path), replaced(path) as draft, ParquetWriter(draft, schema) as writer:
+        yield add
+        flush()

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
+from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.estimation.operating_range import MANNERS, SPEEDS
 from evpinn_ros.live.power_line import PowerHistory
 from evpinn_ros.signals.readings import BatteryReading
@@ -49,13 +50,6 @@ MOST_ARRIVALS = 5000  # of a topic, for its rate
 MOST_PARTS = 50  # of all nodes that are followed; ours have ten
 LEAST_DISTANCE = 100.0  # m; over less a consumption says nothing
 NOTHING = "nothing received yet: are nodes up (evpinn run), with this ROS_DOMAIN_ID?"
-
-
-class Power(NamedTuple):
-    """Power, W, and its 1-sigma; NaN where unknown."""
-
-    value: float
-    sigma: float
 
 
 class ParameterRow(NamedTuple):
@@ -162,12 +156,12 @@ class LiveState:
         span = min(max(now - self._first.get(topic, now), 1.0), RATE_WINDOW)
         return len(arrivals) / span
 
-    def power(self, topic: Topic, now: float) -> Power:
-        """Measured or predicted power, unknown when it has fallen silent."""
-        vector = self._fresh(topic, now)
-        if vector is None:
-            return Power(math.nan, math.nan)
-        return Power(vector.values.get(POWER, math.nan), vector.sigmas.get(POWER, math.nan))
+    def power(self, topic: Topic, now: float) -> Uncertain:
+        """Measured or predicted power, W, unknown when it has fallen silent."""
+        if self.age(topic, now) >= STALE_AFTER:
+            return UNKNOWN
+        values, sigmas = self.vector(topic), self.sigmas(topic)
+        return Uncertain(values.get(POWER, math.nan), sigmas.get(POWER, math.nan))
 
     def fresh_speed(self, now: float) -> float:
         """Speed, m/s, NaN when it has fallen silent."""
@@ -272,9 +266,6 @@ class LiveState:
     def _estimator(self) -> Mapping[str, str]:
         status = self.statuses.get("estimator: estimate")
         return {} if status is None else status.values
-
-    def _fresh(self, topic: Topic, now: float) -> NamedVector | None:
-        return self._vectors.get(topic) if self.age(topic, now) < STALE_AFTER else None
 
 
 def _number(text: str | None) -> float:

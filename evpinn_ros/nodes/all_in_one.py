@@ -18,7 +18,7 @@ from evpinn_ros.nodes.foxglove import FoxgloveNode
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
 from evpinn_ros.topics import NAMESPACE
-from evpinn_ros.topics.node_parameters import TABLES, Value
+from evpinn_ros.topics.node_parameters import Value, of_node
 
 NODES = {"estimator": EstimatorNode, "energy": EnergyNode, "can_bridge": CanBridgeNode}
 """The bridge last, for it speaks at once, and those who listen take seconds to load."""
@@ -49,7 +49,10 @@ def run(
         The exit code 1, with one line on stderr, when input is wrong; else the process ends here.
     """
     args = ["--ros-args", *ros_args] if ros_args else []
-    options = {name: _options(name, namespace, parameters) for name in NODES}
+    options: dict[str, dict[str, Any]] = {
+        name: {"namespace": namespace, "parameter_overrides": overrides(of_node(name, parameters))}
+        for name in NODES
+    }
     servers: list[running.MakeNode] = []
     if foxglove is not None:
         servers.append(partial(FoxgloveNode, *foxglove, namespace=namespace))
@@ -61,9 +64,3 @@ def run(
     makers = [partial(make, **options[name]) for name, make in NODES.items()]
     # What can fail for want of a port comes first, before a bus is opened.
     return running.run(*servers, *recorder, *makers, args=args, beside=beside)
-
-
-def _options(name: str, namespace: str, parameters: Mapping[str, Value]) -> dict[str, Any]:
-    known = {parameter.name for parameter in TABLES[name]}
-    own = {key: value for key, value in parameters.items() if key in known}
-    return {"namespace": namespace, "parameter_overrides": overrides(own)}

@@ -22,7 +22,6 @@ from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.recorder import RawFrames
-from evpinn_ros.nodes.running import run
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import bus_options
 from evpinn_ros.topics.readings import reading_messages
@@ -188,8 +187,3 @@ class CanBridgeNode(GuardedNode):
     def _bridge_status(self, now_ns: int) -> BridgeStatus:
         with self._lock:
             return self._bridge.status(now_ns)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is stopped; gives the exit code."""
-    return run(CanBridgeNode, args=args)

@@ -106,12 +106,3 @@ def flat(name: str, values: Mapping[str, object]) -> dict[str, object]:
 def rounded(number: float) -> object:
     """A number as people read it."""
     return number if math.isnan(number) else round(number, 3)
-
-
-def recorder_status(
-    folder: str, counts: Mapping[str, int], problem: str | None, health: Health
-) -> Status:
-    """The health of the recording: `counts` of what is in the bag, `problem` that ended it."""
-    text = f"{counts['messages']} messages and {counts['frames']} CAN frames in {folder}"
-    level = Level.OK if problem is None else Level.ERROR
-    return with_health(Status("bag", level, problem or text, dict(counts)), health)

@@ -24,7 +24,6 @@ from evpinn_ros.nodes.energy_diagnosis import (
 )
 from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.plan_service import answer_plans
-from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
@@ -91,7 +90,8 @@ class EnergyNode(StatefulNode):
         if is_installed():
             self.advertise(TYPED_FORECAST)
             service = message_class(f"{PACKAGE}/srv/{PLAN_SERVICE}")
-            self.create_service(service, "~/estimate_plan", self._on_estimate_plan)
+            answer = partial(answer_plans, answer=self._answer)
+            self.create_service(service, "~/estimate_plan", answer)
         self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
 
     def statuses(self) -> list[Status]:
@@ -225,11 +225,3 @@ class EnergyNode(StatefulNode):
         charge, capacity = self.account.charge(), self.account.gauge.capacity
         known = self.account.battery
         return self.forecaster.answer(plan, charge, capacity, self.now_ns(), known, asked)
-
-    def _on_estimate_plan(self, request: Any, response: Any) -> Any:
-        return answer_plans(request, response, self._answer)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is stopped; gives the exit code."""
-    return run(EnergyNode, args=args)

@@ -17,7 +17,6 @@ from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.diagnosis import WELL, Condition, Health, Status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_phases, estimator_status
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.running import run
 from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics import Topic
@@ -131,8 +130,3 @@ def _usual(status: EstimatorStatus) -> tuple[str, ...]:
     A battery may tell its state of charge alone, as long as others tell power.
     """
     return () if status.activity is Activity.PREDICTING else ("battery_unmeasured",)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is stopped; gives the exit code."""
-    return run(EstimatorNode, args=args)

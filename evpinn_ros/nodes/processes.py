@@ -20,7 +20,7 @@ from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import read_named_vector
-from evpinn_ros.topics.node_parameters import TABLES, Value
+from evpinn_ros.topics.node_parameters import Value, of_node
 
 START_TIMEOUT = 60.0  # s for the nodes to come up on a busy machine
 OUTPUT_TIMEOUT = 15.0  # s without any prediction: something has died
@@ -129,9 +129,8 @@ def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:
 @contextmanager
 def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
     """One node's executable, stopped as a launch file would stop it."""
-    known = {parameter.name for parameter in TABLES[name]}
-    own = {key: value for key, value in parameters.items() if key in known}
-    process = subprocess.Popen(node_command(name, own), stdin=subprocess.DEVNULL)
+    command = node_command(name, of_node(name, parameters))
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:
         yield process
     finally:

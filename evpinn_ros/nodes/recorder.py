@@ -16,8 +16,9 @@ from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.diagnosis import Status, recorder_status
+from evpinn_ros.nodes.diagnosis import Status, with_health
 from evpinn_ros.topics import TOPICS, Topic
+from evpinn_ros.topics.messages import Level
 
 FLUSH_PERIOD = 0.5  # s; a kill may cost this and the time of writing, less than a second
 
@@ -61,9 +62,12 @@ class RecorderNode(GuardedNode):
         self.every(FLUSH_PERIOD, self._flush)
 
     def statuses(self) -> list[Status]:
-        """Size of the bag."""
-        folder = str(self._writer.folder)
-        return [recorder_status(folder, self._counts, self._problem, self.health())]
+        """Size of the bag, or the problem that ended it."""
+        counts, folder = self._counts, self._writer.folder
+        text = f"{counts['messages']} messages and {counts['frames']} CAN frames in {folder}"
+        level = Level.OK if self._problem is None else Level.ERROR
+        status = Status("bag", level, self._problem or text, dict(counts))
+        return [with_health(status, self.health())]
 
     def close(self) -> str | None:
         """Complete the bag."""

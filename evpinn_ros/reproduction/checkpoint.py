@@ -9,7 +9,7 @@ from zipfile import ZipFile
 import numpy as np
 import torch
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import as_input_error
 from evpinn_ros.common.fsync import replaced
 
 MOST_BYTES = (
@@ -27,12 +27,10 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
         InputError: it cannot be written.
     """
     arrays = {name: tensor.detach().cpu().numpy() for name, tensor in state.items()}
-    try:
+    with as_input_error(f"{path}: cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replaced(path) as draft, draft.open("wb") as file:
             np.savez(file, settings=np.array(settings), **arrays)  # type: ignore[arg-type]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def adam_state(adam: torch.optim.Adam, weights: Iterable[torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -13,7 +13,7 @@ import pytest
 
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.text_lines import LONGEST_LINE
+from evpinn_ros.common.plain_file import LONGEST_LINE
 from evpinn_ros.drives.contents import contents
 from evpinn_ros.drives.formats import is_drive_table
 from evpinn_ros.drives.sources import open_drive
