@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 import shutil
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -90,14 +90,9 @@ def _frames(source: Path) -> list[CanFrame]:
     profile = load_vehicle(VEHICLE).can_profile
     assert profile is not None, "the demonstration's car has a CAN profile"
     encoder = Encoder(load_profile(profile))
-    frames = []
+    encode: dict[type, Any] = {SpeedReading: encoder.speed, BatteryReading: encoder.battery}
     with BagReader(source) as reader:
-        for reading in BagReadings(reader):
-            if isinstance(reading, SpeedReading):
-                frames.append(encoder.speed(reading))
-            elif isinstance(reading, BatteryReading):
-                frames.append(encoder.battery(reading))
-    return frames
+        return [encode[type(one)](one) for one in BagReadings(reader) if type(one) in encode]
 
 
 def _clear(bag: Path, log: Path) -> None:

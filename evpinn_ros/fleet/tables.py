@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 import math
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ class FleetSummary:
     cars: list[dict[str, Any]] = field(default_factory=list)
     problems: list[tuple[str, str]] = field(default_factory=list)
     known: dict[str, dict[str, Evidence]] = field(default_factory=lambda: defaultdict(dict))
-    counts: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    counts: Counter[str] = field(default_factory=Counter)
 
 
 def require_parquet() -> None:
@@ -141,11 +141,7 @@ def _value_row(key: str, name: str, found: PopulationValue) -> dict[str, Any]:
         "vehicle": key,
         "name": name,
         "value": found.mean if name == LINEAR else math.exp(found.mean),
-        "mean": found.mean,
-        "mean_std": found.mean_std,
-        "spread": found.spread,
-        "spread_std": found.spread_std,
-        "cars": found.cars,
+        **asdict(found),
         "new_car_std": found.new_car_std,
     }
 
@@ -175,13 +171,7 @@ def _count(summary: FleetSummary, car: dict[str, Any], rows: Sequence[dict[str, 
     problems = [(row["path"], row["problem"]) for row in rows if row["problem"]]
     if car["problem"]:
         problems.append((f"car {car['car']}", car["problem"]))
-    for name, number in (
-        ("cars", 1),
-        ("drives", len(rows)),
-        ("learned", car["learned"]),
-        ("problems", len(problems)),
-    ):
-        summary.counts[name] += number
+    summary.counts.update(cars=1, drives=len(rows), learned=car["learned"], problems=len(problems))
     summary.cars.extend([car][: max(0, SHOWN - len(summary.cars))])
     summary.problems.extend(problems[: max(0, SHOWN - len(summary.problems))])
 
