@@ -30,16 +30,14 @@ from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.signals.readings import NANOSECONDS
 
-Report = Callable[[float], None]  # takes what is done, seconds of the drive unless named otherwise
+Report = Callable[..., None]
+"""Takes what is done, seconds of the drive unless named otherwise, and a word for the terminal."""
 
 STDOUT = "-"  # as the path of a file
 DRIVE = "s of the drive"
 LINE_PERIOD_S = 10.0  # between lines of progress in a pipe; what takes less has none
 
 results = Console(highlight=False)
-TITLE = TextColumn("{task.description}", markup=False)
-"""Of a bar: often the name of a file."""
-
 notes = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
@@ -151,7 +149,7 @@ def progress_lines(title: str, total: float | None, amount: Callable[[float], st
     """
     begun = due = time.monotonic()
 
-    def report(done: float) -> None:
+    def report(done: float, _word: str = "") -> None:
         nonlocal due
         now = time.monotonic()
         if now - due < LINE_PERIOD_S:
@@ -182,9 +180,11 @@ def _bar(
     if not notes.is_terminal:
         yield progress_lines(title, total, amount)
         return
-    with Progress(TITLE, BarColumn(), *columns, TimeRemainingColumn(), console=notes) as bar:
-        task = bar.add_task(printable(title), total=total)
-        yield lambda done: bar.update(task, completed=done)
+    name = TextColumn("{task.description}", markup=False)  # often that of a file
+    word = TextColumn("{task.fields[word]}", markup=False)
+    with Progress(name, BarColumn(), *columns, word, TimeRemainingColumn(), console=notes) as bar:
+        task = bar.add_task(printable(title), total=total, word="")
+        yield lambda done, word="": bar.update(task, completed=done, word=word)
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from enum import Enum
 from pathlib import Path
 import shlex
@@ -11,21 +11,10 @@ import sys
 import time
 from typing import Annotated
 
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import torch
 import typer
 
-from evpinn_ros.cli.console import (
-    TITLE,
-    RateColumn,
-    Report,
-    note,
-    notes,
-    progress_lines,
-    say,
-    show,
-    write_json,
-)
+from evpinn_ros.cli.console import Report, note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
@@ -161,34 +150,16 @@ def _left_out(settings: Settings) -> str:
 
 @contextmanager
 def training_progress() -> Iterator[OnProgress]:
-    """A bar for each training with its loss on a terminal, in a pipe a line every 10 s."""
-    if not notes.is_terminal:
-        lines: dict[str, Report] = {}
-
-        def line(title: str, epoch: int, epochs: int, loss: float) -> None:
-            if title not in lines:
-                lines[title] = progress_lines(title, epochs, lambda at: f"epoch {at} of {epochs}")
-            lines[title](epoch)
-
-        yield line
-        return
-    columns = (
-        TITLE,
-        BarColumn(),
-        TextColumn(
-            "epoch {task.completed:.0f} of {task.total:.0f}, loss {task.fields[loss]}",
-            markup=False,
-        ),
-        RateColumn("epochs"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=notes) as bar:
-        tasks = {}
+    """The progress of one training after the other, on a terminal with the newest loss."""
+    shown: dict[str, Report] = {}
+    with ExitStack() as bar:
 
         def show(title: str, epoch: int, epochs: int, loss: float) -> None:
-            if title not in tasks:
-                tasks[title] = bar.add_task(title, total=epochs, loss="")
-            bar.update(tasks[title], completed=epoch, loss=f"{loss:.2e}")
+            if title not in shown:
+                bar.close()
+                unit = f"of {epochs} epochs"
+                shown[title] = bar.enter_context(progress_bar(title, epochs, unit))
+            shown[title](epoch, f"loss {loss:.2e}")
 
         yield show
 
