@@ -73,11 +73,13 @@ SLOPE_LENGTH, HEIGHT_ERROR_LENGTH = 600.0, 100.0  # m of road
 FORCE_LENGTH = 1500.0  # m of road
 # More would take what belongs to car and drive, and be forgotten with the road.
 LOAD_STD, LOAD_TIME = 150.0, 300.0  # W of the wandering load, s
+KNOWN_LOAD_STD = 30.0  # W of what wanders beside heating and cooling that the car reports
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
 SCALE_INTERVALS = 60.0  # over which the scale of the noise is learned
 LEAST_SCALE, MOST_SCALE = 0.05, 50.0
 OUTLIER = 2.5  # sigmas
+LOAD = slice(State.AUX, State.FORCE)
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
 
 
@@ -142,7 +144,7 @@ class CarFilter(Saveable[SavedFilter]):
         self.hills = LongHills(GROWTH)
         self._seconds = 0.0  # of this drive
         self.state = replace_states(self.state, self._drive_variance)
-        self._height_known = False
+        self._height_known = self._load_known = False
         self.forget_road()
 
     def begin_drive(self, keep: bool = False) -> None:
@@ -172,20 +174,8 @@ class CarFilter(Saveable[SavedFilter]):
 
     def forget_road(self) -> None:
         """After a jump of time: another place on the road."""
-        slopes, forces = self._scales()
-        rate = math.sqrt(3.0) / self._slope_length
-        self.state = replace_states(
-            self.state,
-            {
-                State.AUX: LOAD_STD**2,
-                State.FORCE: forces**2,
-                State.HEIGHT: (slopes / rate) ** 2,
-                State.SLOPE: slopes**2,
-                State.CLIMB: 0.0,
-                State.ENERGY: 0.0,
-            },
-        )
-        self.parts = self.parts and self.parts.without(FAST)
+        self._begin(FAST)
+        self.state = replace_states(self.state, {State.ENERGY: 0.0})
         self.hills = self.hills.elsewhere()
 
     def learn(self, interval: Interval) -> Learned | None:
@@ -300,7 +290,13 @@ class CarFilter(Saveable[SavedFilter]):
         self._drives, self._seconds = saved.drives, saved.seconds
         self.intervals = saved.intervals
         self.hills = LongHills(saved.height_growth, saved.height_blocks)
-        self._height_known = False  # as in a new filter, so that what follows is the same
+        # As in a new filter, so that what follows is the same.
+        self._height_known = self._load_known = False
+
+    @property
+    def load_std(self) -> float:
+        """1-sigma of the wandering load, W."""
+        return KNOWN_LOAD_STD if self._load_known else LOAD_STD
 
     @property
     def _slope_length(self) -> float:
@@ -315,14 +311,19 @@ class CarFilter(Saveable[SavedFilter]):
 
     def _pass(self, interval: Interval) -> None:
         """Let time and road pass: fast states forget themselves, height gives the climb."""
+        # What begins or ceases to be reported leaves something else unseen.
         if interval.height_known != self._height_known:
-            self._change_height(interval.height_known)
+            self._height_known = interval.height_known
+            self._begin(ROAD)
+        if interval.conditions.load_known != self._load_known:
+            self._load_known = interval.conditions.load_known
+            self._begin(LOAD)
         distance, duration = abs(interval.distance), interval.duration
         self._seconds += duration
         self.hills = self.hills.after(interval)
         slopes, forces = self._scales()
         kept: dict[State, tuple[float, float | np.ndarray]] = {
-            State.AUX: (math.exp(-duration / LOAD_TIME), LOAD_STD),
+            State.AUX: (math.exp(-duration / LOAD_TIME), self.load_std),
             State.FORCE: (math.exp(-distance / FORCE_LENGTH), forces),
         }
         rate = math.sqrt(3.0) / self._slope_length
@@ -330,14 +331,14 @@ class CarFilter(Saveable[SavedFilter]):
         self.state = predict(self.state, transition, noise)
         self.parts = self.parts and self.parts.passed(transition)
 
-    def _change_height(self, height_known: bool) -> None:
-        """Height came or went: what is unseen of the road is of another kind."""
-        self._height_known = height_known
-        slopes, _ = self._scales()
-        rate = math.sqrt(3.0) / self._slope_length
-        road = {State.HEIGHT: (slopes / rate) ** 2, State.SLOPE: slopes**2, State.CLIMB: 0.0}
-        self.state = replace_states(self.state, road)
-        self.parts = self.parts and self.parts.without(ROAD)
+    def _begin(self, states: slice) -> None:
+        """Begin some of the fast states anew."""
+        slopes, forces = self._scales()
+        height = slopes * self._slope_length / math.sqrt(3.0)
+        variances = self.load_std**2, forces**2, height**2, slopes**2, 0.0
+        fresh = dict(zip(range(SIZE)[FAST], variances, strict=True))
+        self.state = replace_states(self.state, {s: fresh[s] for s in range(SIZE)[states]})
+        self.parts = self.parts and self.parts.without(states)
 
     @property
     def _weight(self) -> np.ndarray:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from evpinn_ros.estimation.car_filter import FORCE_LENGTH, LOAD_STD, LOAD_TIME, CarFilter
+from evpinn_ros.estimation.car_filter import FORCE_LENGTH, LOAD_TIME, CarFilter
 from evpinn_ros.estimation.car_state import MILD_CELSIUS, SIZE, State
 from evpinn_ros.estimation.interval_noise import STANDING_NOISE
 from evpinn_ros.estimation.reported_loads import ReportedLoads
@@ -73,7 +73,7 @@ def linear_power(
         rotating_mass_factor=vehicle.rotating_mass_factor,
         standing_noise=STANDING_NOISE,
         moving_noise=car.force_noise(),
-        drift_std=LOAD_STD,
+        drift_std=car.load_std,
         drift_time=LOAD_TIME,
         slope_force=mass / eta * GRAVITY * car.hilliness,
         slope_length=FORCE_LENGTH,
