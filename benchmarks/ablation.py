@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.variants import Place, RecordedCar, Row, Variant, constant, score
+from evpinn_ros.estimation.car_filter import LOAD_STD
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.long_hills import LongHills
 from evpinn_ros.signals.interval import Interval
@@ -47,7 +48,11 @@ VARIANTS = (
     Variant("no long hills", {constant("LongHills"): lambda _: _NoHills(0.0)}),
     Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
     Variant("dropouts hold the road before", {constant("lasting"): np.copy}),
-    Variant("no wandering load", {constant("LOAD_STD"): NOTHING}),
+    Variant(
+        "no wandering load",
+        {constant("LOAD_STD"): NOTHING, constant("KNOWN_LOAD_STD"): NOTHING},
+    ),
+    Variant("reported loads wander as others", {constant("KNOWN_LOAD_STD"): LOAD_STD}),
     Variant("no outliers", {constant("OUTLIER"): 1e3}),
     Variant("noise not scaled", {constant("MOST_SCALE"): 1.0}),
     Variant(

@@ -10,6 +10,7 @@ import pytest
 
 from evpinn_ros.estimation.car_filter import (
     FORCE_LENGTH,
+    KNOWN_LOAD_STD,
     LOAD_STD,
     LOAD_TIME,
     CarFilter,
@@ -246,6 +247,23 @@ def test_a_height_that_comes_and_goes_starts_another_road(car, drives):
     assert car._slope_length == 100.0
     car.learn(one)
     assert car._slope_length == 600.0 and np.isfinite(car.state.covariance).all()
+
+
+def test_a_load_that_is_reported_leaves_little_that_wanders(car, drives):
+    """Reports that come or cease begin it anew."""
+
+    def variances() -> np.ndarray:
+        return car.state.covariance[:, State.AUX, State.AUX]
+
+    one = drives[0][-1]
+    one = replace(one, energy=math.nan)
+    known = replace(one, conditions=one.conditions._replace(load_known=True, load=500.0))
+    assert car.load_std == LOAD_STD
+    car.learn(known)
+    assert car.load_std == KNOWN_LOAD_STD and not car.state.mean[:, State.AUX].any()
+    np.testing.assert_allclose(variances(), KNOWN_LOAD_STD**2)
+    car.learn(one)
+    np.testing.assert_allclose(variances(), LOAD_STD**2)
 
 
 def test_an_hour_standing_says_nothing_of_roads_and_winds_nothing_up(car, intervals):
