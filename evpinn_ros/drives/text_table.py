@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 import csv
-from io import SEEK_END
+from io import SEEK_END, TextIOWrapper
 from itertools import islice
 from pathlib import Path
 from typing import IO, Any
@@ -22,7 +22,6 @@ MOST_BLANK = 100_000  # lines in a row
 SEPARATORS = ",;\t|"
 LOOKED_AT = 20  # lines that tell the separator
 LOOKED_AT_BYTES = 4096
-PIECE = 1 << 18  # bytes read at once
 END = 1 << 16  # bytes that hold the last line
 BLANK = "\r\n\t ,;"  # what a row of nothing is made of
 
@@ -56,7 +55,7 @@ class TextTable:
             InputError: it cannot be read.
         """
         self.path = path
-        self.torn = 0
+        self.torn = self._line = 0
         self._encoding = ""
         self.separator = self._separator()
 
@@ -66,21 +65,17 @@ class TextTable:
         Raises:
             InputError: it cannot be read further.
         """
-        self.torn = 0
-        lines = _WholeRows()
+        self.torn, self._line = 0, 0
         try:
             with self._open() as file:
-                reader = csv.reader(lines.whole(self._texts(file)), delimiter=self.separator)
-                for row in reader:
+                for row in csv.reader(self._whole_lines(file), delimiter=self.separator):
                     if len(row) > MOST_COLUMNS:
                         raise ValueError(f"a row of more than {MOST_COLUMNS} columns")
-                    yield lines.number, row
+                    yield self._line, row
         except READ_ERRORS as error:
-            where = f"{self.path}:{lines.number + 1}" if lines.number else str(self.path)
+            where = f"{self.path}:{self._line + 1}" if self._line else str(self.path)
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"{where}: {reason}") from error
-        finally:
-            self.torn = lines.torn
 
     def last_row(self) -> list[str]:
         """The cells of the last line, none where the file does not show its end."""
@@ -96,8 +91,7 @@ class TextTable:
         """Separator of a line `sep=;`, or the sign that most lines have in the same number."""
         try:
             with self._open() as file:
-                pieces = _pieces(self._texts(file))
-                lines = list(islice((line for piece, _ in pieces for line in piece), LOOKED_AT))
+                lines = list(islice(self._lines(file), LOOKED_AT))
         except READ_ERRORS as error:
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"{self.path}: {reason}") from error
@@ -119,61 +113,37 @@ class TextTable:
         packed = self.path.suffix.lower() == ".gz"
         return open_gzipped(self.path) if packed else open_file(self.path)
 
-    def _texts(self, file: Any) -> Iterator[str]:
-        """The text of the file, piece by piece; what comes before a damage is not lost."""
-        data = file.read1(PIECE)
-        self._encoding = self._encoding or _encoding(data[:LOOKED_AT_BYTES])
-        errors = "evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace"
-        decoder = codecs.getincrementaldecoder(self._encoding)(errors)
-        while data:
-            yield decoder.decode(data)
-            data = file.read1(PIECE)
-        yield decoder.decode(b"", final=True)
-
-
-class _WholeRows:
-    """Lines that are whole rows, counted."""
-
-    def __init__(self) -> None:
-        self.number, self.torn = 0, 0
-
-    def whole(self, texts: Iterator[str]) -> Iterator[str]:
-        """The lines that hold a row, read some at a time: line by line takes as long as the rest.
+    def _whole_lines(self, file: IO[bytes]) -> Iterator[str]:
+        """The lines that hold a row, counted.
 
         Raises:
-            ValueError: a line without an end, or nothing but blank ones.
+            ValueError: a line without an end, or nothing but useless ones.
         """
         useless = 0  # lines since the last row
-        for piece, quotes in _pieces(texts):
-            for line in piece:
-                self.number += 1
-                if not line.strip(BLANK):
-                    useless += 1
-                # No app writes a cell of two lines; an odd quote would swallow all that follows.
-                elif quotes and line.count('"') % 2:
-                    useless, self.torn = useless + 1, self.torn + 1
-                elif self.number > 1 or not _says_separator(line):
-                    useless = 0
-                    yield line
-                if useless > MOST_BLANK:
-                    what = "a quote that is never closed" if quotes else "nothing"
-                    raise ValueError(f"more than {MOST_BLANK} lines of {what}")
+        for line in self._lines(file):
+            self._line += 1
+            quote = '"' in line
+            if not line.strip(BLANK):
+                useless += 1
+            # No app writes a cell of two lines; an odd quote would swallow all that follows.
+            elif quote and line.count('"') % 2:
+                useless, self.torn = useless + 1, self.torn + 1
+            elif self._line > 1 or not _says_separator(line):
+                useless = 0
+                yield line
+            if useless > MOST_BLANK:
+                what = "a quote that is never closed" if quote else "nothing"
+                raise ValueError(f"more than {MOST_BLANK} lines of {what}")
 
-
-def _pieces(texts: Iterator[str]) -> Iterator[tuple[list[str], bool]]:
-    """Whole lines, some at a time, and whether there are quotes in them."""
-    rest = ""
-    for text in texts:
-        rest += text
-        if rest.endswith("\r") and len(rest) < LONGEST_LINE:  # a line feed may follow
-            continue
-        text = rest.replace("\r\n", "\n").replace("\r", "\n").replace("\0", "")
-        *lines, rest = text.split("\n")
-        if max(map(len, lines), default=0) > LONGEST_LINE or len(rest) > LONGEST_LINE:
-            raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
-        yield lines, '"' in text
-    if rest:
-        yield [rest], '"' in rest
+    def _lines(self, file: Any) -> Iterator[str]:
+        """The text of the file, line by line; what comes before a damage is not lost."""
+        self._encoding = self._encoding or _encoding(file.peek(LOOKED_AT_BYTES)[:LOOKED_AT_BYTES])
+        errors = "evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace"
+        text = TextIOWrapper(file, self._encoding, errors)
+        while line := text.readline(LONGEST_LINE + 1):
+            if len(line) > LONGEST_LINE and line[-1] != "\n":
+                raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
+            yield line.replace("\0", "")
 
 
 def _says_separator(line: str) -> bool:
