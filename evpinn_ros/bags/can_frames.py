@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 import struct
-from typing import Protocol
+from typing import TypeAlias
 
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
@@ -31,30 +31,16 @@ _CLASSIC = 8  # bytes of data that the message can hold
 _CDR = struct.Struct("<4siII4xI???B8s")
 
 
-class CanLog(Protocol):
-    """A recorded bus, read once by `frames()`: `LogFile` and `BagFrames`."""
-
-    path: Path  # of the file or folder
-    count: int  # frames read so far
-    skipped: Counter[str]  # what is not a data frame, by kind; complete once all are read
-
-    @property
-    def seconds(self) -> float | None:
-        """Time from the first frame to the last, s; None if only reading it tells."""
-
-    @property
-    def problem(self) -> str | None:
-        """Unreadable part of the log, in one line; complete once all are read."""
-
-    def frames(self) -> Iterator[CanFrame]:
-        """Every data frame, in recorded order."""
-
-
 class BagFrames:
-    """The frames of the `can_msgs/Frame` topics of a bag; a `CanLog`.
+    """The frames of the `can_msgs/Frame` topics of a bag.
 
     Of several topics each id is read from one, see `FirstBus`. Stamps are those of the messages'
     headers, or the log time where a header has none.
+
+    Attributes:
+        path: of the file or folder.
+        count: frames read so far.
+        skipped: what is not a data frame, by kind; complete once all are read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -109,6 +95,10 @@ class BagFrames:
         self.skipped.update(self._reader.dropped)
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN data frame in it")
+
+
+CanLog: TypeAlias = LogFile | BagFrames
+"""A recorded bus, read once by `frames()`."""
 
 
 def open_can_log(path: Path) -> CanLog:

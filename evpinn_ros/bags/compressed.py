@@ -2,45 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol
+from typing import TypeAlias
 
 import zstandard
 
-from evpinn_ros.bags.mcap_file import Channel, RawMessage
+from evpinn_ros.bags.mcap_file import McapFile, RawMessage
+from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.unpacking import RATIO, most_unpacked
 
 _PIECE = 1 << 20
 
-
-class BagFile(Protocol):
-    """An open file with messages: `McapFile`, `RosbagsFile`, and one here around one."""
-
-    path: Path  # of it, in messages
-
-    @property
-    def channels(self) -> Mapping[int, Channel]:
-        """Channels by id."""
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Messages by channel id."""
-
-    @property
-    def problem(self) -> str | None:
-        """Damage and losses, in one line."""
-
-    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
-        """The messages of the wanted channel ids in log time order."""
-
-    def close(self) -> None:
-        """Close the file."""
+PlainFile: TypeAlias = McapFile | RosbagsFile
+BagFile: TypeAlias = "PlainFile | CompressedMessages"
 
 
-def open_packed(packed: Path, open_file: Callable[[Path], BagFile]) -> BagFile:
+def open_packed(packed: Path, open_file: Callable[[Path], PlainFile]) -> PlainFile:
     """Unpack a `.zstd` file and open it.
 
     Raises:
@@ -75,7 +55,7 @@ def _unpack(packed: Path, path: Path) -> None:
 class CompressedMessages:
     """A file whose messages are compressed one by one."""
 
-    def __init__(self, file: BagFile, path: Path) -> None:
+    def __init__(self, file: PlainFile, path: Path) -> None:
         self._file, self.path = file, path
         self.channels, self.counts, self.close = file.channels, file.counts, file.close
         self._lost = 0

@@ -10,7 +10,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.bags.compressed import BagFile, CompressedMessages, open_packed
+from evpinn_ros.bags.compressed import BagFile, CompressedMessages, PlainFile, open_packed
 from evpinn_ros.bags.limits import LONGEST_MESSAGE
 from evpinn_ros.bags.mcap_file import Channel, McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
@@ -197,7 +197,7 @@ def _open_compressed(path: Path, mode: str) -> BagFile:
     return CompressedMessages(_open_file(path), path) if mode == "message" else _open_file(path)
 
 
-def _open_file(path: Path) -> BagFile:
+def _open_file(path: Path) -> PlainFile:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if path.stat().st_size == 0:
