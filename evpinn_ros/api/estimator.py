@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from evpinn_ros.api import frames
+from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.api.plan import known_model
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.power_model import PowerModel
@@ -155,13 +155,13 @@ class Estimator:
     @property
     def parameters(self) -> pd.DataFrame:
         """Parameters now, a row each: value, std, prior_share, lower, upper, state."""
-        return frames.parameters(parameter_metrics(self._chain.estimator.parameters()))
+        return parameter_frame(parameter_metrics(self._chain.estimator.parameters()))
 
     @property
     def breakdown(self) -> pd.DataFrame:
         """Energy of this drive by where it went, a row a part, as in `Result`."""
         found = breakdown_metrics(self._chain.estimator.breakdown(), self._mode.value)
-        return frames.breakdown(found)
+        return breakdown_frame(found)
 
     @property
     def model(self) -> PowerModel:

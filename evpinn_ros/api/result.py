@@ -8,14 +8,22 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from evpinn_ros.api import frames
+from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.api.plan import known_model
 from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.replays.driven import rising
+from evpinn_ros.replays.forecasts import forecast_outcomes
+from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.replays.run import Replayed, ReplayOptions
+from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
+
+TIME = "t_s"
+FORECAST_COLUMNS = ("begin_s", "end_s", "measured_j", "forecast_j", "sigma_j", "covered")
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,15 @@ class Result:
         (`power/predicted`); `smoothed_w` and `smoothed_sigma_w`, made once the speed shortly
         after was known (`power/smoothed`). No prediction knew what was measured then or later.
         """
-        return frames.power(self.replayed.drive)
+        drive = self.replayed.drive
+        found = _predictions(drive.newest, "predicted").join(
+            _predictions(drive.smoothed, "smoothed"), how="outer"
+        )
+        time = found.index.to_numpy()
+        measured, known = measured_at(drive, time)
+        found.insert(0, "speed_mps", np.interp(time, *rising(drive.speed).T))
+        found.insert(1, "measured_w", np.where(known, measured, np.nan))
+        return found
 
     @cached_property
     def energy(self) -> pd.DataFrame:
@@ -64,22 +80,38 @@ class Result:
         Columns: `measured_j`, to which gaps add nothing; `predicted_j` with `predicted_sigma_j`;
         `rknn_j`, the same power integrated by the Runge-Kutta network.
         """
-        return frames.energy(self.replayed.drive)
+        drive = self.replayed.drive
+        time, predicted, rknn, sigma = drive.energy.T
+        measured = np.full(len(time), np.nan)
+        if len(drive.measured) > 1:
+            total = running_total(*drive.measured.T)
+            measured = np.interp(time, drive.measured[:, 0], total, left=np.nan, right=np.nan)
+        columns = {
+            "measured_j": measured,
+            "predicted_j": predicted,
+            "predicted_sigma_j": sigma,
+            "rknn_j": rknn,
+        }
+        return pd.DataFrame(columns, index=pd.Index(time, name=TIME))
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
         """Parameters at the end, a row each: value, std, prior_share, lower, upper, state."""
-        return frames.parameters(self.metrics["parameters"])
+        return parameter_frame(self.metrics["parameters"])
 
     @cached_property
     def learning(self) -> pd.DataFrame:
         """Parameters over time, by `t_s`: columns (parameter; value, std or prior_share)."""
-        return frames.learning(self.replayed.drive)
+        columns = {
+            name: pd.DataFrame(rows[:, 1:], rows[:, 0], ["value", "std", "prior_share"])
+            for name, rows in self.replayed.drive.parameters.items()
+        }
+        return pd.concat(columns, axis=1).rename_axis(TIME)
 
     @cached_property
     def breakdown(self) -> pd.DataFrame:
         """Energy by where it went, a row a part: kwh, sigma_kwh, kwh_per_100km, share."""
-        return frames.breakdown(self.metrics["breakdown"])
+        return breakdown_frame(self.metrics["breakdown"])
 
     @cached_property
     def forecasts(self) -> pd.DataFrame:
@@ -88,7 +120,11 @@ class Result:
         Columns: `begin_s`, `end_s`, `measured_j`, `forecast_j`, `sigma_j`, `covered` by the 90 %
         band. Empty in mode paper, and of drives with gaps.
         """
-        return frames.forecasts(self.replayed.drive, self.vehicle.air_density)
+        rows = [
+            (*each.span, each.measured, each.forecast, each.sigma, each.covered)
+            for each in forecast_outcomes(self.replayed.drive, self.vehicle.air_density)
+        ]
+        return pd.DataFrame(rows, columns=list(FORECAST_COLUMNS))
 
     @property
     def model(self) -> PowerModel:
@@ -102,3 +138,9 @@ class Result:
 
         done = [self.replayed]
         write_replayed(Path(path), done, self.vehicle, self.options, "evpinn_ros.replay")
+
+
+def _predictions(series: PowerSeries, name: str) -> pd.DataFrame:
+    columns = {f"{name}_w": series.power, f"{name}_sigma_w": series.sigma}
+    found = pd.DataFrame(columns, index=pd.Index(series.time, name=TIME))
+    return found[~found.index.duplicated()]
