@@ -9,13 +9,24 @@ from collections.abc import Iterable, Mapping, Sequence
 import math
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from benchmarks.online import RANDOM_SPLIT, Run
 from evpinn_ros.replays.history import Drive, PowerSeries
-from evpinn_ros.replays.scoring import Span, baseline_scores, drive_scores, scored, worst_window
+from evpinn_ros.replays.scoring import (
+    Span,
+    baseline_scores,
+    common_stretches,
+    drive_scores,
+    running_total,
+    scored,
+    whole_stretches,
+)
 
 Score: TypeAlias = dict[str, Any]
 
 MEANS = ("mae_w", "coverage_90")
+WINDOW, WINDOW_STEP = 300.0, 10.0  # s, of the worst stretch of energy
 
 
 def log_scores(run: Run, names: Iterable[str], warm_up: float) -> dict[str, Score]:
@@ -58,6 +69,29 @@ def _score(run: Run, name: str, warm_up: float) -> Score:
         "now": _part(drive, drive.newest, found["power_now"], warm_up),
         "us_per_sample": 1e6 * seconds / run.moments if seconds and run.moments else None,
     }
+
+
+def worst_window(drive: Drive) -> float | None:
+    """Largest error of predicted energy over any `WINDOW`, percent of what went in and out.
+
+    None for a drive without that long a stretch of both.
+    """
+    rows = drive.energy
+    stretches = common_stretches(
+        whole_stretches(rows[:, 0]), whole_stretches(drive.measured[:, 0])
+    )
+    time, power = drive.measured.T
+    net, gross = running_total(time, power), running_total(time, np.abs(power))
+    worst: float | None = None
+    for begin, end in stretches:
+        begins = np.arange(begin, end - WINDOW, WINDOW_STEP)
+        measured, moved, predicted = (
+            np.interp(begins + WINDOW, *series) - np.interp(begins, *series)
+            for series in ((time, net), (time, gross), (rows[:, 0], rows[:, 1]))
+        )
+        errors = 100.0 * np.abs(predicted - measured)[moved > 0] / moved[moved > 0]
+        worst = max([*errors.tolist(), *([] if worst is None else [worst])], default=None)
+    return worst
 
 
 def _part(

@@ -25,7 +25,6 @@ from xml.etree import ElementTree
 import numpy as np
 from PIL import Image, PngImagePlugin
 
-from evpinn_ros.api.plan import known_model
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
@@ -38,6 +37,7 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate

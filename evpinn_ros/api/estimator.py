@@ -11,12 +11,12 @@ from typing import NamedTuple
 import pandas as pd
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
-from evpinn_ros.api.plan import known_model
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.replays.breakdown_text import breakdown_metrics
 from evpinn_ros.replays.car import CarReplay, mode_of
+from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.replays.scoring import parameter_metrics
 from evpinn_ros.signals.readings import (

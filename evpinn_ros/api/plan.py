@@ -12,11 +12,9 @@ import pandas as pd
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, combined_model, vehicle_model
-from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.signals.road import MAX_WIND
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.linear_power import LinearPower
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 
@@ -104,15 +102,3 @@ def _trip(plan: pd.DataFrame | Mapping[str, Any]) -> Plan:
         given["distance_m"] = np.concatenate(([0.0], np.cumsum(legs)))
     distance = given.get("distance_m", time)
     return plan_from_speed_profile(time, distance, speed, given.get("elevation_m"))
-
-
-def known_model(
-    linear: LinearPower | None, parameters: ParameterSet | None, vehicle: Vehicle
-) -> PowerModel:
-    """The best model there is: of the learner, of its parameters, of the vehicle file."""
-    if linear is not None:
-        return PowerModel(linear)
-    if parameters is None:
-        return vehicle_model(vehicle, FIRST_RESIDUAL)
-    known = parameters.identifiable, parameters.identifiable_std
-    return combined_model(*known, vehicle, FIRST_RESIDUAL)

@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
-from evpinn_ros.api.plan import known_model
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.replays.driven import rising
-from evpinn_ros.replays.forecasts import forecast_outcomes
+from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
 from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
@@ -134,7 +133,7 @@ class Result:
     def write_report(self, path: str | os.PathLike[str]) -> None:
         """Write the report that `evpinn replay --report` writes: one HTML file, for a browser."""
         # Here, for pictures take longer to import than all else together.
-        from evpinn_ros.report.replayed import write_replayed
+        from evpinn_ros.report.drive_page import write_replayed
 
         done = [self.replayed]
         write_replayed(Path(path), done, self.vehicle, self.options, "evpinn_ros.replay")

@@ -203,7 +203,7 @@ def _write_metrics(path: Path, done: list[Replayed]) -> None:
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     # Here, for pictures take longer to import than all else together.
-    from evpinn_ros.report.replayed import write_replayed
+    from evpinn_ros.report.drive_page import write_replayed
 
     command = shlex.join(["evpinn", *sys.argv[1:]])
     write_replayed(path, car.done, car.vehicle, car.options, command, units)

@@ -7,12 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.energy.power_model import PowerModel, combined_model, vehicle_model
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.replays.history import Drive, KnownModel
 from evpinn_ros.replays.scoring import MAX_MEASURED_STEP, Span, measured_energy
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.linear_power import LinearPower
 
 PLAN_STEP = 1.0  # s between points of a plan
 ELEVATION_STEP = 5.0  # m
@@ -88,6 +91,24 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
         np.interp(road, seen[first], altitude[first, 1]), ELEVATION_SMOOTHING / ELEVATION_STEP
     )
     return plan_from_speed_profile(grid, distance, at, np.interp(distance, road, smooth))
+
+
+def known_model(
+    linear: LinearPower | None,
+    parameters: ParameterSet | None,
+    vehicle: Vehicle,
+    residual_sigma: float = FIRST_RESIDUAL,
+) -> PowerModel:
+    """The best model there is: of the learner, of its parameters, of the vehicle file.
+
+    `residual_sigma` is the 1-sigma of power around the physics where no learner tells it, W.
+    """
+    if linear is not None:
+        return PowerModel(linear)
+    if parameters is None:
+        return vehicle_model(vehicle, residual_sigma)
+    known = parameters.identifiable, parameters.identifiable_std
+    return combined_model(*known, vehicle, residual_sigma)
 
 
 def _inside(rows: np.ndarray, span: Span) -> np.ndarray:

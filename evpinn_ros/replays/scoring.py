@@ -26,7 +26,6 @@ GAP_STEPS = 6.0  # nor, of slow readings, between those this many usual steps ap
 # s since the last battery reading, as `by_battery_age` names them: each from half way to the one
 # before (in logarithms) to half way to the next.
 BATTERY_AGES = (0.1, 1.0, 10.0, 60.0, 600.0)
-WINDOW, WINDOW_STEP = 300.0, 10.0  # s, of the worst stretch of energy
 BASELINE_HOLD_OUT = 0.2  # share held out in the random split
 BASELINE_SEED = 0
 FLOOR_BINS = 50  # of speed, each with at least ten predictions
@@ -77,38 +76,17 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
     if inside.sum() < 2:
         return dict.fromkeys(keys)
     rows = drive.energy[inside]
-    known = _stretches(rows[:, 0])
-    measured_spans = _stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
-    common = _common(known, measured_spans) or known
+    known = whole_stretches(rows[:, 0])
+    measured_spans = whole_stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
+    common = common_stretches(known, measured_spans) or known
     predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:3])
-    measured = measured_energy(drive, common) if _common(known, measured_spans) else None
+    measured = measured_energy(drive, common) if common_stretches(known, measured_spans) else None
     score: dict[str, float | None] = dict.fromkeys(keys)
     score.update(measured_j=measured, predicted_j=predicted, rknn_j=rknn)
     if measured:
         score["error_percent"] = 100.0 * (predicted - measured) / abs(measured)
         score["rknn_error_percent"] = 100.0 * (rknn - measured) / abs(measured)
     return score
-
-
-def worst_window(drive: Drive) -> float | None:
-    """Largest error of predicted energy over any `WINDOW`, percent of what went in and out.
-
-    None for a drive without that long a stretch of both.
-    """
-    rows = drive.energy
-    stretches = _common(_stretches(rows[:, 0]), _stretches(drive.measured[:, 0]))
-    time, power = drive.measured.T
-    net, gross = running_total(time, power), running_total(time, np.abs(power))
-    worst: float | None = None
-    for begin, end in stretches:
-        begins = np.arange(begin, end - WINDOW, WINDOW_STEP)
-        measured, moved, predicted = (
-            np.interp(begins + WINDOW, *series) - np.interp(begins, *series)
-            for series in ((time, net), (time, gross), (rows[:, 0], rows[:, 1]))
-        )
-        errors = 100.0 * np.abs(predicted - measured)[moved > 0] / moved[moved > 0]
-        worst = max([*errors.tolist(), *([] if worst is None else [worst])], default=None)
-    return worst
 
 
 def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
@@ -278,7 +256,7 @@ def measured_energy(drive: Drive, stretches: list[Span]) -> float:
     return total
 
 
-def _stretches(time: np.ndarray) -> list[Span]:
+def whole_stretches(time: np.ndarray) -> list[Span]:
     """Parts of a series of times, shape (n,), that have no gap."""
     if len(time) < 2:
         return []
@@ -288,7 +266,7 @@ def _stretches(time: np.ndarray) -> list[Span]:
     return [Span(float(time[i]), float(time[j])) for i, j in zip(begins, ends, strict=True)]
 
 
-def _common(some: list[Span], others: list[Span]) -> list[Span]:
+def common_stretches(some: list[Span], others: list[Span]) -> list[Span]:
     """Parts in which both are known."""
     both = [Span(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
     return [span for span in both if span.end > span.begin]

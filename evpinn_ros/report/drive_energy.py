@@ -5,14 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from evpinn_ros.common.units import Units
-from evpinn_ros.energy.power_model import (
-    Motion,
-    PowerModel,
-    combined_model,
-    vehicle_model,
-)
+from evpinn_ros.energy.power_model import Motion, PowerModel
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.report.drive_charts import JOULES_PER_WH, Chart
 from evpinn_ros.report.thinning import packed
@@ -39,7 +35,8 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: Steps, units: Unit
     shown = [i for i in np.flatnonzero(enough).tolist() if i > 0]
     last = max([*((i + 1) * width for i in shown), SHOWN_SPEED * units.speeds])
     grid = np.arange(width, last + 1.0)
-    middle, sigma = _steady_power(_car(drive, vehicle), grid / units.speeds, vehicle.air_density)
+    car = known_model(drive.model, drive.final, vehicle, 0.0)
+    middle, sigma = _steady_power(car, grid / units.speeds, vehicle.air_density)
     middle, half = (each / JOULES_PER_WH / (grid / 3600.0) for each in (middle, sigma))
     half *= GAUSSIAN_QUANTILE
     return {
@@ -69,15 +66,6 @@ def running_totals(travelled: Steps, measured: Steps, duration: float, points: i
         "known": total(measured, measured.distance),
         "energy": total(measured, measured.energy),
     }
-
-
-def _car(drive: Drive, vehicle: Vehicle) -> PowerModel:
-    """The car as known at the end of the drive."""
-    if drive.model is not None:
-        return PowerModel(drive.model)
-    if drive.final is not None:
-        return combined_model(drive.final.identifiable, drive.final.identifiable_std, vehicle, 0.0)
-    return vehicle_model(vehicle, 0.0)
 
 
 def _steady_power(

@@ -14,6 +14,7 @@ from evpinn_ros.replays.driven import Steps, measured_steps, travelled
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.replays.tables import (
     SCORE_COLUMNS,
@@ -31,6 +32,7 @@ from evpinn_ros.report.drive_knowledge import knowledge
 from evpinn_ros.report.drive_tiles import clock, drive_tiles
 from evpinn_ros.report.html import write_page
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
+from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 
@@ -66,6 +68,29 @@ class ReportedDrive:
     warm_up: float
     withheld_from: float | None = None
     truth: Parameters | None = None
+
+
+def write_replayed(
+    path: Path,
+    done: Sequence[Replayed],
+    vehicle: Vehicle,
+    options: ReplayOptions,
+    command: str,
+    units: Units = METRIC,
+) -> None:
+    """Write the report of replayed drives, with the truth that lies beside simulated ones."""
+    drives = [
+        ReportedDrive(
+            drive=each.drive,
+            found=each.metrics,
+            vehicle=vehicle,
+            warm_up=options.warm_up,
+            withheld_from=options.withhold_battery_after,
+            truth=read_truth(Path(each.metrics["input"]["path"])),
+        )
+        for each in done
+    ]
+    write_drives(path, drives, command, units)
 
 
 def write_drives(

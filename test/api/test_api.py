@@ -19,6 +19,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.energy import Profiles
 from evpinn_ros.energy import forecast as forecast_profiles
 from evpinn_ros.estimation.state_file import read_state
+from evpinn_ros.replays.forecasts import known_model
 import evpinn_ros.replays.run  # from here on the room `replay` is an attribute of the package
 
 ROOT = Path(__file__).parents[2]
@@ -196,9 +197,9 @@ def test_a_plan_may_have_its_time_as_the_index(result):
 
 def test_a_learner_without_a_linear_model_answers_by_its_parameters(result):
     car, final = result.vehicle, result.replayed.drive.final
-    by_parameters = plan.known_model(None, final, car).linear
+    by_parameters = known_model(None, final, car).linear
     assert by_parameters.mass == final.identifiable.mass_over_eta
-    by_file = plan.known_model(None, None, car).linear
+    by_file = known_model(None, None, car).linear
     assert by_file.mass == pytest.approx(car.initial.mass / car.initial.eta)
 
 
