@@ -21,10 +21,10 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.signals import readings
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
-from evpinn_ros.topics.messages import header, scalar, speed_message
+from evpinn_ros.topics.messages import header, scalar
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.plans import DISTANCE_JOINT
-from evpinn_ros.topics.readings import reading_message
+from evpinn_ros.topics.readings import reading_message, speed_message
 from evpinn_ros.vehicle.files import load_vehicle
 
 VEHICLE = "tesla_model_3_lr"

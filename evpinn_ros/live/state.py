@@ -19,14 +19,8 @@ from evpinn_ros.live.power_line import PowerHistory
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import POWER, bounds_of
-from evpinn_ros.topics.messages import (
-    BadMessage,
-    Level,
-    NamedVector,
-    battery_reading,
-    read_named_vector,
-    speed_reading,
-)
+from evpinn_ros.topics.messages import BadMessage, Level, NamedVector, read_named_vector
+from evpinn_ros.topics.readings import battery_reading, speed_reading
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 VECTORS = (

@@ -36,7 +36,7 @@ from evpinn_ros.topics.estimates import (
     read_identifiable,
     read_power,
 )
-from evpinn_ros.topics.messages import BadMessage, Level, battery_message
+from evpinn_ros.topics.messages import BadMessage, Level
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.plans import (
     forecast_bytes,
@@ -45,7 +45,7 @@ from evpinn_ros.topics.plans import (
     request_header,
     speed_profile_plan,
 )
-from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.topics.readings import battery_message, to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")

@@ -16,13 +16,9 @@ import math
 from typing import Any, Protocol
 
 from evpinn_ros import topics
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import NANOSECONDS
 
 VEHICLE_FRAME = "base_link"
-FLOAT32_MAX = 3.4028234663852886e38
-
-# Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
-SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
 
 
 class NewMessage(Protocol):
@@ -87,42 +83,6 @@ def _time(new: NewMessage, stamp_ns: int) -> Any:
     return new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
 
 
-def speed_message(new: NewMessage, reading: SpeedReading) -> Any:
-    """Forward speed; an unknown variance is 0, as ROS marks an unknown covariance."""
-    variance = 0.0 if math.isnan(reading.variance) else not_negative(reading.variance)
-    linear = new("geometry_msgs/msg/Vector3", x=finite(reading.speed))
-    twist = new("geometry_msgs/msg/Twist", linear=linear)
-    return new(
-        topics.SPEED_TYPE,
-        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
-        twist=new(
-            "geometry_msgs/msg/TwistWithCovariance",
-            twist=twist,
-            covariance=[variance] + 35 * [0.0],
-        ),
-    )
-
-
-def battery_message(new: NewMessage, reading: BatteryReading) -> Any:
-    """Voltage, current (negative discharges) and state of charge; NaN where not measured.
-
-    The status is never CHARGING: a planner takes that for a charger, and a current into the pack
-    of a moving car is regeneration.
-    """
-    if not (math.isnan(reading.state_of_charge) or 0 <= reading.state_of_charge <= 1):
-        raise ValueError(f"state of charge {reading.state_of_charge} is outside 0..1")
-    return new(
-        topics.BATTERY_TYPE,
-        header=header(new, reading.stamp_ns),
-        voltage=_float32(reading.voltage),
-        current=_float32(reading.current),
-        percentage=float(reading.state_of_charge),
-        **dict.fromkeys(("temperature", "charge", "capacity", "design_capacity"), math.nan),
-        power_supply_status=SUPPLY_DISCHARGING if reading.current < 0 else SUPPLY_UNKNOWN,
-        present=True,
-    )
-
-
 def scalar(new: NewMessage, value: float) -> Any:
     """std_msgs/Float64."""
     return new(topics.SCALAR_TYPE, data=finite(value))
@@ -169,34 +129,18 @@ def diagnostics(
 
     `hardware` is the `hardware_id` of all of them.
     """
-    return new(
-        topics.DIAGNOSTICS_TYPE,
-        header=header(new, stamp_ns),
-        status=[_status(new, hardware, *status) for status in statuses],
-    )
-
-
-def _status(
-    new: NewMessage,
-    hardware: str,
-    name: str,
-    level: Level,
-    message: str,
-    values: Mapping[str, object],
-) -> Any:
-    status = new(
-        "diagnostic_msgs/msg/DiagnosticStatus",
-        hardware_id=hardware,
-        name=name,
-        message=message,
-        values=[
+    found = []
+    for name, level, message, values in statuses:
+        pairs = [
             new("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
             for key, value in values.items()
-        ],
-    )
-    # rclpy holds a byte as bytes, rosbags as int: the constant of the class is right in both.
-    status.level = getattr(type(status), Level(level).name)
-    return status
+        ]
+        kind = "diagnostic_msgs/msg/DiagnosticStatus"
+        status = new(kind, hardware_id=hardware, name=name, message=message, values=pairs)
+        # rclpy holds a byte as bytes, rosbags as int: the constant of the class is right in both.
+        status.level = getattr(type(status), Level(level).name)
+        found.append(status)
+    return new(topics.DIAGNOSTICS_TYPE, header=header(new, stamp_ns), status=found)
 
 
 def finite(value: float) -> float:
@@ -213,12 +157,6 @@ def not_negative(value: float) -> float:
     return float(value)
 
 
-def _float32(value: float) -> float:
-    if abs(value) > FLOAT32_MAX:
-        raise ValueError(f"{value} does not fit a 32-bit number")
-    return float(value)
-
-
 # --- readers -----------------------------------------------------------------------------------
 
 
@@ -229,28 +167,6 @@ def stamp_ns(message: Any) -> int:
     if nanoseconds <= 0:
         raise BadMessage("no_stamp")
     return nanoseconds
-
-
-def speed_reading(message: Any) -> SpeedReading:
-    """Speed of a TwistWithCovarianceStamped; a variance of 0 or less is unknown."""
-    variance = float(message.twist.covariance[0])
-    known = 0 < variance < math.inf
-    speed = usable(message.twist.twist.linear.x)
-    return SpeedReading(stamp_ns(message), speed, variance if known else math.nan)
-
-
-def battery_reading(message: Any) -> BatteryReading:
-    """Voltage and current of a BatteryState, each NaN where not measured.
-
-    A percentage outside 0..1 is unknown too: some drivers count to 100, some say -1.
-    """
-    voltage, current, charge = map(float, (message.voltage, message.current, message.percentage))
-    charge = charge if 0 <= charge <= 1 else math.nan
-    if math.isinf(voltage) or math.isinf(current):
-        raise BadMessage("not_finite")
-    if math.isnan(voltage) and math.isnan(current) and math.isnan(charge):
-        raise BadMessage("nothing_measured")
-    return BatteryReading(stamp_ns(message), voltage, current, charge)
 
 
 def read_named_vector(message: Any) -> NamedVector:

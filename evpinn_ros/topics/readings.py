@@ -24,15 +24,12 @@ from evpinn_ros.topics.messages import (
     VEHICLE_FRAME,
     BadMessage,
     NewMessage,
-    battery_message,
-    battery_reading,
     finite,
     header,
     named_vector,
+    not_negative,
     read_named_vector,
     scalar,
-    speed_message,
-    speed_reading,
     stamp_ns,
     usable,
 )
@@ -43,7 +40,51 @@ UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an uns
 
 # Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
 STATUS_FIX, COVARIANCE_UNKNOWN = 0, 0
+SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
+FLOAT32_MAX = 3.4028234663852886e38
 NOT_PROVIDED = -1.0  # first element of a covariance: the quantity was not measured
+
+
+def speed_message(new: NewMessage, reading: SpeedReading) -> Any:
+    """Forward speed; an unknown variance is 0, as ROS marks an unknown covariance."""
+    variance = 0.0 if math.isnan(reading.variance) else not_negative(reading.variance)
+    linear = new("geometry_msgs/msg/Vector3", x=finite(reading.speed))
+    twist = new("geometry_msgs/msg/Twist", linear=linear)
+    return new(
+        topics.SPEED_TYPE,
+        header=header(new, reading.stamp_ns, VEHICLE_FRAME),
+        twist=new(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=twist,
+            covariance=[variance] + 35 * [0.0],
+        ),
+    )
+
+
+def battery_message(new: NewMessage, reading: BatteryReading) -> Any:
+    """Voltage, current (negative discharges) and state of charge; NaN where not measured.
+
+    The status is never CHARGING: a planner takes that for a charger, and a current into the pack
+    of a moving car is regeneration.
+    """
+    if not (math.isnan(reading.state_of_charge) or 0 <= reading.state_of_charge <= 1):
+        raise ValueError(f"state of charge {reading.state_of_charge} is outside 0..1")
+    return new(
+        topics.BATTERY_TYPE,
+        header=header(new, reading.stamp_ns),
+        voltage=_float32(reading.voltage),
+        current=_float32(reading.current),
+        percentage=float(reading.state_of_charge),
+        **dict.fromkeys(("temperature", "charge", "capacity", "design_capacity"), math.nan),
+        power_supply_status=SUPPLY_DISCHARGING if reading.current < 0 else SUPPLY_UNKNOWN,
+        present=True,
+    )
+
+
+def _float32(value: float) -> float:
+    if abs(value) > FLOAT32_MAX:
+        raise ValueError(f"{value} does not fit a 32-bit number")
+    return float(value)
 
 
 def imu_message(new: NewMessage, reading: GradeReading) -> Any:
@@ -211,6 +252,28 @@ def _undo(q: Any, mounting: Rotation) -> Rotation:
         q.w * z + q.x * y - q.y * x + q.z * w,
         q.w * w - q.x * x - q.y * y - q.z * z,
     )
+
+
+def speed_reading(message: Any) -> SpeedReading:
+    """Speed of a TwistWithCovarianceStamped; a variance of 0 or less is unknown."""
+    variance = float(message.twist.covariance[0])
+    known = 0 < variance < math.inf
+    speed = usable(message.twist.twist.linear.x)
+    return SpeedReading(stamp_ns(message), speed, variance if known else math.nan)
+
+
+def battery_reading(message: Any) -> BatteryReading:
+    """Voltage and current of a BatteryState, each NaN where not measured.
+
+    A percentage outside 0..1 is unknown too: some drivers count to 100, some say -1.
+    """
+    voltage, current, charge = map(float, (message.voltage, message.current, message.percentage))
+    charge = charge if 0 <= charge <= 1 else math.nan
+    if math.isinf(voltage) or math.isinf(current):
+        raise BadMessage("not_finite")
+    if math.isnan(voltage) and math.isnan(current) and math.isnan(charge):
+        raise BadMessage("nothing_measured")
+    return BatteryReading(stamp_ns(message), voltage, current, charge)
 
 
 def altitude_reading(message: Any) -> AltitudeReading:

@@ -14,8 +14,8 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.signals import readings as kinds
 from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
-from evpinn_ros.topics.messages import scalar, speed_message
-from evpinn_ros.topics.readings import reading_messages
+from evpinn_ros.topics.messages import scalar
+from evpinn_ros.topics.readings import reading_messages, speed_message
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 START = 1_700_000_000_000_000_000

@@ -15,7 +15,8 @@ from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from evpinn_ros.topics.messages import battery_message, scalar, speed_message
+from evpinn_ros.topics.messages import scalar
+from evpinn_ros.topics.readings import battery_message, speed_message
 
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000

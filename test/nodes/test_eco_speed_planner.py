@@ -24,8 +24,8 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.topics import NAMESPACE
-from evpinn_ros.topics.messages import battery_message
 from evpinn_ros.topics.plans import speed_profile_plan
+from evpinn_ros.topics.readings import battery_message
 from evpinn_ros.vehicle.files import load_vehicle
 
 FILE = Path(__file__).resolve().parents[2] / "examples" / "eco_speed_planner.py"

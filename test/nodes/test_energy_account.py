@@ -11,13 +11,8 @@ from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.topics.messages import (
-    Level,
-    battery_message,
-    named_vector,
-    read_named_vector,
-    speed_message,
-)
+from evpinn_ros.topics.messages import Level, named_vector, read_named_vector
+from evpinn_ros.topics.readings import battery_message, speed_message
 
 START = 1_700_000_000
 SPEED = 50.0  # m/s

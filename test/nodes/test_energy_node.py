@@ -28,9 +28,9 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
-from evpinn_ros.topics.messages import Level, battery_message, header, named_vector
+from evpinn_ros.topics.messages import Level, header, named_vector
 from evpinn_ros.topics.model import model_message
-from evpinn_ros.topics.readings import reading_message
+from evpinn_ros.topics.readings import battery_message, reading_message
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 

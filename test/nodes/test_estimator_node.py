@@ -12,12 +12,8 @@ from evpinn_ros.nodes import estimator as module
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.topics.messages import (
-    Level,
-    battery_message,
-    read_named_vector,
-    speed_message,
-)
+from evpinn_ros.topics.messages import Level, read_named_vector
+from evpinn_ros.topics.readings import battery_message, speed_message
 from evpinn_ros.vehicle.files import load_vehicle
 
 START = 1_700_000_000 * NANOSECONDS

@@ -83,7 +83,7 @@ def test_power_is_minus_voltage_times_current_of_battery_state():
         "sensor_msgs/msg/BatteryState", header=messages.header(new_message, NOW),
         voltage=400.0, current=-50.0, percentage=math.nan,
     )  # fmt: skip
-    assert messages.battery_reading(message).power == 20_000.0
+    assert reading_messages.battery_reading(message).power == 20_000.0
 
 
 def test_grade_is_minus_pitch():
@@ -181,13 +181,13 @@ def no_fix() -> Any:
 
 
 def nan_speed() -> Any:
-    message = messages.speed_message(new_message, SpeedReading(NOW, 1.0))
+    message = reading_messages.speed_message(new_message, SpeedReading(NOW, 1.0))
     message.twist.twist.linear.x = math.nan
     return message
 
 
 def unstamped() -> Any:
-    message = messages.speed_message(new_message, SpeedReading(NOW, 1.0))
+    message = reading_messages.speed_message(new_message, SpeedReading(NOW, 1.0))
     message.header = new_message("std_msgs/msg/Header")
     return message
 
@@ -247,14 +247,14 @@ def test_auxiliary_power_is_heating_by_its_name_and_the_sum_of_all_else():
 
 def test_a_percentage_that_counts_to_hundred_is_unknown():
     message = stamped("sensor_msgs/msg/BatteryState", voltage=400.0, current=-1.0, percentage=87.0)
-    reading = messages.battery_reading(message)
+    reading = reading_messages.battery_reading(message)
     assert reading.voltage == 400.0 and math.isnan(reading.state_of_charge)
 
 
 def test_regeneration_is_not_called_charging():
-    message = messages.battery_message(new_message, BatteryReading(NOW, 400.0, 50.0))
+    message = reading_messages.battery_message(new_message, BatteryReading(NOW, 400.0, 50.0))
     assert message.power_supply_status == message.POWER_SUPPLY_STATUS_UNKNOWN
-    message = messages.battery_message(new_message, BatteryReading(NOW, 400.0, -50.0))
+    message = reading_messages.battery_message(new_message, BatteryReading(NOW, 400.0, -50.0))
     assert message.power_supply_status == message.POWER_SUPPLY_STATUS_DISCHARGING
 
 
@@ -293,10 +293,10 @@ NOT_FINITE = [
     lambda: messages.named_vector(new_message, NOW, ["a"], [1.0], None, [math.inf]),
     lambda: messages.named_vector(new_message, NOW, ["a", "b"], [1.0]),
     lambda: messages.scalar(new_message, math.inf),
-    lambda: messages.speed_message(new_message, SpeedReading(NOW, math.nan)),
-    lambda: messages.speed_message(new_message, SpeedReading(NOW, 1.0, math.inf)),
-    lambda: messages.battery_message(new_message, BatteryReading(NOW, 1e39, 0.0)),
-    lambda: messages.battery_message(new_message, BatteryReading(NOW, 400.0, 0.0, 87.0)),
+    lambda: reading_messages.speed_message(new_message, SpeedReading(NOW, math.nan)),
+    lambda: reading_messages.speed_message(new_message, SpeedReading(NOW, 1.0, math.inf)),
+    lambda: reading_messages.battery_message(new_message, BatteryReading(NOW, 1e39, 0.0)),
+    lambda: reading_messages.battery_message(new_message, BatteryReading(NOW, 400.0, 0.0, 87.0)),
     lambda: reading_messages.imu_message(new_message, GradeReading(NOW, math.nan)),
     lambda: reading_messages.altitude_message(new_message, AltitudeReading(NOW, math.nan)),
     lambda: reading_messages.temperature_message(new_message, TemperatureReading(NOW, math.inf)),

@@ -14,8 +14,8 @@ from evpinn_ros.signals.readings import (
     SpeedReading,
 )
 from evpinn_ros.topics import SUBSCRIBER_DEPTH
-from evpinn_ros.topics.messages import Level, speed_message
-from evpinn_ros.topics.readings import altitude_message
+from evpinn_ros.topics.messages import Level
+from evpinn_ros.topics.readings import altitude_message, speed_message
 
 START = 1_700_000_000 * NANOSECONDS
 

@@ -15,15 +15,8 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.topics.messages import (
-    Level,
-    battery_message,
-    header,
-    read_named_vector,
-    speed_message,
-    stamp_ns,
-)
-from evpinn_ros.topics.readings import rotation
+from evpinn_ros.topics.messages import Level, header, read_named_vector, stamp_ns
+from evpinn_ros.topics.readings import battery_message, rotation, speed_message
 
 VEHICLE = "tesla_model_3_lr"
 START = 1_700_000_000 * NANOSECONDS

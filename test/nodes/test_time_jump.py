@@ -8,7 +8,8 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.topics.messages import battery_message, named_vector, speed_message
+from evpinn_ros.topics.messages import named_vector
+from evpinn_ros.topics.readings import battery_message, speed_message
 
 S = NANOSECONDS
 START = 1_700_000_000 * S

@@ -28,13 +28,8 @@ from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, Sp
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.messages import (
-    Level,
-    battery_message,
-    diagnostics,
-    named_vector,
-    speed_message,
-)
+from evpinn_ros.topics.messages import Level, diagnostics, named_vector
+from evpinn_ros.topics.readings import battery_message, speed_message
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 

@@ -12,7 +12,8 @@ from evpinn_ros.live.json_view import as_json
 from evpinn_ros.live.screen import plain_line, problem_lines, screen
 from evpinn_ros.live.state import NOTHING, LiveState
 from evpinn_ros.signals.readings import BatteryReading
-from evpinn_ros.topics.messages import Level, battery_message, diagnostics, named_vector
+from evpinn_ros.topics.messages import Level, diagnostics, named_vector
+from evpinn_ros.topics.readings import battery_message
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 
