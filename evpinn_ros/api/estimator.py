@@ -12,6 +12,7 @@ import pandas as pd
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.replays.breakdown_text import breakdown_metrics
@@ -168,6 +169,11 @@ class Estimator:
         """The car as known now, for `evpinn_ros.forecast`."""
         estimator = self._chain.estimator
         return known_model(estimator.linear_power(), estimator.parameters(), self.vehicle)
+
+    @property
+    def account(self) -> EnergyAccount:
+        """Energy counted so far, with what is known of the battery."""
+        return self._chain.account
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write what was learned: a file for `state` here and in `evpinn_ros.replay`."""

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
+import os
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
 
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
-from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.common.errors import InputError, one_line
+from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
+from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_along, forecast_plan
+from evpinn_ros.energy.plan import MAX_POINTS, Plan, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.signals.road import MAX_WIND
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
+FEW = 8  # names that an error lists
+NEEDED, OPTIONAL = ("t_s", "speed_mps"), ("distance_m", "elevation_m")
 
 
 class KnownCar(Protocol):
@@ -30,48 +36,67 @@ class KnownCar(Protocol):
     def model(self) -> PowerModel:
         """The car as it is known now."""
 
+    @property
+    def account(self) -> EnergyAccount:
+        """Its energy, with what is known of its battery."""
+
+
+class PlannedEnergy(NamedTuple):
+    """Energy of a plan.
+
+    Attributes:
+        trip: the plan.
+        found: its energy.
+        charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
+            unknown, below 0 where the battery is empty before.
+        model: the car that it was found with.
+    """
+
+    trip: Plan
+    found: Forecast
+    charge: np.ndarray
+    model: PowerModel
+
 
 def forecast(
-    plan: pd.DataFrame | Mapping[str, Any] | Plan,
+    plan: pd.DataFrame | Mapping[str, Any] | str | os.PathLike[str] | Plan,
     car: str | Path | Vehicle | KnownCar = "generic",
     *,
+    charge_pct: float | None = None,
     air_density: float | None = None,
     head_wind: float = 0.0,
 ) -> pd.DataFrame:
-    """Energy that a plan will take, and how sure that is.
+    """Energy that a plan will take, what it leaves in the battery, and how sure that is.
 
     Example:
         >>> import evpinn_ros as ev
         >>> plan = {"t_s": [0.0, 10.0, 290.0, 300.0], "speed_mps": [0.0, 20.0, 20.0, 0.0]}
-        >>> found = ev.forecast(plan, "bmw_i3")
-        >>> list(found.columns)
+        >>> found = ev.forecast(plan, "bmw_i3", charge_pct=80.0)
+        >>> list(found.columns)[:6]
         ['distance_m', 'speed_mps', 'elevation_m', 'power_w', 'energy_j', 'sigma_j']
+        >>> list(found.columns)[6:]
+        ['charge_pct', 'charge_sigma_pct']
 
     Args:
         plan: columns `t_s` (or the index), s, and `speed_mps`, m/s; `distance_m`, else as the
-            speeds make it; `elevation_m`, else a flat road.
+            speeds make it; `elevation_m`, else a flat road. Or the CSV file of such a table.
         car: a vehicle, by name or file, of which nothing was learned yet; or the `Result` or
             `Estimator` that learned it.
+        charge_pct: state of charge at the start, percent; if not given the last that the
+            `Result` or `Estimator` saw.
         air_density: kg/m^3, the vehicle's if not given.
         head_wind: against the car, m/s over ground.
 
     Returns:
         A row a point, by `t_s` since the first: what was planned, power (with the acceleration
-        and slope that follow), energy since the first point, and the 1-sigma of that energy.
+        and slope that follow), energy since the first point with its 1-sigma, and the state of
+        charge, percent, with its own: NaN where that or the capacity is unknown, negative where
+        the battery is empty before.
 
     Raises:
         InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is no trip.
     """
-    if isinstance(car, str | Path | Vehicle):
-        vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
-        model = vehicle_model(vehicle, FIRST_RESIDUAL)
-    else:
-        vehicle, model = car.vehicle, car.model
-    trip = plan if isinstance(plan, Plan) else _trip(plan)
-    density = vehicle.air_density if air_density is None else air_density
-    if not (AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1] and abs(head_wind) <= MAX_WIND):
-        raise InputError(f"no air: {density:g} kg/m^3, {head_wind:g} m/s of wind")
-    found = forecast_plan(trip, model, density, head_wind)
+    trip, found, charge, _ = planned_energy(plan, car, charge_pct, air_density, head_wind)
     columns = {
         "distance_m": trip.distance,
         "speed_mps": trip.speed,
@@ -79,26 +104,89 @@ def forecast(
         "power_w": found.power,
         "energy_j": found.energy,
         "sigma_j": found.sigma,
+        "charge_pct": 100 * charge[0],
+        "charge_sigma_pct": 100 * charge[1],
     }
     return pd.DataFrame(columns, index=pd.Index(found.time, name="t_s"))
 
 
-def _trip(plan: pd.DataFrame | Mapping[str, Any]) -> Plan:
+def planned_energy(
+    plan: Any,
+    car: Any,
+    charge_pct: float | None = None,
+    air_density: float | None = None,
+    head_wind: float = 0.0,
+) -> PlannedEnergy:
+    """What `forecast` makes its table of; arguments and errors are its own."""
+    charge = UNKNOWN
+    if charge_pct is not None:
+        if not 0.0 <= charge_pct <= 100.0:
+            raise InputError(f"charge_pct is {charge_pct:g}, not 0 to 100")
+        charge = Uncertain(charge_pct / 100, FIRST_STEP / math.sqrt(12))  # as a display rounds
+    account = None
+    if isinstance(car, str | Path | Vehicle):
+        vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
+        model = vehicle_model(vehicle, FIRST_RESIDUAL)
+    elif hasattr(car, "account"):
+        vehicle, model, account = car.vehicle, car.model, car.account
+        charge = charge if charge.known else account.charge()
+    else:
+        raise InputError(f"a car is a vehicle, a Result or an Estimator, not {_kind(car)}")
+    trip = plan if isinstance(plan, Plan) else _trip(plan)
+    density = vehicle.air_density if air_density is None else air_density
+    if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
+        raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
+    if not abs(head_wind) <= MAX_WIND:
+        raise InputError(f"head_wind is {head_wind:g}, not -{MAX_WIND:g} to {MAX_WIND:g} m/s")
+    found = forecast_plan(trip, model, density, head_wind)
+    along = None if account is None else account.battery.along(found, charge)
+    if along is None:
+        gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge
+        along = battery_along(found, charge, gauge.capacity)
+    return PlannedEnergy(trip, found, along, model)
+
+
+def _trip(plan: Any) -> Plan:
+    if isinstance(plan, str | os.PathLike):
+        path = Path(plan)
+        try:
+            return _trip(_read(path))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+    if not isinstance(plan, pd.DataFrame | Mapping):
+        raise InputError(f"a plan is a DataFrame, a dict or a CSV file, not {_kind(plan)}")
     if isinstance(plan, pd.DataFrame) and plan.index.name == "t_s":
         plan = plan.reset_index()
-    missing = [name for name in ("t_s", "speed_mps") if name not in plan]
-    if missing:
-        raise InputError(f"the plan has no column {' and '.join(missing)}")
-    names = ("t_s", "speed_mps", "distance_m", "elevation_m")
-    try:
-        given = {
-            name: np.atleast_1d(np.asarray(plan[name], float)) for name in names if name in plan
-        }
-    except (TypeError, ValueError) as error:
-        raise InputError(f"the plan holds what is no number: {error}") from error
+    for name in NEEDED:
+        if name not in plan:
+            there = ", ".join([*map(str, plan)][:FEW]) or "none"
+            raise InputError(f"a plan has the columns {' and '.join(NEEDED)}; there are: {there}")
+    given = {name: _numbers(name, plan[name]) for name in (*NEEDED, *OPTIONAL) if name in plan}
     time, speed = given["t_s"], given["speed_mps"]
-    if "distance_m" not in given and time.shape == speed.shape:
-        legs = np.diff(time) * (speed[1:] + speed[:-1]) / 2
-        given["distance_m"] = np.concatenate(([0.0], np.cumsum(legs)))
-    distance = given.get("distance_m", time)
-    return plan_from_speed_profile(time, distance, speed, given.get("elevation_m"))
+    return plan_from_speed_profile(time, given.get("distance_m"), speed, given.get("elevation_m"))
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    found = np.atleast_1d(np.asarray(values))
+    if found.dtype.kind in "mM":
+        raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
+    try:
+        numbers = np.array(found.tolist(), float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} holds what is no number: {one_line(error)}") from error
+    if numbers.ndim > 1:
+        raise InputError(f"{name} has the shape {numbers.shape}; a plan is one trip")
+    return numbers
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path, nrows=MAX_POINTS + 1, skipinitialspace=True)
+    except OSError as error:
+        raise InputError(error.strerror or one_line(error)) from error
+    except ValueError as error:  # of pandas, and of letters that are none
+        raise InputError(f"no table with commas and decimal points: {one_line(error)}") from error
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else type(value).__name__

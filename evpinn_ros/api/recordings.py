@@ -63,4 +63,5 @@ def replay(
     found = car.replay(source)
     if state is not None:
         car.write_state(Path(state))
-    return Result(found, car.vehicle, car.options, car.chain.estimator.linear_power())
+    learned = car.chain.estimator.linear_power()
+    return Result(found, car.vehicle, car.options, learned, car.chain.account)

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
+from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
@@ -37,12 +38,14 @@ class Result:
         vehicle: whose drive it is.
         options: of the replay.
         linear_power: the car as known at the end; None in mode paper.
+        account: energy counted up to the end, with what is known of the battery.
     """
 
     replayed: Replayed
     vehicle: Vehicle
     options: ReplayOptions
     linear_power: LinearPower | None
+    account: EnergyAccount
 
     @property
     def metrics(self) -> dict[str, Any]:

@@ -165,9 +165,7 @@ class BatteryModel(Saveable[SavedBattery]):
         """
         if not (charge.known and self.known):
             return None
-        full, left = self._gauge.capacity, charge.value
-        for dt, power in _steps(result):
-            left += energy_step(slopes(self._networks(left), power, power, power, dt, left), dt)
+        full, left = self._gauge.capacity, self._path(result, charge.value)[1][-1]
         open_voltage, last = self._open_voltage(left), float(result.power[-1])
         own = float(result.sigma[-1]) / (full.value * open_voltage)
         sigma = math.hypot(charge.sigma, own, (charge.value - left) * full.sigma / full.value)
@@ -175,6 +173,31 @@ class BatteryModel(Saveable[SavedBattery]):
             return BatteryEnd(UNKNOWN, math.nan)
         voltage = open_voltage - self._resistance() * self._drawn(last, left)
         return BatteryEnd(Uncertain(min(max(left, 0.0), 1.0), sigma), voltage)
+
+    def along(self, result: Forecast, charge: Uncertain) -> np.ndarray | None:
+        """State of charge at each point of one plan and its 1-sigma, shape (2, n), not cut at 0.
+
+        None where `after` is; the arguments are its own.
+        """
+        if not (charge.known and self.known):
+            return None
+        full, path = self._gauge.capacity, self._path(result, charge.value)
+        left = np.interp(result.time, *path)
+        own = result.sigma / (full.value * np.array([*map(self._open_voltage, left.tolist())]))
+        capacity = (charge.value - left) * full.sigma / full.value
+        return np.stack([left, np.sqrt(charge.sigma**2 + own**2 + capacity**2)])
+
+    def _path(self, result: Forecast, charge: float) -> tuple[np.ndarray, list[float]]:
+        """Times of steps through a plan, s, and the state of charge at each, from `charge` on."""
+        start, end = float(result.time[0]), float(result.time[-1])
+        count = max(STEPS, math.ceil((end - start) / LONGEST_STEP))
+        grid, dt = np.linspace(start, end, count + 1), (end - start) / count
+        path = [charge]
+        for power in np.diff(np.interp(grid, result.time, result.energy)) / dt:
+            networks = self._networks(path[-1])
+            step = energy_step(slopes(networks, power, power, power, dt, path[-1]), dt)
+            path.append(path[-1] + float(step))
+        return grid, path
 
     def _networks(self, charge: float) -> tuple[Slope, Slope, Slope, Slope]:
         """The slopes of eq. 26-29, of a state: N1 to N4 are dq/dt, 1/s, N1 at the start."""
@@ -212,13 +235,3 @@ class BatteryModel(Saveable[SavedBattery]):
         self._covariance = saved.covariance.reshape(3, 3).copy()
         self._gauge = gauge
         self.begin_anew()
-
-
-def _steps(result: Forecast) -> list[tuple[float, float]]:
-    """Duration, s, and mean power, W, of pieces of a plan."""
-    start, end = float(result.time[0]), float(result.time[-1])
-    count = max(STEPS, math.ceil((end - start) / LONGEST_STEP))
-    grid = np.linspace(start, end, count + 1)
-    energy = np.interp(grid, result.time, result.energy)
-    dt = (end - start) / count
-    return [(dt, float(power)) for power in np.diff(energy) / dt]

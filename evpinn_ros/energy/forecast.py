@@ -172,12 +172,15 @@ def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> U
     Returns:
         0 means that the plan ends, or would have ended, with an empty battery.
     """
-    if not (charge.known and capacity.known):
-        return UNKNOWN
-    share = float(result.energy[-1]) / capacity.value
-    parts = charge.sigma, float(result.sigma[-1]) / capacity.value
-    sigma = math.hypot(*parts, share * capacity.sigma / capacity.value)
-    return Uncertain(min(max(charge.value - share, 0.0), 1.0), sigma)
+    left, sigma = battery_along(result, charge, capacity)[:, -1].tolist()
+    return Uncertain(min(max(left, 0.0), 1.0), sigma) if math.isfinite(left) else UNKNOWN
+
+
+def battery_along(result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
+    """The same at each point, shape (2, n): NaN where unknown, and below 0 it is empty."""
+    share = result.energy / capacity.value
+    parts = charge.sigma, result.sigma / capacity.value, share * capacity.sigma / capacity.value
+    return np.stack([charge.value - share, np.sqrt(sum(part**2 for part in parts))])
 
 
 def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies:

@@ -24,6 +24,8 @@ COMFORT_LATERAL = 2.0  # m/s^2, what drivers take in a bend without hurry
 SLOWEST = 1.0  # m/s through the sharpest bend
 BEND = 10.0  # m before and after a point, over which the bend of the path is taken
 NOMINAL_STEP = 25.0  # m between points of a nominal profile, where the path has fewer
+UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
+LEAST_LENGTH = 50.0  # m of a profile from which that can be seen
 TINY = 1e-6  # m^2/s^2
 CLIMB_TOLERANCE = 1e-6  # m: rounding of climb against length
 
@@ -52,16 +54,15 @@ class Plan:
     elevation: np.ndarray
 
     def __post_init__(self) -> None:
-        named = {name: getattr(self, name) for name in self.__slots__}
-        _check_arrays(named)
+        _check_arrays({name: getattr(self, name) for name in self.__slots__})
         length, climb = np.diff(self.distance), np.diff(self.elevation)
         duration = np.diff(self.time)
         _refuse(duration <= 0, "time does not rise")
         _refuse(self.time - self.time[..., :1] > LONGEST, f"later than {LONGEST / 86_400:g} days")
-        _refuse(length < 0, "distance goes back")
-        _refuse(length > MAX_SPEED * duration, f"faster than {MAX_SPEED:g} m/s")
         _refuse(self.speed < 0, "speed is negative")
         _refuse(self.speed > MAX_SPEED, f"speed is above {MAX_SPEED:g} m/s")
+        _refuse(length < 0, "distance goes back")
+        _refuse(length > MAX_SPEED * duration, f"faster than {MAX_SPEED:g} m/s")
         _refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
 
 
@@ -146,19 +147,36 @@ def _monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def plan_from_speed_profile(
-    time: np.ndarray, distance: np.ndarray, speed: np.ndarray, elevation: np.ndarray | None = None
+    time: np.ndarray,
+    distance: np.ndarray | None,
+    speed: np.ndarray,
+    elevation: np.ndarray | None = None,
 ) -> Plan:
     """A plan from a speed profile: time, s, distance, m, and speed, m/s, each of shape (n,).
 
-    Without elevation, m, the road is flat. Time and distance are counted from the first point.
+    Without distance it is as the speeds make it; without elevation, m, the road is flat. Time and
+    distance are counted from the first point.
 
     Raises:
-        PlanError: the profile is no trip.
+        PlanError: the profile is no trip, or its speeds make `UNITS_APART` times its distance.
     """
     _check_size(len(time))
-    time, distance, speed = _array(time), _array(distance), _array(speed)
+    time, speed = _array(time), _array(speed)
+    _check_arrays({"time": time, "speed": speed})
+    made = np.concatenate(([0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)))
+    distance = made if distance is None else _array(distance)
     height = np.zeros_like(time) if elevation is None else _array(elevation)
+    if distance.shape == time.shape and (np.diff(time) > 0).all():
+        _check_units(float(made[-1]), float(distance[-1] - distance[0]))
     return Plan(time - time[:1], distance - distance[:1], speed, height)
+
+
+def _check_units(by_speed: float, length: float) -> None:
+    """Refuse lengths of one profile, m, by its speeds and its distance, of different units."""
+    if by_speed > UNITS_APART * max(length, LEAST_LENGTH):
+        raise PlanError(
+            f"its speeds make {by_speed:.0f} m, its distance is {length:.0f} m; both in SI units?"
+        )
 
 
 def _nominal_plan(

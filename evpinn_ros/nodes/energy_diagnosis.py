@@ -129,17 +129,14 @@ def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
 def answered_status(answer: PlanAnswer) -> Status:
     """The status of a plan that is answered: its energy, and how it compares with others, J."""
     forecast = answer.forecast
-    values: dict[str, object] = {
-        "energy": repr(float(forecast.energy[-1])),
-        "sigma": repr(float(forecast.sigma[-1])),
-    }
+    values = {"energy": forecast.energy[-1], "sigma": forecast.sigma[-1]}
     if answer.charge.known:
-        values["battery"] = repr(answer.charge.value)
-        values["battery_sigma"] = repr(answer.charge.sigma)
+        values |= {"battery": answer.charge.value, "battery_sigma": answer.charge.sigma}
     for name, apart in answer.differences.items():
-        values[f"difference/{name}"] = repr(apart.value)
-        values[f"difference_sigma/{name}"] = repr(apart.sigma)
-    return Status("plan", Level.OK, ANSWERED, values)
+        values |= {f"difference/{name}": apart.value, f"difference_sigma/{name}": apart.sigma}
+    # A number of numpy would write its type beside its digits.
+    texts = {key: repr(float(value)) for key, value in values.items()}
+    return Status("plan", Level.OK, ANSWERED, texts)
 
 
 def _air_values(air: Air) -> dict[str, object]:

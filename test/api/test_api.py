@@ -162,7 +162,13 @@ def test_a_plan_costs_what_the_batch_forecast_says(result):
 @pytest.mark.parametrize(
     ("trip", "reason"),
     [
-        ({"t_s": [0.0, 1.0]}, "no column speed_mps"),
+        ({"t_s": [0.0, 1.0]}, "columns t_s and speed_mps; there are: t_s"),
+        ({}, "there are: none"),
+        (None, "not None"),
+        ([0.0, 1.0], "not list"),
+        ({"t_s": pd.date_range("2026", periods=2), "speed_mps": [1.0, 1.0]}, "t_s holds dates"),
+        ({"t_s": [[0.0, 1.0]], "speed_mps": [[1.0, 1.0]]}, "one trip"),
+        ({"t_s": [0.0, 9.0], "speed_mps": ["a", "b"]}, "speed_mps holds what is no number"),
         ({"t_s": [0.0, 0.0], "speed_mps": [1.0, 1.0]}, "time does not rise"),
         ({"t_s": [0.0, 1.0], "speed_mps": [1.0]}, "differ in shape"),
     ],
@@ -172,12 +178,37 @@ def test_a_wrong_plan_is_refused_with_the_reason(trip, reason):
         ev.forecast(trip)
 
 
+def test_the_charge_along_a_plan_is_that_of_the_node():
+    """At its end; before, it falls with the energy, and rises where the car brakes."""
+    result = ev.replay(URBAN, CAR, duration=75.0)  # a minute teaches its battery
+    trip = {"t_s": [0.0, 15.0, 400.0, 420.0], "speed_mps": [0.0, 20.0, 20.0, 0.0]}
+    found = ev.forecast(trip, result)
+    account, end = result.account, plan.planned_energy(trip, result).found
+    after = account.battery.after(end, account.charge()).charge
+    assert found["charge_pct"].iloc[-1] == pytest.approx(100 * after.value, abs=1e-9)
+    assert found["charge_sigma_pct"].iloc[-1] == pytest.approx(100 * after.sigma, rel=1e-9)
+    charge = found["charge_pct"].to_numpy()
+    assert charge[0] == 100 * account.charge().value and charge[2] < charge[1] < charge[0]
+    assert charge[3] > charge[2]
+
+
+def test_the_charge_of_a_car_that_nothing_was_learned_of_is_by_its_capacity():
+    trip = {"t_s": [0.0, 400.0], "speed_mps": [20.0, 20.0]}
+    assert ev.forecast(trip, CAR)["charge_pct"].isna().all()
+    end = ev.forecast(trip, CAR, charge_pct=50.0).iloc[-1]
+    share = end["energy_j"] / ev.load_vehicle(CAR).battery_capacity
+    assert end["charge_pct"] == pytest.approx(50.0 - 100 * share)
+    assert end["charge_sigma_pct"] > 0
+    assert ev.forecast(trip, charge_pct=50.0)["charge_pct"].isna().all()  # a car of any battery
+
+
 @pytest.mark.parametrize(
     "call",
     [
         lambda: ev.Estimator(mode="none"),
         lambda: ev.Estimator().add(float("nan"), 10.0),
-        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": ["a", "b"]}),
+        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, None),
+        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, charge_pct=101.0),
         lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, air_density=-1.2),
         lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, head_wind=np.inf),
         lambda: ev.replay(ROOT / "bags" / "urban", warm_up=float("nan")),

@@ -165,7 +165,7 @@ def test_cold_air_costs_more():
 
 
 def test_contradicting_speeds_stay_finite():
-    plan = plan_from_speed_profile([0.0, 10.0], [0.0, 1.0], [30.0, 30.0])
+    plan = Plan(*np.array([[0.0, 10.0], [0.0, 1.0], [30.0, 30.0], [0.0, 0.0]]))
     assert math.isfinite(energy(plan))
 
 

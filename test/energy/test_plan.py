@@ -92,6 +92,11 @@ def test_speed_profile_counts_from_its_first_point():
     assert plan.elevation == pytest.approx([0, 0])
 
 
+def test_without_distance_it_is_as_the_speeds_make_it():
+    plan = plan_from_speed_profile([0.0, 10.0, 20.0], None, [0.0, 20.0, 10.0])
+    assert plan.distance.tolist() == [0.0, 100.0, 250.0]
+
+
 @pytest.mark.parametrize(
     ("x", "stamps", "reason"),
     [
@@ -129,6 +134,19 @@ def test_a_path_that_is_no_trip(x, stamps, reason):
         ([0.0, 1.0], [0.0, 1.0], [1.0, np.inf], None, "speed is not finite at point 1"),
         ([0.0, 1.0], [0.0, 1.0], [1.0, 1.0], [0.0, 2.0], "climbs more than it travels"),
         ([], [], [], None, "needs at least two points"),
+        ([], None, [], None, "needs at least two points"),
+        ([0.0, 1.0], None, [1.0], None, "differ in shape"),
+        ([0.0, 1.0, 2.0], None, [1.0, np.nan, 1.0], None, "speed is not finite at point 1"),
+        ([0.0, 1.0, 2.0], None, [1.0, -1.0, -1.0], None, "speed is negative at point 1"),
+        ([0.0, 1.0, 2.0], None, [0.0, 111.0, 111.0], None, "speed is above 100 m/s at point 1"),
+        (
+            [0.0, 10.0],
+            [0.0, 200.0],
+            [72.0, 72.0],
+            None,
+            "make 720 m, its distance is 200 m",
+        ),
+        ([0.0, 60.0], [0.0, 1.2], [20.0, 20.0], [0.0, 9.0], "make 1200 m, its distance is 1 m"),
     ],
 )
 def test_a_profile_that_is_no_trip(time, distance, speed, elevation, reason):

@@ -3,13 +3,15 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusState, BusStatus
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecaster import Air, Basis, PlanLog
+from evpinn_ros.energy.forecast import Forecast
+from evpinn_ros.energy.forecaster import Air, Basis, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import Trust
@@ -18,7 +20,7 @@ from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Condition, Health
-from evpinn_ros.nodes.energy_diagnosis import meter_status, plan_status
+from evpinn_ros.nodes.energy_diagnosis import answered_status, meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
@@ -118,6 +120,19 @@ def test_states_of_planning():
     assert refused.level is Level.WARN and refused.text.endswith("time goes back at point 3")
     assert (refused.values["answered"], refused.values["refused"]) == (1, 1)
     assert refused.values["charge_after"] == 0.42
+
+
+def test_every_number_of_an_answer_is_read_by_any_language():
+    whole = np.array([0.0, 3.6e6])
+    answer = PlanAnswer(
+        Forecast(np.array([0.0, 60.0]), whole, whole, whole),
+        Uncertain(np.float64(0.5), 0.01), math.nan, {"a/0": Uncertain(1.0, np.float64(2.0))},
+    )  # fmt: skip
+    values = answered_status(answer).values
+    assert {key: float(text) for key, text in values.items()} == {
+        "energy": 3.6e6, "sigma": 3.6e6, "battery": 0.5, "battery_sigma": 0.01,
+        "difference/a/0": 1.0, "difference_sigma/a/0": 2.0,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

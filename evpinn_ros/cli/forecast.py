@@ -1,0 +1,115 @@
+"""`evpinn forecast`: energy and charge that plans will take."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from evpinn_ros.cli.console import note, say, show, write_json
+from evpinn_ros.cli.options import JsonOption, VehicleOption
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.units import JOULES_PER_KWH
+
+COLUMNS = ("plan", "km", "min", "km/h", "kWh", "1-sigma", "kWh/100 km", "charge after")
+MORE = "kWh more than the first"
+WIDE = 100  # characters of a table that compares
+ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
+
+
+def forecast(
+    plans: Annotated[
+        list[Path],
+        typer.Argument(
+            help="CSV files: t_s, speed_mps; elevation_m where not flat; distance_m where known."
+        ),
+    ],
+    vehicle: VehicleOption = "generic",
+    state: Annotated[
+        Path | None, typer.Option(help="What replays or a run learned of the car.")
+    ] = None,
+    charge: Annotated[
+        float | None, typer.Option(min=0.0, max=100.0, help="State of charge at the start, %.")
+    ] = None,
+    head_wind: Annotated[
+        float, typer.Option(min=-60.0, max=60.0, help="Against the car, m/s over ground.")
+    ] = 0.0,
+    json_file: JsonOption = None,
+) -> None:
+    """Forecast the energy of plans, and the charge after each.
+
+    A plan is a table of the speed over time. Of several each is compared with the first: what all
+    share, the mass of the car before all, cancels, so a difference is surer than either.
+
+    Example: evpinn forecast plan.csv --vehicle tesla_model_3_lr --state car.json --charge 80
+    """
+    # Here, for pandas takes longer to import than all else together.
+    from evpinn_ros.api.estimator import Estimator
+    from evpinn_ros.api.plan import planned_energy
+
+    if state is not None and not state.exists():
+        raise InputError(f"{state}: no such file")
+    car = vehicle if state is None else Estimator(vehicle, state=state)
+    found = [planned_energy(path, car, charge, None, head_wind) for path in plans]
+    rows = [_figures(path, each, found[0]) for path, each in zip(plans, found, strict=True)]
+    rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
+    columns = (*COLUMNS, MORE) if len(rows) > 1 else COLUMNS
+    table = PlainTable("Forecast", columns, [_texts(row)[: len(columns)] for row in rows])
+    show(table, at_least=WIDE if len(rows) > 1 else 0)
+    known = "by its vehicle file alone: --state gives what was learned"
+    say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
+    if charge is None:
+        note("evpinn: --charge PERCENT, at the start, gives the charge at the end too")
+    if json_file is not None:
+        write_json(json_file, rows)
+
+
+def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
+    """Figures of one plan, in SI units and percent; NaN where unknown."""
+    from evpinn_ros.energy.forecast import difference
+
+    trip, found = planned.trip, planned.found
+    more = difference(planned.model, found.end, first.found.end)
+    charge, charge_sigma = (100 * planned.charge[:, -1]).tolist()
+    empty = planned.charge[0] <= 0.0
+    return {
+        "plan": str(path),
+        "distance_m": float(trip.distance[-1]),
+        "duration_s": float(trip.time[-1]),
+        "energy_j": float(found.energy[-1]),
+        "sigma_j": float(found.sigma[-1]),
+        "charge_pct": max(charge, 0.0),
+        "charge_sigma_pct": charge_sigma,
+        "empty_at_m": float(trip.distance[empty.argmax()]) if empty.any() else None,
+        "more_than_first_j": more.value,
+        "more_than_first_sigma_j": more.sigma,
+    }
+
+
+def _texts(row: dict[str, Any]) -> list[str]:
+    """One row of the table."""
+    km, hours, kwh, sigma, more, more_sigma = (
+        row[key] / unit
+        for key, unit in (
+            ("distance_m", 1e3),
+            ("duration_s", 3600.0),
+            *((key, JOULES_PER_KWH) for key in ENERGIES),
+        )
+    )
+    charge = f"{row['charge_pct']:.1f} +- {row['charge_sigma_pct']:.1f} %"
+    if row["empty_at_m"] is not None:
+        charge = f"empty at {row['empty_at_m'] / 1e3:.1f} km"
+    return [
+        Path(row["plan"]).stem,
+        f"{km:.2f}",
+        f"{60 * hours:.1f}",
+        f"{km / hours:.0f}",
+        f"{kwh:.3f}",
+        f"{sigma:.3f}",
+        f"{100 * kwh / km:.1f}" if km else "-",
+        charge if math.isfinite(row["charge_pct"]) else "-",
+        f"{more:+.3f} +- {more_sigma:.3f}" if math.isfinite(more) else "",
+    ]

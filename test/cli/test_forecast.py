@@ -1,0 +1,92 @@
+"""`evpinn forecast`: plans in CSV files, with the car of a state file."""
+
+import json
+
+import pandas as pd
+import pytest
+
+import evpinn_ros as ev
+
+CAR = "tesla_model_3_lr"
+SLOW = "t_s,speed_mps,elevation_m\n0,0,0\n15,20,0\n400,20,60\n420,0,60\n"
+FAST = "t_s,speed_mps,elevation_m\n0,0,0\n20,28,0\n270,28,60\n300,0,60\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plans")
+    (folder / "slow.csv").write_text(SLOW)
+    (folder / "fast.csv").write_text(FAST)
+    car = ev.Estimator(CAR)
+    for second in range(90):
+        speed = abs(second % 40 - 20.0)
+        car.add(second, speed, 360.0, 2 + 2 * speed if second % 40 >= 20 else -speed)
+    car.save(folder / "car.json")
+    return folder
+
+
+def test_the_command_is_the_call_to_the_bit(evpinn, folder):
+    given = ("--vehicle", CAR, "--state", "car.json", "--charge", 80)
+    done = evpinn("forecast", "slow.csv", "fast.csv", *given, "--json", "f.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "as learned in car.json" in done.stdout
+    car = ev.Estimator(CAR, state=folder / "car.json")
+    found = json.loads((folder / "f.json").read_text())
+    for row in found:
+        end = ev.forecast(folder / row["plan"], car, charge_pct=80.0).iloc[-1]
+        names = ("distance_m", "energy_j", "sigma_j", "charge_pct", "charge_sigma_pct")
+        assert [row[name] for name in names] == [end[name] for name in names]
+    more, sigma = (found[1][f"more_than_first_{name}"] for name in ("j", "sigma_j"))
+    assert more == pytest.approx(found[1]["energy_j"] - found[0]["energy_j"])
+    assert 0 < sigma < found[0]["sigma_j"] + found[1]["sigma_j"]
+    assert found[0]["more_than_first_j"] is None
+
+
+def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
+    done = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
+    assert "empty at 7.8" in done.stdout and "by its vehicle file alone" in done.stdout
+    assert "--charge PERCENT" in evpinn("forecast", "slow.csv", cwd=folder).stderr
+
+
+@pytest.mark.parametrize(
+    ("plan", "reason"),
+    [
+        ("", "no table with commas"),
+        ("t_s;speed_mps\n0;0\n15;20,5\n", "no table with commas"),
+        ("t_s,speed_mps\n", "needs at least two points"),
+        ("t_s,speed_mps\n0,0\n15,nan\n30,0\n", "speed is not finite at point 1"),
+        ("t_s,speed_mps\n0,0\n15,x\n30,0\n", "speed_mps holds what is no number"),
+        ("t_s,speed_mps\n0,0\n30,20\n15,0\n", "time does not rise at point 1"),
+        ("t_s,speed_mps\n0,0\n30,111\n90,0\n", "speed is above 100 m/s at point 1"),
+        ("t_s,speed_kmh\n0,0\n30,72\n", "columns t_s and speed_mps; there are: t_s, speed_kmh"),
+        ("t_s,speed_mps,distance_m\n0,20,0\n60,20,1.2\n", "speeds make 1200 m"),
+        (None, "No such file"),
+    ],
+)
+def test_a_wrong_plan_is_refused_by_name_and_in_one_line(evpinn, tmp_path, plan, reason):
+    if plan is not None:
+        (tmp_path / "plan.csv").write_text(plan)
+    done = evpinn("forecast", "plan.csv", "--vehicle", CAR, cwd=tmp_path)
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr.startswith("evpinn: plan.csv: ") and reason in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (("--state", "none.json"), "none.json: no such file"),
+        (("--vehicle", "bmw_i3", "--state", "car.json"), "car.json: saved for"),
+        (("--vehicle", "car.json"), "car.json: no vehicle file, which ends in .yaml"),
+    ],
+)
+def test_a_wrong_car_is_refused_in_words(evpinn, folder, given, reason):
+    done = evpinn("forecast", "slow.csv", *given, cwd=folder)
+    assert done.returncode == 1 and reason in done.stderr
+
+
+def test_a_plan_is_what_pandas_reads_of_the_file(folder):
+    table = pd.read_csv(folder / "slow.csv")
+    pd.testing.assert_frame_equal(
+        ev.forecast(folder / "slow.csv", CAR), ev.forecast(table.set_index("t_s"), CAR)
+    )
