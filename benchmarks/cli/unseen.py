@@ -100,5 +100,7 @@ def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
     if "carried" in methods[names[0]]:
         show(energy_table(methods), at_least=TABLE_WIDTH)
         show(age_table(methods), at_least=TABLE_WIDTH)
+    if recorded is not None:
+        say(f"{RECORDED}: the core before its redesign, as it was measured then.")
     if "truth" in methods[names[0]]:
         show(truth_table(methods), at_least=TABLE_WIDTH)

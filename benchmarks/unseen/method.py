@@ -39,8 +39,8 @@ class Prediction(NamedTuple):
 class Method(Protocol):
     """Method that is scored."""
 
-    def add_reading(self, reading: Reading) -> Iterable[Prediction]:
-        """Take one reading; give the predictions it completes, in order of time."""
+    def add_reading(self, reading: Reading) -> Iterable[Prediction] | None:
+        """Take one reading; give the predictions it completes, in order of time; None if none."""
 
     def begin_next_drive(self) -> None:
         """Begin another drive of the same car."""

@@ -17,7 +17,7 @@ from benchmarks.unseen.drives import Car, Drive
 from benchmarks.unseen.lines import Span
 from benchmarks.unseen.method import Estimate, Factory, Method, Prediction
 from benchmarks.unseen.scores import PartScore, Track, score_part
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 FIRST_CUT, CUT_STEP, DROPOUT, LONG_DROPOUT = 250.0, 50.0, 200.0, 600.0  # s
 SPARSE_STEP, MANY_HOURS = 200.0, 0.5  # s between cuts of a car that drove for longer, h
@@ -105,7 +105,7 @@ def _through(method: Method, drive: Drive, planned: Sequence[Cut]) -> Iterator[t
                 begin = cut.begin
             part = "long" if cut.length == LONG_DROPOUT else "withheld"
             yield part, Scored(drive.name, cut.span, score_part(drive, track, cut.span))
-        rows.extend(method.add_reading(reading))
+        rows.extend(_predictions(method, reading))
     if drive.duration > WARM_UP:
         span = Span(WARM_UP, drive.duration)
         yield "online", Scored(drive.name, span, score_part(drive, Track(drive, rows), span))
@@ -126,5 +126,11 @@ def predicted(
         if isinstance(reading, SpeedReading) and reading.stamp_ns > end_ns:
             break
         if not isinstance(reading, BatteryReading):
-            rows.extend(method.add_reading(reading))
+            rows.extend(_predictions(method, reading))
     return Track(drive, rows)
+
+
+def _predictions(method: Method, reading: Reading) -> Iterator[Prediction]:
+    """Predictions that a reading completes, of anybody's method: of plain tuples or None too."""
+    for row in method.add_reading(reading) or ():
+        yield row if isinstance(row, Prediction) else Prediction(*row)

@@ -71,7 +71,7 @@ def run_truth(key: str, factory: Factory) -> dict[str, dict[str, Any]]:
     for drive in truth_drives(key):
         method = factory(drive.vehicle)
         for reading in drive.readings:
-            for _ in method.add_reading(reading):
+            for _ in method.add_reading(reading) or ():
                 pass
         found.append(errors(method.combinations(), true_combinations(drive)))
     return truth_summary(found)

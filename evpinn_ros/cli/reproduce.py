@@ -21,7 +21,13 @@ from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
-from evpinn_ros.reproduction.experiment import Experiment, OnProgress, Outcome, Settings
+from evpinn_ros.reproduction.experiment import (
+    TRAININGS,
+    Experiment,
+    OnProgress,
+    Outcome,
+    Settings,
+)
 from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.reproduction.results import results_of
 from evpinn_ros.reproduction.saved import write_estimator_state, write_vehicle_file
@@ -36,6 +42,7 @@ QUICK_EPOCHS = {
     OptimizerName.ADAM_LBFGS: 1200,
     OptimizerName.GAUSS_NEWTON: 200,
 }
+FILE_WIDTH = 100  # characters of a table where no terminal limits it
 QUICK_ENERGY_EPOCHS = 1000
 
 
@@ -78,9 +85,9 @@ def reproduce(
 ) -> None:
     """Run the experiment of the EV-PINN paper on a drive, and check every claim.
 
-    Tables II to VI and figures 5 to 10 beside the paper's own numbers, and beside them what the
-    paper leaves out: a baseline, a chronological split, its published parameters on this drive,
-    and least squares. Stopped and started again it goes on where it was.
+    Tables II to VI and figures 5, 8 and 9 (of a Model S 6, 8 and 10) beside the paper's own
+    numbers, and beside them what it leaves out: a baseline, a chronological split, its published
+    parameters on this drive, and least squares. Stopped and started again it goes on where it was.
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
     """
@@ -158,10 +165,15 @@ def training_progress() -> Iterator[OnProgress]:
             if title not in shown:
                 bar.close()
                 unit = f"of {epochs} epochs"
-                shown[title] = bar.enter_context(progress_bar(title, epochs, unit))
+                shown[title] = bar.enter_context(progress_bar(_numbered(title), epochs, unit))
             shown[title](epoch, f"loss {loss:.2e}")
 
         yield show
+
+
+def _numbered(title: str) -> str:
+    """Title of a training and its place, for the time left is that of one."""
+    return f"{title}, {TRAININGS.index(title) + 1} of {len(TRAININGS)}"
 
 
 def _print(table: ResultTable) -> None:

@@ -41,7 +41,7 @@ def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
         "update_ms": _milliseconds(status.durations),
         "speed_age_s": rounded(condition.age),
         "time_jumps": condition.jumps,
-        "not_told": ", ".join(status.unknown) or "nothing",
+        "inputs_without_data": ", ".join(status.unknown) or "nothing",
         **flat("rejected", status.rejected),
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),

@@ -54,6 +54,7 @@ REGRESSION = "eq. 21, least squares"
 
 # Takes the title of a training, its epoch, its last epoch and the newest loss.
 OnProgress = Callable[[str, int, int, float], None]
+TRAININGS = ("power network", "chronological split", "energy networks")  # in their order
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +134,8 @@ class Experiment:
         steps = step_data(log.time, log.power)  # first: what it refuses is refused at once
         count = len(log.time)
         split = random_split(count, settings.seed)
-        training = self._power("power network", split, on_progress)
-        later = self._power("chronological split", chronological_split(count), on_progress)
+        training = self._power(TRAININGS[0], split, on_progress)
+        later = self._power(TRAININGS[1], chronological_split(count), on_progress)
         energy = self._energy(steps, on_progress)
         problem, optimizer = training.problem, training.optimizer
         covariance = problem.covariance(optimizer.log_scale)
@@ -189,7 +190,7 @@ class Experiment:
         settings = self._settings
         training = EnergyTraining(steps, seed=settings.seed, device=settings.device)
         made_of = (settings.seed, settings.energy_epochs)
-        self._train("energy networks", training, made_of, on_progress)
+        self._train(TRAININGS[2], training, made_of, on_progress)
         return training
 
     def _train(

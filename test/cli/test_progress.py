@@ -81,8 +81,8 @@ def test_trainings_have_a_line_each(written, monkeypatch):
                 report(title, epoch, 40, 0.5)
                 now += 6.0
     assert written.getvalue().splitlines() == [
-        "power network: 30 of 40 epochs, 75 %, 4 s left",
-        "energy networks: 30 of 40 epochs, 75 %, 4 s left",
+        "power network, 1 of 3: 30 of 40 epochs, 75 %, 4 s left",
+        "energy networks, 3 of 3: 30 of 40 epochs, 75 %, 4 s left",
     ]
 
 

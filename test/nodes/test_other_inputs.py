@@ -84,7 +84,7 @@ def test_an_imu_in_another_frame_gives_no_grade_and_says_why(bench):
     _, text, values = bench.diagnosis(node)["estimate"]
     why = "vehicle/imu: frame 'camera_imu' is not base_link: set imu_rotation_rpy"
     assert values[f"bad.{why}"] == "20" and f"not used from now on: {why}" in text
-    assert "grade" in values["not_told"]
+    assert "grade" in values["inputs_without_data"]
 
 
 def test_an_imu_of_known_mounting_gives_the_grade(bench):
@@ -92,7 +92,7 @@ def test_an_imu_of_known_mounting_gives_the_grade(bench):
     node = bench.start(EstimatorNode, **options)
     drive(bench, node, range(30), frame="camera_imu", pitch=0.35)
     _, text, values = bench.diagnosis(node)["estimate"]
-    assert "imu" not in text and "grade" not in values["not_told"]
+    assert "imu" not in text and "grade" not in values["inputs_without_data"]
 
 
 def test_a_replay_takes_the_mounting_of_the_imu_as_the_node_does(bench, bundled, tmp_path):

@@ -55,6 +55,16 @@ def test_anybodys_method_is_scored(folder):
     assert found["withheld"]["rmse_w"] == pytest.approx(1e4, rel=1e-6)
 
 
+def test_a_method_may_give_plain_tuples_and_nothing_at_all(folder):
+    plain = MINE.replace(
+        "yield Prediction(reading.stamp_ns, 1e4)", "return [(reading.stamp_ns, 1e4)]"
+    )
+    (folder / "mine.py").write_text(plain)
+    task = run.Task(f"{folder / 'drive.csv'}=generic", f"{folder / 'drive.csv'}=generic", "")
+    found = run.run_task(task._replace(method=f"{folder / 'mine.py'}:Flat")).scores
+    assert found["carried"]["gross_mean_percent"] == pytest.approx(50.0, abs=0.1)
+
+
 def test_the_example_of_a_method_beats_the_prior():
     bags = f"{ROOT / 'bags'}=tesla_model_3_lr"
     example = f"{ROOT / 'examples' / 'methods' / 'least_squares.py'}:LeastSquares"
