@@ -117,7 +117,7 @@ def planned_energy(
     air_density: float | None = None,
     head_wind: float = 0.0,
 ) -> PlannedEnergy:
-    """What `forecast` makes its table of; arguments and errors are its own."""
+    """The basis of the table of `forecast`, whose arguments and errors are these."""
     charge = UNKNOWN
     if charge_pct is not None:
         if not 0.0 <= charge_pct <= 100.0:

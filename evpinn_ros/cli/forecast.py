@@ -41,8 +41,8 @@ def forecast(
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
 
-    A plan is a table of the speed over time. Of several each is compared with the first: what all
-    share, the mass of the car before all, cancels, so a difference is surer than either.
+    A plan is a table of the speed over time. Of several each is compared with the first: what both
+    share cancels, the mass of the car before all, and of equally long plans (to 1 m) the road.
 
     Example: evpinn forecast plan.csv --vehicle tesla_model_3_lr --state car.json --charge 80
     """
