@@ -14,7 +14,7 @@ from typing import Annotated
 import torch
 import typer
 
-from evpinn_ros.cli.console import Report, note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import Report, note, progress_bar, results, say, show, write_json
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
@@ -177,7 +177,8 @@ def _numbered(title: str) -> str:
 
 
 def _print(table: ResultTable) -> None:
-    show(PlainTable(table.title, table.columns, table.rows, unbroken=table.columns[:1]))
+    shown = PlainTable(table.title, table.columns, table.rows, unbroken=table.columns[:1])
+    show(shown, at_least=0 if results.is_terminal else FILE_WIDTH)
     say(table.note, style="dim")
     say()
 
