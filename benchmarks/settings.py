@@ -48,6 +48,7 @@ SETTINGS = (
     Setting(constant("FORCE_LENGTH"), (750.0, 1500.0, 3000.0)),
     Setting(constant("SLOPE_LENGTH"), (300.0, 600.0, 1200.0)),
     Setting(constant("LOAD_STD"), (75.0, 150.0, 300.0)),
+    Setting(constant("KNOWN_LOAD_STD"), (10.0, 30.0, 150.0)),
     Setting(constant("LOAD_TIME"), (150.0, 300.0, 600.0)),
     Setting(constant("LEAST_SCALE"), (0.05, 1.0)),
     Setting(constant("GROWTH"), (0.05**2, 0.1**2, 0.2**2, 0.4**2)),
