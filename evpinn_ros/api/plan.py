@@ -72,10 +72,8 @@ def forecast(
         >>> import evpinn_ros as ev
         >>> plan = {"t_s": [0.0, 10.0, 290.0, 300.0], "speed_mps": [0.0, 20.0, 20.0, 0.0]}
         >>> found = ev.forecast(plan, "bmw_i3", charge_pct=80.0)
-        >>> list(found.columns)[:6]
-        ['distance_m', 'speed_mps', 'elevation_m', 'power_w', 'energy_j', 'sigma_j']
-        >>> list(found.columns)[6:]
-        ['charge_pct', 'charge_sigma_pct']
+        >>> print(*found.columns)
+        distance_m speed_mps elevation_m power_w energy_j sigma_j charge_pct charge_sigma_pct
 
     Args:
         plan: columns `t_s` (or the index), s, and `speed_mps`, m/s; `distance_m`, else as the

@@ -146,7 +146,7 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     path, text = Path(name_or_path), str(name_or_path)
     if path.suffix in (".yaml", ".yml"):
         return _parse(path)
-    if path.is_file():
+    if path.suffix == ".json":
         raise InputError(f"{path}: no vehicle file, which ends in .yaml; is it a --state?")
     key = text if text in (*vehicle_names(), *certified_cars()) else _key_of(text)
     return _certified(key) if key in certified_cars() else _parse(_file(key))
