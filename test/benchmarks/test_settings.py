@@ -32,10 +32,13 @@ likelihoods = st.fixed_dictionaries({name: st.floats(-9.0, 9.0) for name in NAME
 
 @pytest.fixture(scope="module")
 def car() -> RecordedCar:
-    """Two drives of a minute and a half, and an outlier."""
+    """Two drives of a minute and a half, an outlier, and loads that are reported for a while."""
     whole = read_car("", URBAN)
     (drive,) = whole.drives
     drive[SHORT // 2] = replace(drive[SHORT // 2], energy=1e6)
+    for index in range(SHORT // 4):
+        known = drive[index].conditions._replace(load_known=True)
+        drive[index] = replace(drive[index], conditions=known)
     return whole._replace(drives=[drive[:SHORT], drive[SHORT : 2 * SHORT]])
 
 
