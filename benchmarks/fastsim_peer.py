@@ -16,7 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,12 +65,7 @@ def run_fastsim(time_s: np.ndarray, speed: np.ndarray, repeats: int) -> FastsimR
     fastsim = import_module("fastsim")
     vehicle = fastsim.Vehicle.from_resource(MODEL_3)
     vehicle.set_save_interval(None)
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "cycle.csv"
-        rows = np.column_stack((time_s, speed, np.zeros_like(speed)))
-        names = "time_seconds,speed_meters_per_second,grade"
-        np.savetxt(file, rows, delimiter=",", header=names, comments="")
-        cycle = fastsim.Cycle.from_file(str(file))
+    cycle = fastsim_cycle(time_s, speed, np.zeros_like(speed))
     seconds = []
     for _ in range(repeats):
         drive = fastsim.SimDrive(vehicle, cycle)
@@ -79,3 +74,13 @@ def run_fastsim(time_s: np.ndarray, speed: np.ndarray, repeats: int) -> FastsimR
         seconds.append(time.thread_time() - begin)
     battery = drive.to_dict()["veh"]["pt_type"]["BEV"]["res"]["state"]
     return FastsimRun(battery["energy_out_electrical_joules"], min(seconds) / (len(time_s) - 1))
+
+
+def fastsim_cycle(time_s: np.ndarray, speed: np.ndarray, slope: np.ndarray) -> Any:
+    """A cycle of its own: speeds in m/s, and the slope of the road up to each."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "cycle.csv"
+        rows = np.column_stack((time_s, speed, slope))
+        names = "time_seconds,speed_meters_per_second,grade"
+        np.savetxt(file, rows, delimiter=",", header=names, comments="")
+        return import_module("fastsim").Cycle.from_file(str(file))

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from benchmarks.cli.output import TABLE_WIDTH, json_at_the_end, names_in
+from benchmarks.fastsim_peer import fastsim_version
 from benchmarks.unseen.drives import cars_in
 from benchmarks.unseen.run import (
     METHODS,
@@ -57,6 +58,8 @@ def unseen(
     there = [*cars_in(data), *(() if "=" in data else KINDS)]
     if not sumo_is_there():
         note("evpinn: eclipse-sumo and libsumo are not installed, so there are no cars by SUMO")
+    if fastsim_version() is None:
+        note("evpinn: fastsim is not installed, so there are no cars by FASTSim")
     chosen = _chosen(names_in(cars), there)
     tasks = [Task(data, car, name) for car in chosen for name in names]
     found: dict[str, Any] = {}

@@ -8,6 +8,13 @@ from functools import cached_property
 from pathlib import Path
 
 from benchmarks.logs import find_logs
+from benchmarks.unseen.fastsim_cars import (
+    FASTSIM_CARS,
+    fastsim_is_there,
+    fastsim_readings,
+    fastsim_truth,
+    simulate_fastsim,
+)
 from benchmarks.unseen.lines import Line, Span, battery_power, common, speed_line
 from benchmarks.unseen.splitting import split
 from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
@@ -115,7 +122,8 @@ SIMULATED = "simulated"
 def cars_in(data: str) -> list[str]:
     """Names of the cars whose drives lie in a folder, and of those that are simulated.
 
-    PATH=VEHICLE is one car of its own. Cars by SUMO are among them where it is installed.
+    PATH=VEHICLE is one car of its own. Cars by SUMO and FASTSim are among them where these are
+    installed.
     """
     root = Path(data)
     if not root.exists() and "=" in data:
@@ -123,7 +131,8 @@ def cars_in(data: str) -> list[str]:
     if not root.is_dir():
         raise InputError(f"{data}: no such folder")
     recorded = [key for key, folder in FOLDERS.items() if any(root.glob(folder.pattern))]
-    return [*recorded, SIMULATED, *(SUMO_CARS if sumo_is_there() else ())]
+    by_sumo = SUMO_CARS if sumo_is_there() else ()
+    return [*recorded, SIMULATED, *by_sumo, *(FASTSIM_CARS if fastsim_is_there(root) else ())]
 
 
 def load_car(data: str, key: str) -> Car:
@@ -139,6 +148,11 @@ def load_car(data: str, key: str) -> Car:
         readings, trace = simulate_sumo(key)
         generic = load_vehicle("generic")
         return Car(key, generic, (Drive(key, readings),), sumo_truth(key, trace, generic))
+    if key in FASTSIM_CARS:
+        traces, generic = simulate_fastsim(key, Path(data)), load_vehicle("generic")
+        cycles = enumerate(fastsim_readings(traces))
+        drives = tuple(Drive(f"{key} {i}", readings) for i, readings in cycles)
+        return Car(key, generic, drives, fastsim_truth(traces, generic))
     if key not in FOLDERS:
         path, _, vehicle = key.rpartition("=")
         car = load_vehicle(vehicle.partition(",")[0])

@@ -5,11 +5,8 @@ comes from its emission model (Koch et al., doi 10.1109/ITSC48978.2021.9564463;
 https://sumo.dlr.de/docs/Models/MMPEVEM.html). Of the road only speed and height are given, and no
 noise. A car follows a corridor of town, country and motorway among traffic, ten steps a second.
 
-Truth is what the hour's noise-free power determines: the coefficients of eq. 21, by least squares
-with the model's own speed, acceleration and slope while its wheels are driven, and the share of
-the braking energy so counted that came back; p_aux is what a standing car draws. The parameters of
-SUMO's file over a mean eta are no such truth: what the map loses without torque is a force of 30
-to 130 N, as much as that of the tyres, and no battery tells the two apart.
+Truth is what the hour's noise-free power determines (`noise_free`): what SUMO's maps lose without
+torque is a force of 30 to 130 N, as much as that of the tyres.
 """
 
 from __future__ import annotations
@@ -26,6 +23,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from benchmarks.unseen.noise_free import combinations_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -153,17 +151,7 @@ def sumo_truth(key: str, trace: np.ndarray, vehicle: Vehicle) -> dict[str, float
         )
     )
     wheel = np.array((car.mass * share, car["rollDragCoefficient"] * car.mass, drag_area, 0.0))
-    driving, braking = wheel @ terms > 0, wheel @ terms < 0
-    found = np.linalg.lstsq(terms[:, driving].T, power[driving], rcond=None)[0]
-    offered = -(found[:3] @ terms[:3, braking]).sum()
-    mass, rolling, drag, constant = found.tolist()
-    return {
-        "mass_over_eta": mass,
-        "regeneration": float((constant - power[braking]).sum() / offered),
-        "rolling_over_eta": rolling,
-        "drag_area_over_eta": drag,
-        "p_aux": car["constantPowerIntake"],
-    }
+    return combinations_of(terms, power, wheel @ terms, car["constantPowerIntake"])
 
 
 def _corridor(rng: np.random.Generator) -> Corridor:

@@ -1,15 +1,19 @@
-"""Tasks, methods of anybody's, and cars by SUMO."""
+"""Tasks, methods of anybody's, and cars by SUMO and FASTSim."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.fastsim_peer import fastsim_version
 from benchmarks.unseen import run
+from benchmarks.unseen.drives import load_car
+from benchmarks.unseen.fastsim_cars import Trace, fastsim_readings, fastsim_truth
 from benchmarks.unseen.sumo_cars import simulate_sumo, sumo_is_there, sumo_truth
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.physics import GRAVITY
 
 ROOT = Path(__file__).parents[3]
 MINE = '''
@@ -97,3 +101,42 @@ def test_a_car_by_sumo_drives_and_has_its_truth(monkeypatch):
     # 1417 kg and 12.5 kg m^2 at wheels of 0.35 m are 1519 kg that are accelerated.
     assert 1519 / 1.03 < truth["mass_over_eta"] < 1519 / 1.03 / 0.8
     assert truth["p_aux"] == 360.0
+
+
+def test_the_truth_of_a_trace_is_what_made_its_power():
+    """1600 kg over 0.9, C_rr 0.009, 0.7 m^2 over 0.9, 300 W and 20 % lost in braking."""
+    vehicle = load_vehicle("generic")
+    second = np.arange(1200.0)
+    speed, height = 14 + 6 * np.sin(second / 20), 30 * np.sin(second / 130)
+    mean, gained = (speed[1:] + speed[:-1]) / 2, np.diff(speed**2) / 2
+    inertia = vehicle.rotating_mass_factor * gained + GRAVITY * np.diff(height)
+    wheel = 1600 * inertia + 0.009 * 1600 * GRAVITY * mean + 0.6 * 0.7 * mean**3
+    power = np.where(wheel > 0, wheel / 0.9, 0.8 * wheel) + 300
+    columns = (np.concatenate(([0.0], each)) for each in (power, wheel))
+    trace = Trace(second, speed, height, *columns, p_aux=300.0, air_density=1.2)
+    assert fastsim_truth([trace], vehicle) == pytest.approx(
+        {
+            "mass_over_eta": 1600 / 0.9,
+            "regeneration": 0.9 * 0.8,
+            "rolling_over_eta": 0.009 * 1600 / 0.9,
+            "drag_area_over_eta": 0.7 / 0.9,
+            "p_aux": 300.0,
+        },
+        rel=1e-6,
+    )
+    readings = next(fastsim_readings([trace]))
+    found = [each.power for each in readings if isinstance(each, BatteryReading)]
+    assert np.allclose(found, power)
+
+
+@pytest.mark.skipif(fastsim_version() is None, reason="fastsim is optional")
+def test_a_car_by_fastsim_drives_and_has_its_truth(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.unseen.fastsim_cars.CYCLES", ("ramp",))
+    (tmp_path / "drive_cycles").mkdir()
+    rows = (f"{t},{8 - 8 * np.cos(t / 20):.4f}\n" for t in range(400))
+    (tmp_path / "drive_cycles" / "ramp.csv").write_text("cycSecs,cycMps\n" + "".join(rows))
+    car = load_car(str(tmp_path), "fastsim_zoe")
+    assert [round(drive.duration) for drive in car.drives] == [399, 399]
+    # 1600 kg, the wheels' inertia beside them.
+    assert 1600 / 1.03 < car.truth["mass_over_eta"] < 1600 / 0.8
+    assert car.truth["p_aux"] == 250.0

@@ -1,0 +1,132 @@
+"""Cars by others: FASTSim 3 (`fastsim` on PyPI), four electric cars on standard cycles.
+
+Mass, tyres, drag and the losses of motor, gearbox and battery by load come with FASTSim; no
+constant of the core was chosen while looking at these cars. Each drives three cycles on a flat
+road and again over hills of known height, one speed a second and without noise; power is the mean
+over each second. How FASTSim is installed: `benchmarks.fastsim_peer`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.energy_library import read_cycle
+from benchmarks.fastsim_peer import fastsim_cycle, fastsim_version
+from benchmarks.unseen.noise_free import combinations_of
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.simulation.road import hilly_road
+from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.physics import GRAVITY
+
+FASTSIM_CARS = {
+    "fastsim_leaf": "2016 Nissan Leaf 30 kWh thrml.yaml",
+    "fastsim_bolt": "2020 Chevrolet Bolt EV thrml.yaml",
+    "fastsim_model3": "2022 Tesla Model 3 RWD thrml.yaml",
+    "fastsim_zoe": "2022_Renault_Zoe_ZE50_R135.yaml",
+}
+# Not US06, of which these cars miss a launch.
+CYCLES = ("udds", "hwfet", "wltc_3b")
+SEED, DAY_S, VOLTAGE = 30, 86_400, 360.0
+
+
+class Trace(NamedTuple):
+    """A drive of FASTSim by second, shape (n,) each; powers are those of the second before."""
+
+    seconds: np.ndarray
+    speed: np.ndarray  # m/s
+    height: np.ndarray  # m
+    power: np.ndarray  # of the battery, W
+    wheel: np.ndarray  # of the wheels, W
+    p_aux: float  # W
+    air_density: float  # kg/m^3
+
+
+def fastsim_is_there(data: Path) -> bool:
+    """True if FASTSim is installed and the cycles lie in a folder."""
+    return fastsim_version() is not None and (data / "drive_cycles").is_dir()
+
+
+def simulate_fastsim(key: str, data: Path) -> list[Trace]:
+    """Drive a car over every cycle, flat and then with hills."""
+    rng = np.random.default_rng(SEED)
+    traces = []
+    for grade in (0.0, RMS_GRADE):
+        for cycle in CYCLES:
+            seconds, speed = read_cycle(data / "drive_cycles" / f"{cycle}.csv")
+            steps = np.diff(seconds) * (speed[1:] + speed[:-1]) / 2
+            way = np.concatenate(([0.0], np.cumsum(steps)))
+            road = hilly_road(grade, rng)
+            slope = np.concatenate(([0.0], road.mean_slope(way[:-1], way[1:])))
+            traces.append(_drive(FASTSIM_CARS[key], seconds, speed, slope, road.elevation(way)))
+    return traces
+
+
+def fastsim_readings(traces: list[Trace]) -> Iterator[tuple[Reading, ...]]:
+    """Readings of each drive, a day after the one before."""
+    for day, trace in enumerate(traces):
+        start_ns = EPOCH_NS + day * DAY_S * NANOSECONDS
+        yield tuple(_readings(trace, start_ns))
+
+
+def fastsim_truth(traces: list[Trace], vehicle: Vehicle) -> dict[str, float]:
+    """The combinations that these drives determine, of an unlimited sensor."""
+    terms, power, wheel = [], [], []
+    for trace in traces:
+        mean = (trace.speed[1:] + trace.speed[:-1]) / 2
+        gained = vehicle.rotating_mass_factor * np.diff(trace.speed**2) / 2
+        own = (
+            gained + GRAVITY * np.diff(trace.height),
+            GRAVITY * mean,
+            trace.air_density / 2 * mean**3,
+            np.ones_like(mean),
+        )
+        terms.append(np.stack(own))
+        power.append(trace.power[1:])
+        wheel.append(trace.wheel[1:])
+    columns = np.concatenate(power), np.concatenate(wheel)
+    return combinations_of(np.concatenate(terms, axis=1), *columns, traces[0].p_aux)
+
+
+def _drive(
+    car: str, seconds: np.ndarray, speed: np.ndarray, slope: np.ndarray, height: np.ndarray
+) -> Trace:
+    fastsim = import_module("fastsim")
+    drive = fastsim.SimDrive(
+        fastsim.Vehicle.from_resource(car), fastsim_cycle(seconds, speed, slope)
+    )
+    drive.run()
+    found = drive.to_dict()["veh"]
+    course, battery = found["history"], found["pt_type"]["BEV"]["res"]["history"]
+    return Trace(
+        seconds,
+        np.array(course["speed_ach_meters_per_second"]),
+        height,
+        np.array(battery["pwr_out_electrical_watts"]),
+        np.array(course["pwr_tractive_watts"]),
+        float(np.mean(course["pwr_aux_watts"][1:])),
+        float(course["air_density_kilograms_per_cubic_meter"][-1]),
+    )
+
+
+def _readings(trace: Trace, start_ns: int) -> Iterator[Reading]:
+    """Speed and height at the end of each second, power at its middle."""
+    rows = zip(trace.seconds, trace.speed, trace.height, trace.power, strict=True)
+    for index, (second, speed, height, power) in enumerate(rows):
+        stamp_ns = start_ns + round(float(second) * NANOSECONDS)
+        if index:
+            middle_ns = stamp_ns - NANOSECONDS // 2
+            yield BatteryReading(middle_ns, VOLTAGE, -float(power) / VOLTAGE)
+        yield SpeedReading(stamp_ns, float(speed))
+        yield AltitudeReading(stamp_ns, float(height))
