@@ -19,7 +19,7 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 REVERSE_STEP = -0.1  # m, the same for a step of an interval
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
-STATE_VERSION = 8
+STATE_VERSION = 9
 
 
 class PowerPrediction(NamedTuple):

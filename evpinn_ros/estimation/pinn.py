@@ -40,7 +40,11 @@ from evpinn_ros.estimation.payload import PayloadDetector, SavedPayload, Stamp
 from evpinn_ros.estimation.published import EnergySums, evidence_of, published
 from evpinn_ros.estimation.rehearsal import Rehearsal
 from evpinn_ros.estimation.reported_loads import ReportedLoads, SavedLoads
-from evpinn_ros.estimation.residual_network import MOST_EVIDENCE, ResidualNetwork
+from evpinn_ros.estimation.residual_network import (
+    MOST_EVIDENCE,
+    Persistence,
+    ResidualNetwork,
+)
 from evpinn_ros.estimation.weak_form import spent, unit_step
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -172,6 +176,7 @@ class SavedPinn:
     current_suspicion: SavedSignSuspicion
     network: Annotated[float, Range(-MOST_EVIDENCE, MOST_EVIDENCE)]
     seen_ns: Stamp | None
+    persistence: Persistence
 
 
 class PinnLearner(Saveable[SavedPinn]):
@@ -313,6 +318,7 @@ class PinnLearner(Saveable[SavedPinn]):
             current_suspicion=self._suspicion.saved(),
             network=self._network.evidence,
             seen_ns=self._seen_ns,
+            persistence=replace(self._network.persistence),
         )
 
     def take(self, saved: SavedPinn) -> None:
@@ -325,6 +331,7 @@ class PinnLearner(Saveable[SavedPinn]):
         car.sums, car.rehearsal.chance = saved.energies, saved.rehearsals
         self._suspicion.take(saved.current_suspicion)
         self._network.evidence, self._seen_ns = saved.network, saved.seen_ns
+        self._network.persistence = replace(saved.persistence)
         self._use(car)
 
     def _use(self, car: LearnedCar) -> None:

@@ -12,15 +12,18 @@ The prior is also what weights return to, within `MEMORY`: the network holds wha
 wind and this place in the map of efficiency have beside the physics. So the last seconds are its
 window, the prior its arrival cost, and it is gone soon after a dropout begins. A network
 that lasts was measured beside it and makes dropouts worse (docs/project/benchmark_history.md).
+How soon what it holds stops being so is learned too (`Persistence`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
@@ -42,6 +45,11 @@ MOST_LOSS = 20.0
 OUTLIER = 3.0  # sigmas
 MOST_ODDS = 30.0  # logarithm; a share nearer to 0 or 1 is rounding
 MOST_EVIDENCE = 1e6  # no saved one is larger
+AHEAD = 1.0  # s after which a correction is compared with what came, or at the next sample
+# Before any is compared, half of a correction holds after `AHEAD`: as sure as ten of 100 N say it.
+PRIOR_SQUARES, PRIOR_SHARE = 10.0 * 100.0**2, 0.5
+LEAST_SHARE = 0.01  # that holds
+MOST_SQUARES = 1e15  # N^2, sum over `EVIDENCE_TIME`
 
 
 class Correction(NamedTuple):
@@ -51,12 +59,52 @@ class Correction(NamedTuple):
     sigma: float
 
 
+@dataclass(slots=True)
+class Persistence:
+    """Share of a correction that still holds some seconds later: a regression through zero.
+
+    Wind and road hold for many seconds, noise of speed and battery for less than one.
+
+    Attributes:
+        squares: sum of squares of forces that the network gave, N^2.
+        products: sum of their products with the forces measured later.
+        delays: sum of their squares times the seconds between, N^2 s.
+    """
+
+    squares: Annotated[float, Range(0.0, MOST_SQUARES)] = 0.0
+    products: Annotated[float, Range(-MOST_SQUARES, MOST_SQUARES)] = 0.0
+    delays: Annotated[float, Range(0.0, MOST_SQUARES)] = 0.0
+
+    def learn(self, given: float, measured: float, delay: float) -> None:
+        """Compare a force that the network gave, N, with the one measured some s later."""
+        keep = math.exp(-delay / EVIDENCE_TIME)
+        self.squares = keep * self.squares + given**2
+        self.products = keep * self.products + given * measured
+        self.delays = keep * self.delays + given**2 * delay
+
+    def share_after(self, seconds: float) -> float:
+        """Share of a correction that holds after some s."""
+        squares = PRIOR_SQUARES + self.squares
+        share = (PRIOR_SQUARES * PRIOR_SHARE + self.products) / squares
+        delay = (PRIOR_SQUARES * AHEAD + self.delays) / squares
+        return float(min(max(share, LEAST_SHARE), 1.0) ** (seconds / delay))
+
+
+class Snapshot(NamedTuple):
+    """Weights at a moment, and the seconds since."""
+
+    weights: np.ndarray
+    age: float
+
+
 class ResidualNetwork:
     """One network, beside one whose output is zero.
 
+    What the weights hold is gone by the next start, so it is not saved.
+
     Attributes:
-        evidence: logarithm of the odds against the zero network; all that is saved, for what the
-            weights hold is gone by the next start.
+        evidence: logarithm of the odds against the zero network.
+        persistence: how soon a correction stops being so.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -70,7 +118,9 @@ class ResidualNetwork:
         outer_std = np.full(UNITS, REACH / math.sqrt(UNITS))
         self._prior = np.concatenate((inner_std, outer_std, [REACH])) ** 2
         self._weights, self._covariance = self._start.copy(), np.diag(self._prior)
-        self.evidence = 0.0
+        self.evidence, self.persistence = 0.0, Persistence()
+        self._age = 0.0  # s since it last learned
+        self._snapshot: Snapshot | None = None  # to be compared
 
     @property
     def share(self) -> float:
@@ -79,15 +129,19 @@ class ResidualNetwork:
 
     def correct(self, sample: Sample) -> Correction:
         """Power that the network adds at a sample, weighted by its evidence."""
-        force, gradient = self._output(sample)
+        force, gradient = self._output(sample, self._weights)
         reach = self.share * abs(sample.speed)
         variance = float(gradient @ self._covariance @ gradient)
-        return Correction(reach * force, reach * math.sqrt(max(0.0, variance)))
+        power = reach * force * self.persistence.share_after(self._age)
+        return Correction(power, reach * math.sqrt(max(0.0, variance)))
 
     def advance(self, duration: float) -> None:
         """Let s pass: weights return to the prior."""
         keep = math.exp(-duration / MEMORY)
-        self._weights = self._start + keep * (self._weights - self._start)
+        self._weights = self._faded(self._weights, duration)
+        self._age += duration
+        if self._snapshot is not None:
+            self._snapshot = Snapshot(self._snapshot.weights, self._snapshot.age + duration)
         self._covariance *= keep**2
         self._covariance[np.diag_indices_from(self._covariance)] += (1.0 - keep**2) * self._prior
 
@@ -96,7 +150,8 @@ class ResidualNetwork:
         v = abs(sample.speed)
         if v < STANDSTILL_SPEED:
             return
-        force, gradient = self._output(sample)
+        self._compare(sample, residual / v)
+        force, gradient = self._output(sample, self._weights)
         error = residual - v * force
         noise = STANDING_NOISE**2 + (FORCE_NOISE * v) ** 2
         with_it, without = (
@@ -110,16 +165,31 @@ class ResidualNetwork:
         gain = along / (variance * beyond**2)
         self._weights = self._weights + gain * error
         self._covariance -= np.outer(gain, along)
+        self._age = 0.0
+        self._snapshot = self._snapshot or Snapshot(self._weights, 0.0)
 
-    def _output(self, sample: Sample) -> tuple[float, np.ndarray]:
-        """Output of the network, a force, N, and its gradient, shape (weights,)."""
+    def _compare(self, sample: Sample, force: float) -> None:
+        """Compare the force that is measured, N, with what the network gave `AHEAD` before."""
+        if self._snapshot is None or self._snapshot.age < AHEAD:
+            return
+        (weights, age), self._snapshot = self._snapshot, None
+        if age < MEMORY:
+            given, _ = self._output(sample, self._faded(weights, age))
+            self.persistence.learn(given, force, age)
+
+    def _faded(self, weights: np.ndarray, duration: float) -> np.ndarray:
+        """Weights some s later, on their way back to the prior."""
+        return np.asarray(self._start + math.exp(-duration / MEMORY) * (weights - self._start))
+
+    def _output(self, sample: Sample, weights: np.ndarray) -> tuple[float, np.ndarray]:
+        """Output of a network with these weights, a force, N, and its gradient, (weights,)."""
         profile = sample.profile or (0.0,) * PROFILE
         raw = np.array([sample.speed, sample.acceleration, *profile])
         inputs = (raw - INPUT_CENTRE) / INPUT_SCALE
         count = UNITS * INPUTS
-        inner = self._weights[:count].reshape(UNITS, INPUTS)
-        outer = self._weights[count + UNITS : -1]
-        hidden = np.tanh(inner @ inputs + self._weights[count : count + UNITS])
+        inner = weights[:count].reshape(UNITS, INPUTS)
+        outer = weights[count + UNITS : -1]
+        hidden = np.tanh(inner @ inputs + weights[count : count + UNITS])
         slope = outer * (1.0 - hidden**2)
-        force = float(outer @ hidden + self._weights[-1])
+        force = float(outer @ hidden + weights[-1])
         return force, np.concatenate((np.outer(slope, inputs).ravel(), slope, hidden, [1.0]))

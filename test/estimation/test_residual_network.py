@@ -3,8 +3,15 @@
 import math
 
 import numpy as np
+import pytest
 
-from evpinn_ros.estimation.residual_network import MEMORY, ResidualNetwork
+from evpinn_ros.estimation.residual_network import (
+    AHEAD,
+    MEMORY,
+    PRIOR_SHARE,
+    Persistence,
+    ResidualNetwork,
+)
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -90,6 +97,37 @@ def test_one_seed_gives_one_network_and_an_outlier_moves_it_little():
 
     assert after(3e3) == after(3e3) != after(3e3, seed=1)
     assert 0.0 < after(1e7) < 3 * after(3e4)
+
+
+def test_a_wind_that_holds_is_kept_longer_than_noise_that_does_not():
+    rng = np.random.default_rng(1)
+    last = 0.0
+
+    def noise(moment: Sample) -> float:
+        """Of half a second, as errors of speed and battery are."""
+        nonlocal last
+        last += 0.2 * (300.0 * rng.standard_normal() - last)
+        return last * moment.speed
+
+    wind = taught(lambda moment: 300.0 * moment.speed, 300.0).persistence
+    short = taught(noise, 300.0).persistence
+    assert wind.share_after(1.0) > 0.9
+    assert short.share_after(1.0) < 0.3 < 0.5 < short.share_after(0.1)
+
+
+def test_persistence_is_a_share_of_what_was_said_and_the_prior_before():
+    fresh, seen = Persistence(), Persistence()
+    assert fresh.share_after(AHEAD) == pytest.approx(PRIOR_SHARE)
+    for _ in range(300):
+        seen.learn(200.0, 50.0, 5.0)
+    assert seen.share_after(5.0) == pytest.approx(0.25, abs=0.01)
+    assert seen.share_after(0.0) == 1.0
+    for _ in range(3000):
+        seen.learn(0.0, 0.0, 1.0)
+    assert seen.share_after(AHEAD) == pytest.approx(PRIOR_SHARE, abs=0.01)
+    for _ in range(300):
+        seen.learn(200.0, -100.0, 1.0)
+    assert 0.0 < seen.share_after(1.0) < 0.05
 
 
 def test_what_lasts_is_its_evidence():

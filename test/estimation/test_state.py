@@ -108,7 +108,7 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
 
 
 def test_the_state_of_an_older_version_is_set_aside_in_one_line(learned, new_estimator):
-    with pytest.raises(ValueError, match=r"^saved for version 7, .*not for version 8, [^\n]*$"):
+    with pytest.raises(ValueError, match=r"^saved for version 7, .*not for version 9, [^\n]*$"):
         new_estimator().restore({**learned[Mode.HYBRID].export(), "version": 7})
 
 
