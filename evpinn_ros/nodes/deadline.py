@@ -37,13 +37,14 @@ class _Due(ctypes.Structure):
 
 
 @contextmanager
-def deadline(seconds: float, said: str, code: int) -> Iterator[None]:
+def deadline(seconds: float, reason: str, code: int) -> Iterator[None]:
     """End the process with `code` when the block takes longer.
 
-    It writes first where it hangs and `said`, to stderr. Without POSIX timers there is no limit.
+    It writes first where it hangs and the reason, to stderr. Without POSIX timers there is no
+    limit.
     """
-    lib, line, timers = ctypes.CDLL(None), ctypes.c_char_p(said.encode()), []
-    with suppress(AttributeError):
+    lib, line, timers = ctypes.CDLL(None), ctypes.c_char_p(reason.encode()), []
+    with suppress(AttributeError, OSError):
         if sys.stderr is not None:  # whoever started us may have closed it
             faulthandler.dump_traceback_later(seconds, file=2)
             timers += [_timer(lib, seconds + AFTER_THE_DUMP, lib.warnx, line)]
@@ -63,6 +64,7 @@ def _timer(
     given, address = (ctypes.cast(each, ctypes.c_void_p) for each in (argument, function))
     event, timer = _Event(given, 0, IN_A_THREAD, address), ctypes.c_void_p()
     due = _Due((0, 0), int(seconds), int(seconds % 1 * 1e9))
-    lib.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer))
+    if lib.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) != 0:
+        raise OSError("no timer")
     lib.timer_settime(timer, 0, ctypes.byref(due), None)
     return timer

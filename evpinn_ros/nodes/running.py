@@ -19,6 +19,7 @@ from rclpy.signals import (
     install_signal_handlers,
     uninstall_signal_handlers,
 )
+from rclpy.utilities import try_shutdown
 
 from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.nodes.base import GuardedNode
@@ -30,7 +31,7 @@ SWITCH_INTERVAL = 5e-4
 call, the callbacks' while an update is computed. At Python's own 5 ms, beside the learner, one
 frame in a hundred came 12 ms late, now 4."""
 
-START = 60.0
+START = 30.0
 """s for the nodes to be made: 0.3 on free cores. Only what hangs takes longer."""
 
 FAREWELL = 4.0
@@ -138,7 +139,7 @@ def _end(nodes: Sequence[GuardedNode]) -> int:
         partial(_at_signals, end_at_once),
     ]
     steps += [node.destroy_node for node in nodes]
-    steps += [partial(rclpy.try_shutdown, uninstall_handlers=False)]
+    steps.append(try_shutdown)  # not that of `rclpy`, which in Kilted ends the thread once more
     text = f"ROS did not shut down within {FAREWELL:g} s: the process ends without that"
     with deadline(FAREWELL, text + ("" if code else "; all is saved"), code):
         for step in steps:
