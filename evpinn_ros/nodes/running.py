@@ -8,20 +8,38 @@ from functools import partial
 import os
 import signal
 import sys
+import time
+from types import FrameType
 from typing import NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions, install_signal_handlers
+from rclpy.signals import (
+    SignalHandlerOptions,
+    install_signal_handlers,
+    uninstall_signal_handlers,
+)
+from rclpy.utilities import try_shutdown
 
 from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.deadline import deadline
 from evpinn_ros.nodes.supervision import tell, watchdog_period
 
 SWITCH_INTERVAL = 5e-4
 """s that a thread may keep the interpreter from one that wants it: the bridge's after each system
 call, the callbacks' while an update is computed. At Python's own 5 ms, beside the learner, one
 frame in a hundred came 12 ms late, now 4."""
+
+START = 30.0
+"""s for the nodes to be made: 0.3 on free cores. Only what hangs takes longer."""
+
+FAREWELL = 4.0
+"""s for the nodes to leave the network once all is saved: 0.1 on free cores, and a launch sends
+its next signal after 5. Others that leave as well may hang Fast DDS for good (its issue 6502)."""
+
+ONE_WISH = 1.0
+"""s within which signals are one: a terminal and the launch that it stops both send theirs."""
 
 MakeNode = Callable[[], GuardedNode]
 
@@ -45,13 +63,17 @@ def run(
     # A signal shall wake rclpy up and nothing else: a KeyboardInterrupt would strike anywhere, in
     # the middle of its C++ too, which turns it into some other error.
     signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: signals.append(number))
+    _at_signals(lambda number, _: signals.append(number))
     with beside or nullcontext():
         code = _run(makers, args, signals)
     if code == 0:
         _end_process()
     return code
+
+
+def _at_signals(handler: Callable[[int, FrameType | None], object]) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
 
 
 def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
@@ -61,18 +83,24 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
+    # It lives until `_end` has ended rclpy's thread, which wakes it up at each signal: a second
+    # one, as a launch sends it, would find an executor of the past, and crash or hang there.
+    executor = SingleThreadedExecutor()
     nodes: list[GuardedNode] = []
-    unkept: list[str] = []
+    code = 0
     try:
-        for make in makers:
-            nodes.append(make())
+        with deadline(START, f"ROS did not start within {START:g} s", 1):
+            for make in makers:
+                nodes.append(make())
         # Only now: a node that is shut down while it is made does not end quietly.
         install_signal_handlers()
         if not signals:
             _supervise(nodes)
-            _spin(nodes)
+            for node in nodes:
+                executor.add_node(node)
+            executor.spin()
     except InputError as error:
-        return _fail(str(error))
+        code = _fail(str(error))
     except ExternalShutdownException:
         pass
     except RuntimeError:
@@ -80,34 +108,48 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
             raise
         # The shutdown came in the middle of a call into rclpy.
     finally:
-        unkept += _end(nodes)
-    for problem in unkept:
-        _fail(problem)
-    return 1 if unkept else 0
+        code = _end(nodes) or code
+    return code
 
 
-def _end(nodes: Sequence[GuardedNode]) -> list[str]:
+def _end(nodes: Sequence[GuardedNode]) -> int:
     """Close all nodes, whatever one of them raises; the first error is raised in the end.
 
     Returns:
-        What the nodes could not keep.
+        The exit code: 1, with lines on stderr, when there is something that nodes could not keep.
     """
-    # A listener receives the others' last messages; a destroyed node announces that it is gone.
+    begin, code = time.monotonic(), 0
     tell("STOPPING=1")
-    steps: list[Callable[[], object]] = [node.close for node in reversed(nodes)]
-    steps += [node.destroy_node for node in nodes]
     errors: list[Exception] = []
-    problems: list[str] = []
-    for step in (*steps, rclpy.try_shutdown):
+    for node in reversed(nodes):
         try:
-            problem = step()
+            if problem := node.close():
+                code = _fail(problem)
         except Exception as error:
             errors.append(error)
-        else:
-            problems += [problem] if isinstance(problem, str) else []
+    code = 1 if errors else code
+
+    def end_at_once(*_: object) -> None:
+        if time.monotonic() - begin > ONE_WISH:
+            os._exit(code)
+
+    # A listener receives the others' last messages; a destroyed node announces that it is gone.
+    steps: list[Callable[[], None]] = [
+        uninstall_signal_handlers,
+        partial(_at_signals, end_at_once),
+    ]
+    steps += [node.destroy_node for node in nodes]
+    steps.append(try_shutdown)  # not that of `rclpy`, which in Kilted ends the thread once more
+    text = f"ROS did not shut down within {FAREWELL:g} s: the process ends without that"
+    with deadline(FAREWELL, text + ("" if code else "; all is saved"), code):
+        for step in steps:
+            try:
+                step()
+            except Exception as error:
+                errors.append(error)
     if errors:
         raise errors[0]
-    return problems
+    return code
 
 
 def _supervise(nodes: Sequence[GuardedNode]) -> None:
@@ -116,13 +158,6 @@ def _supervise(nodes: Sequence[GuardedNode]) -> None:
     period = watchdog_period()
     if period is not None and nodes:
         nodes[0].every(period, partial(tell, "WATCHDOG=1"))
-
-
-def _spin(nodes: list[GuardedNode]) -> None:
-    executor = SingleThreadedExecutor()
-    for node in nodes:
-        executor.add_node(node)
-    executor.spin()
 
 
 def _end_process() -> NoReturn:

@@ -1,0 +1,130 @@
+"""The end of a process that runs nodes: nothing may keep it once all is saved."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+NODE = """
+import ctypes, sys, time
+from functools import partial
+from evpinn_ros.nodes import running
+from evpinn_ros.nodes.energy import EnergyNode
+
+def hang():
+    # In C and with the interpreter held, as a middleware that waits for a lock of its own.
+    lock, lib = ctypes.create_string_buffer(64), ctypes.PyDLL(None)
+    lib.pthread_mutex_lock(lock)
+    lib.pthread_mutex_lock(lock)
+
+class Node(EnergyNode):
+    def close(self):
+        problem = super().close()
+        print("closed", flush=True)
+        return problem
+{methods}
+{settings}
+arguments = ["--ros-args", "-r", "__ns:=/ev", "-p", "energy_file:=" + sys.argv[1]]
+raise SystemExit(running.run(Node, args=arguments))
+"""
+HANGS_AT_THE_END = """
+    def destroy_node(self):
+        hang()
+"""
+HANGS_AT_THE_START = """
+    def advertise(self, *topics):
+        hang()
+"""
+TAKES_LONG = """
+    def destroy_node(self):
+        time.sleep(60.0)
+"""
+SHUTS_DOWN = """
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.every(0.2, self.context.handle.shutdown)  # as rclpy's thread does at a signal
+"""
+EXECUTOR = """
+from rclpy.signals import get_current_signal_handlers_options
+class Executor(running.SingleThreadedExecutor):
+    def __del__(self):
+        print("executor ends;", get_current_signal_handlers_options().name, flush=True)
+        super().__del__()
+running.SingleThreadedExecutor = Executor
+"""
+
+
+class Process(subprocess.Popen):
+    """A process of one node; what it says comes through a pipe."""
+
+    def __init__(self, methods, settings, path):
+        code = NODE.format(methods=methods, settings=settings)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        super().__init__([sys.executable, "-c", code, str(path)], **pipes)
+
+    def await_line(self, words):
+        """Read stderr up to a line with these words."""
+        said = [""]
+        while words not in said[-1]:
+            said.append(self.stderr.readline())
+            assert said[-1], said
+
+    def __exit__(self, *_):
+        self.kill()
+        self.communicate()
+
+
+def test_a_middleware_that_hangs_cannot_keep_a_process_that_has_saved(bench, tmp_path):
+    path = tmp_path / "car.json"
+    with Process(HANGS_AT_THE_END, "running.FAREWELL = 1.0", path) as process:
+        process.await_line("waiting for power/smoothed")
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=20)
+        assert process.returncode == 0, said
+        assert "ROS did not shut down within 1 s: " in said and "all is saved" in said
+        assert "in hang" in said and "in destroy_node" in said  # where it hung
+    assert json.loads(path.read_text())["vehicle"] == "generic"
+
+
+def test_it_fails_where_something_could_not_be_saved(bench, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    path = tmp_path / "file" / "car.json"
+    with Process(HANGS_AT_THE_END, "running.FAREWELL = 1.0", path) as process:
+        process.await_line("waiting for power/smoothed")
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=20)
+        assert process.returncode == 1, said
+        assert f"{path}: not written" in said and "all is saved" not in said
+
+
+def test_a_start_that_hangs_ends_with_a_reason(tmp_path):
+    with Process(HANGS_AT_THE_START, "running.START = 1.0", tmp_path / "car.json") as process:
+        _, said = process.communicate(timeout=20)
+        assert process.returncode == 1 and "ROS did not start within 1 s" in said
+
+
+def test_a_later_signal_ends_at_once_what_has_saved(bench, tmp_path):
+    path = tmp_path / "car.json"
+    with Process(TAKES_LONG, "running.FAREWELL = 60.0", path) as process:
+        process.await_line("waiting for power/smoothed")
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == "closed\n"
+        process.send_signal(signal.SIGINT)  # as a launch does when Ctrl-C reached all its nodes
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(1.5)
+        process.send_signal(signal.SIGTERM)
+        begin = time.monotonic()
+        assert process.wait(10) == 0 and time.monotonic() - begin < 5.0
+    assert path.exists()
+
+
+def test_the_executor_outlives_the_thread_that_wakes_it_at_signals(bench, tmp_path):
+    """Else that thread wakes an executor of the past at the second signal."""
+    with Process(SHUTS_DOWN, EXECUTOR, tmp_path / "car.json") as process:
+        out, said = process.communicate(timeout=20)
+        assert process.returncode == 0, said
+        assert out.splitlines()[0] == "closed" and "ends; ALL" not in out
