@@ -27,7 +27,7 @@ from evpinn_ros.cli.options import (
 )
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
@@ -186,13 +186,11 @@ def _write(
     for path, write in jobs:
         try:
             if path is not None:
-                write(path)
+                with as_input_error(path, ValueError):
+                    write(path)
         except InputError as error:
             problems += 1
             note(f"evpinn: {error}")
-        except (OSError, ValueError) as error:
-            problems += 1
-            note(f"evpinn: {path}: {getattr(error, 'strerror', None) or error}")
     return problems == 0
 
 
