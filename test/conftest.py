@@ -30,7 +30,7 @@ NOT_QUICK = frozenset(
         *("test_drives.py", "test_estimator.py", "test_evidence.py", "test_faults.py"),
         *("test_payload.py", "test_published.py", "test_state_schema.py"),
         *("test_metric_table.py", "test_recorded.py", "test_rknn_training.py"),
-        *("test_robustness.py", "test_state.py", "estimation/test_stuck.py"),
+        *("test_robustness.py", "estimation/test_state.py", "estimation/test_stuck.py"),
         *("test_codec_properties.py", "test_mcap_file.py"),
         *("test_power_loss.py", "test_stream_properties.py", "test_any_format.py"),
         *("test_pinn.py", "test_first_change.py"),
