@@ -35,7 +35,7 @@ LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
 SUMMARY_NS = NANOSECONDS  # between two summaries
 
 
-class Totals(NamedTuple):
+class EnergyTotals(NamedTuple):
     """Totals counted over some time.
 
     Attributes:
@@ -61,9 +61,9 @@ class Totals(NamedTuple):
         """Drawn less regenerated energy, J."""
         return Uncertain(self.drawn - self.regenerated, math.sqrt(self.variance))
 
-    def plus(self, other: Totals) -> Totals:
+    def plus(self, other: EnergyTotals) -> EnergyTotals:
         """Both together."""
-        return Totals(*(a + b for a, b in zip(self, other, strict=True)))
+        return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 class TripCorrection(NamedTuple):
@@ -84,7 +84,7 @@ class SavedAccount:
     charge: SavedGauge
     battery: Annotated[SavedBattery | None, ADDED]
     correction: TripCorrection
-    before_reset: Totals
+    before_reset: EnergyTotals
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +105,8 @@ class AccountSummary:
     """
 
     stamp_ns: int
-    since_reset: Totals
-    lifetime: Totals
+    since_reset: EnergyTotals
+    lifetime: EnergyTotals
     consumption: Mapping[str, float]
     charge: Uncertain
     projected: bool
@@ -147,9 +147,9 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.trip = TripLog()
         self.gauge.reset()
         self.battery.reset()
-        self._begin(Totals(), TripCorrection())
+        self._begin(EnergyTotals(), TripCorrection())
 
-    def _begin(self, before: Totals, correction: TripCorrection) -> None:
+    def _begin(self, before: EnergyTotals, correction: TripCorrection) -> None:
         self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
@@ -263,10 +263,10 @@ class EnergyAccount(Saveable[SavedAccount]):
         consumed = state.consumed + self._correction.energy
         return replace(state, consumed=consumed, consumed_sigma=sigma)
 
-    def since_reset(self) -> Totals:
+    def since_reset(self) -> EnergyTotals:
         """Totals since the last reset."""
         state, stretch = self.state, self.trip.total
-        return Totals(
+        return EnergyTotals(
             drawn=state.consumed + state.regenerated.energy,
             regenerated=state.regenerated.energy,
             variance=state.consumed_sigma**2,
@@ -276,7 +276,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             unknown_s=state.unknown_s,
         )
 
-    def lifetime(self) -> Totals:
+    def lifetime(self) -> EnergyTotals:
         """Totals since the first start."""
         return self._before_reset.plus(self.since_reset())
 
@@ -309,7 +309,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             self._remaining(usable, consumption),
         )
 
-    def _consumption(self, since_reset: Totals, lifetime: Totals) -> dict[str, float]:
+    def _consumption(self, since_reset: EnergyTotals, lifetime: EnergyTotals) -> dict[str, float]:
         found = {f"{w.length / 1e3:g}": w.total for w in self.trip.windows if w.known}
         for name, totals in (("trip", since_reset), ("lifetime", lifetime)):
             if totals.distance >= LEAST_DISTANCE:
