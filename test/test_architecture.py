@@ -200,7 +200,7 @@ def test_files_are_read_safely() -> None:
                 assert options.get("weights_only") == "True", (name, ast.unparse(call))
 
 
-SAFE_TO_PRINT = ("printable(", "json.dumps(", "_json(")
+SAFE_TO_PRINT = ("printable(", "json.dumps(", "json_text(")
 PRINTERS = {"print", "typer.echo", "sys.stdout.write", "sys.stderr.write"}
 CONSOLES = {"rich.console.Console": "live.view", "rich.table.Table": None}
 """What shows text, and would obey the escapes and the markup in it."""

@@ -7,14 +7,12 @@ from contextlib import ExitStack
 from functools import partial
 import itertools
 from pathlib import Path
-import shlex
-import sys
 from typing import Annotated, Any
 
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
+from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     CanProfileOption,
@@ -203,5 +201,4 @@ def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     # Here, for pictures take longer to import than all else together.
     from evpinn_ros.report.drive_page import write_replayed
 
-    command = shlex.join(["evpinn", *sys.argv[1:]])
-    write_replayed(path, car.done, car.vehicle, car.options, command, units)
+    write_replayed(path, car.done, car.vehicle, car.options, command_line(), units)

@@ -28,7 +28,7 @@ from evpinn_ros.energy.plausible import (
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
 from evpinn_ros.energy.trip import SavedTrip, Stretch, TripLog
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STATE_VERSION = 1
 LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
@@ -212,10 +212,13 @@ class EnergyAccount(Saveable[SavedAccount]):
             return
         self.trip.update(stamp_ns, speed, self.meter.consumed)
 
-    def add_battery(self, reading: BatteryReading) -> None:
-        """Take what the battery tells of itself: state of charge, voltage and current."""
-        self.battery.add_reading(reading)
-        self.add_charge(reading.stamp_ns, reading.state_of_charge)
+    def add_reading(self, reading: Reading) -> None:
+        """Take a speed, or what the battery tells of itself; other readings count nothing here."""
+        if isinstance(reading, SpeedReading):
+            self.add_speed(reading.stamp_ns, reading.speed)
+        elif isinstance(reading, BatteryReading):
+            self.battery.add_reading(reading)
+            self.add_charge(reading.stamp_ns, reading.state_of_charge)
 
     def add_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
