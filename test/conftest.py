@@ -37,7 +37,7 @@ NOT_QUICK = frozenset(
         *("test_car_filter.py", "test_comparison.py", "test_grade_detector.py"),
         *("test_inspection.py", "test_owner_text.py", "test_current_sign.py"),
         *("test_bombs.py", "test_recover.py", "test_storage.py"),
-        *("test_ledger.py", "test_simulate.py"),
+        "test_simulate.py",
     }
 )
 """Folders and files that start ROS, a browser, colcon or processes, load torch, or take long.
