@@ -100,6 +100,20 @@ LONG = (
 ROOT = Path(__file__).resolve().parents[1]
 
 
+@pytest.fixture
+def empty_files(tmp_path: Path) -> Callable[..., Path]:
+    """Makes empty files by their names in a folder, and gives the folder."""
+
+    def make(*names: str) -> Path:
+        for name in names:
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        return tmp_path
+
+    return make
+
+
 @pytest.fixture(scope="session")
 def loads_without() -> Callable[..., None]:
     """Asserts that a Python that has run some code has loaded none of these modules."""

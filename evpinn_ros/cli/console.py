@@ -90,7 +90,7 @@ def write_json(path: Path, found: Any) -> None:
     """
     text = json_text(found, indent=1)
     if str(path) == STDOUT:
-        print(json_text(found, indent=1), flush=True)
+        print(text, flush=True)
         return
     with as_input_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)

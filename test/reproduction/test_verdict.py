@@ -8,20 +8,17 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.experiment import (
     CHRONOLOGICAL,
     NETWORK,
     TIME_HELD,
-    Experiment,
     Outcome,
-    Settings,
 )
 from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.reproduction.published import POWER_LOSSES, EnergyRow, Losses, LossRow
 from evpinn_ros.reproduction.tables import all_tables
 from evpinn_ros.reproduction.verdict import ClaimAnswer, verdict
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.files import load_vehicle
 
 HOLDS, PARTLY, FAILS, OPEN = ClaimAnswer
 FITS, POWER, ENERGY, PARAMETERS, INTEGRATES = range(5)
@@ -29,14 +26,8 @@ ASKED = POWER_LOSSES["tesla_model_3_lr"][-1].validation.total
 
 
 @pytest.fixture(scope="module")
-def outcome(
-    make_log: Callable[..., DriveLog],
-    vehicle: Vehicle,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Outcome:
-    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=30, energy_epochs=20)
-    folder = tmp_path_factory.mktemp("experiment")
-    return Experiment(make_log(), vehicle, settings, folder).run(lambda *_: None)
+def outcome(reproduced: Callable[[OptimizerName], Outcome]) -> Outcome:
+    return reproduced(OptimizerName.GAUSS_NEWTON)
 
 
 def trained_to(outcome: Outcome, total: float, epochs: int) -> Outcome:
