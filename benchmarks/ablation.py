@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.variants import Place, RecordedCar, Row, Variant, constant, score
+from benchmarks.variants import ConstantPlace, RecordedCar, Variant, VariantRow, constant, score
 from evpinn_ros.estimation.car_filter import LOAD_STD
 from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.long_hills import LongHills
@@ -36,9 +36,9 @@ class _NoHills(LongHills):
 STARTS = (State.COLD_START, State.HOT_START)
 
 
-def _without(*states: State) -> dict[Place, tuple[float, float]]:
+def _without(*states: State) -> dict[ConstantPlace, tuple[float, float]]:
     """States of the car that stay at zero."""
-    return {Place("PRIORS", state): (0.0, NOTHING) for state in states}
+    return {ConstantPlace("PRIORS", state): (0.0, NOTHING) for state in states}
 
 
 VARIANTS = (
@@ -57,7 +57,10 @@ VARIANTS = (
     Variant("noise not scaled", {constant("MOST_SCALE"): 1.0}),
     Variant(
         "no offsets of a drive",
-        {Place("DRIVE_STD", state): NOTHING for state in (State.ROLL_DRIVE, State.AUX_DRIVE)},
+        {
+            ConstantPlace("DRIVE_STD", state): NOTHING
+            for state in (State.ROLL_DRIVE, State.AUX_DRIVE)
+        },
     ),
     Variant("a drive keeps no offset of the last", {constant("DRIVE_KEPT"): 0.0}),
     Variant("braking as sure as driving", {constant("BRAKE_NOISE"): 0.0}),
@@ -69,7 +72,7 @@ VARIANTS = (
 )
 
 
-def ablate(car: RecordedCar) -> Iterator[Row]:
+def ablate(car: RecordedCar) -> Iterator[VariantRow]:
     """Every variant on one car."""
     for variant in VARIANTS:
         yield score(variant, car)

@@ -64,14 +64,14 @@ class BatteryBenchmark:
         if len(known) <= END:
             return None
         self._account.begin_next_trip()
-        self._account.add_battery(known[0])  # what is known when the plan is asked for
+        self._account.add_reading(known[0])  # what is known when the plan is asked for
         plan = _driven(known) if forecast is None else forecast
         length = (known[-1].stamp_ns - known[0].stamp_ns) / NANOSECONDS
         same = abs(length - (plan.time[-1] - plan.time[0])) <= LEEWAY
         row = self._row(known, plan) if same else None
         for reading in known[1:]:
             self._account.add_measured(reading.stamp_ns, reading.power, 0.0)
-            self._account.add_battery(reading)
+            self._account.add_reading(reading)
         return row
 
     def _row(self, known: Sequence[BatteryReading], plan: Forecast) -> BatteryRow:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.ledger import true_parts
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
@@ -21,7 +22,6 @@ from evpinn_ros.estimation.pinn import LearnedCar
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.ledger import true_parts
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.simulation.truth import prior_parameters
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle

@@ -18,7 +18,7 @@ from benchmarks.can_traffic import (
     INTERFACE,
     PROFILE,
     TICKS,
-    Worker,
+    OwnProcess,
     bus_options,
     number_after,
     own_port,
@@ -66,7 +66,7 @@ def measure_load(seconds: float, progress: Callable[[float], None]) -> Load:
     try:
         with _bridge(own_port()) as pid:
             listener.await_bridge()
-            with Worker(send_traffic, own_port(), seconds) as sender:
+            with OwnProcess(send_traffic, own_port(), seconds) as sender:
                 listener.spin_until(lambda: bool(listener.battery), START_TIMEOUT)
                 cpu, begin = processor_seconds(pid), time.monotonic()
                 while not sender.done():

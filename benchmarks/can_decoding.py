@@ -16,7 +16,7 @@ from benchmarks.can_traffic import (
     GROUP,
     INTERFACE,
     PROFILE,
-    Worker,
+    OwnProcess,
     bus_options,
     own_port,
     send_log,
@@ -232,7 +232,7 @@ def _over_the_bus(path: Path) -> list[CanFrame]:
     thread = threading.Thread(target=reader.run)
     thread.start()
     try:
-        with Worker(send_log, own_port(), path) as sender:
+        with OwnProcess(send_log, own_port(), path) as sender:
             sent = sender.result()
             deadline = time.monotonic() + LAST_FRAME
             while len(received) < sent and time.monotonic() < deadline:

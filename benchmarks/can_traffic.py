@@ -153,12 +153,15 @@ def measure_idle(seconds: float) -> Idle:
     """`read_idle` under a full bus, each in a process of its own; `IDLE_SECONDS` at most."""
     seconds = min(seconds, IDLE_SECONDS)
     port = own_port() + 1
-    with Worker(read_idle, port, seconds) as reader, Worker(send_traffic, port, 2 * seconds + 10):
+    with (
+        OwnProcess(read_idle, port, seconds) as reader,
+        OwnProcess(send_traffic, port, 2 * seconds + 10),
+    ):
         idle: Idle = reader.result()
     return idle
 
 
-class Worker:
+class OwnProcess:
     """A function in a process of its own; a context manager, which ends the process."""
 
     def __init__(self, task: Callable[..., Any], *arguments: object) -> None:
@@ -168,7 +171,7 @@ class Worker:
         self._process.start()
         theirs.close()
 
-    def __enter__(self) -> Worker:
+    def __enter__(self) -> OwnProcess:
         return self
 
     def __exit__(self, *_: object) -> None:

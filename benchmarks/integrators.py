@@ -36,7 +36,7 @@ SIMULATED, SIMULATED_TIME = "simulated", 900.0  # s
 LEAST_DURATION = 3.0 * MIN_STEPS  # s, so that 1 Hz can be trained on
 
 
-class PowerSeries(NamedTuple):
+class UnbrokenPower(NamedTuple):
     """Samples of power without a gap: time, s, rising, and power, W, shape (n,) each."""
 
     name: str
@@ -62,11 +62,11 @@ class IntegratorAgreement(NamedTuple):
     percent: float
 
 
-Sampling = Callable[[PowerSeries], PowerSeries]
-Integrator = Callable[[PowerSeries], float]  # net energy, J
+Sampling = Callable[[UnbrokenPower], UnbrokenPower]
+Integrator = Callable[[UnbrokenPower], float]  # net energy, J
 
 
-def measured_power(log: Log) -> PowerSeries:
+def measured_power(log: Log) -> UnbrokenPower:
     """The longest part of a log in which the battery is never silent for `MAX_GAP`.
 
     Raises:
@@ -85,21 +85,21 @@ def measured_power(log: Log) -> PowerSeries:
     time, power = (stamps[longest] - stamps[longest[:1]]) / NANOSECONDS, power[longest]
     if not power.any() or time[-1] < LEAST_DURATION:
         raise InputError(f"{log.path}: no {LEAST_DURATION:g} s of power in one piece")
-    return PowerSeries(str(log.path), time, power)
+    return UnbrokenPower(str(log.path), time, power)
 
 
-def simulated_power() -> list[PowerSeries]:
+def simulated_power() -> list[UnbrokenPower]:
     """One drive of each kind at 100 Hz."""
     vehicle = load_vehicle("tesla_model_3_lr")
     traces = [(kind, simulate(kind, vehicle, SIMULATED_TIME, SEED).trace) for kind in DriveKind]
     return [
-        PowerSeries(kind.value, np.arange(len(trace.power)) / SAMPLE_RATE, trace.power)
+        UnbrokenPower(kind.value, np.arange(len(trace.power)) / SAMPLE_RATE, trace.power)
         for kind, trace in traces
     ]
 
 
 def compare_integrators(
-    car: str, drives: Sequence[PowerSeries], epochs: int
+    car: str, drives: Sequence[UnbrokenPower], epochs: int
 ) -> Iterator[IntegratorRow]:
     """Each method on each sampling of one car's drives.
 
@@ -121,56 +121,56 @@ def compare_integrators(
             yield IntegratorRow(car, method, sampling, median, max(found), len(found))
 
 
-def agreement(drive: PowerSeries) -> IntegratorAgreement:
+def agreement(drive: UnbrokenPower) -> IntegratorAgreement:
     """The shipped network against the trapezoid on every sample of a log."""
     rule = _integral(drive)
     return IntegratorAgreement(drive.name, 100 * (_shipped(drive) - rule.energy) / rule.gross)
 
 
-def at_most(rate: float, drive: PowerSeries) -> PowerSeries:
+def at_most(rate: float, drive: UnbrokenPower) -> UnbrokenPower:
     """The first sample of each period, and the last of all, so that no time is lost."""
     ticks = np.floor((drive.time - drive.time[0]) * rate + 1e-6)
     rows = np.unique([*np.unique(ticks, return_index=True)[1], len(drive.time) - 1])
-    return PowerSeries(drive.name, drive.time[rows], drive.power[rows])
+    return UnbrokenPower(drive.name, drive.time[rows], drive.power[rows])
 
 
-def gappy(drive: PowerSeries) -> PowerSeries:
+def gappy(drive: UnbrokenPower) -> UnbrokenPower:
     """1 Hz, of which `MISSING` are missing by chance; the first and the last are there."""
     slow = at_most(1.0, drive)
     kept = np.random.default_rng(SEED).random(len(slow.time)) >= MISSING
     kept[[0, -1]] = True
-    return PowerSeries(drive.name, slow.time[kept], slow.power[kept])
+    return UnbrokenPower(drive.name, slow.time[kept], slow.power[kept])
 
 
-def divided(drive: PowerSeries) -> PowerSeries:
+def divided(drive: UnbrokenPower) -> UnbrokenPower:
     """The same straight lines, with samples on them so that no step exceeds `STEP_LIMIT`."""
     pieces = np.ceil(np.diff(drive.time) / STEP_LIMIT - 1e-9).astype(int)
     time = np.interp(
         np.arange(pieces.sum() + 1), np.concatenate(([0], np.cumsum(pieces))), drive.time
     )
-    return PowerSeries(drive.name, time, np.interp(time, drive.time, drive.power))
+    return UnbrokenPower(drive.name, time, np.interp(time, drive.time, drive.power))
 
 
-def _integral(drive: PowerSeries) -> EnergyIntegral:
+def _integral(drive: UnbrokenPower) -> EnergyIntegral:
     integral = EnergyIntegral(float(np.ptp(drive.time)) + 1.0)
     for time, power in zip(drive.time.tolist(), drive.power.tolist(), strict=True):
         integral.append(round(time * NANOSECONDS), power)
     return integral
 
 
-def _shipped(drive: PowerSeries) -> float:
+def _shipped(drive: UnbrokenPower) -> float:
     known = divided(drive)
     return float(load_rknn().step(known.power[:-1], known.power[1:], np.diff(known.time)).sum())
 
 
-def _networks(drive: PowerSeries, epochs: int) -> dict[str, Integrator]:
+def _networks(drive: UnbrokenPower, epochs: int) -> dict[str, Integrator]:
     """Both networks as published, trained on one drive."""
     known = divided(drive)
     training = EnergyTraining(step_data(known.time, known.power), seed=SEED)
     training.run_to(epochs)
 
     def network(number: int) -> Integrator:
-        def integrate(other: PowerSeries) -> float:
+        def integrate(other: UnbrokenPower) -> float:
             asked = divided(other)
             return float(training.integrate(asked.time, asked.power)[number][-1])
 

@@ -48,7 +48,7 @@ class Tally:
 
 
 @dataclass(slots=True)
-class Block:
+class LostBlock:
     """Bytes of the original that are lost together, and the messages in them."""
 
     begin: int
@@ -103,7 +103,7 @@ def chunks_of(path: Path) -> list[Any]:
         return list(make_reader(file).get_summary().chunk_indexes)
 
 
-def blocks_of(path: Path, loose: bool) -> list[Block]:
+def blocks_of(path: Path, loose: bool) -> list[LostBlock]:
     """The chunks of a sound file, or its messages one by one, with what is in each."""
     messages = iter(messages_of(path))
     if not loose:
@@ -112,14 +112,14 @@ def blocks_of(path: Path, loose: bool) -> list[Block]:
             begin, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
             indexes = len(chunk.message_index_offsets) * 15
             count = (chunk.message_index_length - indexes) // 16
-            blocks.append(Block(begin, end, [next(messages) for _ in range(count)]))
+            blocks.append(LostBlock(begin, end, [next(messages) for _ in range(count)]))
         return blocks
     data = path.read_bytes()
     position, blocks = 8, []
     while data[position] != 0x0F:  # data end
         end = position + 9 + int.from_bytes(data[position + 1 : position + 9], "little")
         if data[position] == 0x05:
-            blocks.append(Block(position, end, [next(messages)]))
+            blocks.append(LostBlock(position, end, [next(messages)]))
         position = end
     return blocks
 
@@ -161,7 +161,12 @@ def campaign(
 
 
 def _try(
-    data: bytes, blocks: list[Block], fault: str, rng: random.Random, folder: Path, tally: Tally
+    data: bytes,
+    blocks: list[LostBlock],
+    fault: str,
+    rng: random.Random,
+    folder: Path,
+    tally: Tally,
 ) -> None:
     broken, begin, end = damaged(data, fault, rng)
     (folder / "broken.mcap").write_bytes(broken)

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from benchmarks.variants import Place, Row, Variant, constant
+from benchmarks.variants import ConstantPlace, Variant, VariantRow, constant
 from evpinn_ros.estimation.car_state import State
 
 CARS = ("i3", "i3_speed", "e208", "leaf2013", "sumo_id3", "simulated", "model3")
@@ -25,7 +25,7 @@ UNSEEN, PRODUCT, OWN = "the other cars'", "the product's", "its own"
 class Setting(NamedTuple):
     """A constant and the values it may take."""
 
-    place: Place
+    place: ConstantPlace
     values: tuple[Any, ...]
 
     def variants(self) -> list[Variant]:
@@ -53,13 +53,13 @@ SETTINGS = (
     Setting(constant("LEAST_SCALE"), (0.05, 1.0)),
     Setting(constant("GROWTH"), (0.05**2, 0.1**2, 0.2**2, 0.4**2)),
     Setting(constant("DRIVE_KEPT"), (0.0, 0.5, 0.8, 0.9)),
-    Setting(Place("DRIVE_STD", State.ROLL_DRIVE), (0.05, 0.10, 0.15)),
-    Setting(Place("DRIVE_STD", State.AUX_DRIVE), (150.0, 250.0, 400.0)),
-    Setting(Place("PRIORS", State.NO_LOAD), ((0.0, 1e-6), (150.0, 100.0), (300.0, 250.0))),
-    Setting(Place("PRIORS", State.COPPER), ((0.0, 1e-6), (200.0, 200.0), (400.0, 400.0))),
+    Setting(ConstantPlace("DRIVE_STD", State.ROLL_DRIVE), (0.05, 0.10, 0.15)),
+    Setting(ConstantPlace("DRIVE_STD", State.AUX_DRIVE), (150.0, 250.0, 400.0)),
+    Setting(ConstantPlace("PRIORS", State.NO_LOAD), ((0.0, 1e-6), (150.0, 100.0), (300.0, 250.0))),
+    Setting(ConstantPlace("PRIORS", State.COPPER), ((0.0, 1e-6), (200.0, 200.0), (400.0, 400.0))),
 )
 
-Scores = Mapping[str, Mapping[str, Row]]
+Scores = Mapping[str, Mapping[str, VariantRow]]
 """Rows by car and name of the variant."""
 
 
@@ -73,13 +73,13 @@ def others(car: str, cars: Iterable[str]) -> list[str]:
     return [each for each in cars if _one(each) != _one(car)]
 
 
-def choose(scores: Scores, judges: Sequence[str]) -> dict[Place, Any]:
+def choose(scores: Scores, judges: Sequence[str]) -> dict[ConstantPlace, Any]:
     """Choose the core's constants on these cars, each constant by itself.
 
     Judges vote by their likelihoods in `scores`, which hold those of `alternatives`; several of
     `ONE_CAR` have one vote together. No other car's scores are looked at.
     """
-    changes: dict[Place, Any] = {}
+    changes: dict[ConstantPlace, Any] = {}
     for setting in SETTINGS:
         likeliest = max(setting.variants(), key=lambda each: support(scores, judges, each.name))
         changes |= likeliest.changes  # the first where they tie, the product's
@@ -103,7 +103,7 @@ def final_variants(scores: Scores, car: str) -> list[Variant]:
     ]
 
 
-def changes_text(changes: Mapping[Place, Any]) -> str:
+def changes_text(changes: Mapping[ConstantPlace, Any]) -> str:
     """Replaced constants, by name and value."""
     return ", ".join(f"{place.name} {_text(value)}" for place, value in changes.items())
 

@@ -96,7 +96,7 @@ def simulated_drives(
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class TruthCheck:
     """One quantity of one drive at one time against its truth."""
 
     vehicle: str
@@ -150,7 +150,7 @@ def compare(
     from_priors: bool = False,
     rms_grade: float = RMS_GRADE,
     altitude: bool = False,
-) -> Iterator[Comparison]:
+) -> Iterator[TruthCheck]:
     """Drive one car per seed and hold what is published against the truth so far.
 
     Marks are s into the drive; `altitude` gives the cars a barometer.
@@ -166,9 +166,9 @@ def compare(
             chain.add_reading(reading)
 
 
-def summaries(found: Iterable[Comparison]) -> list[TruthSummary]:
+def summaries(found: Iterable[TruthCheck]) -> list[TruthSummary]:
     """Median, 90th percentile and coverage of each quantity at each time."""
-    groups: dict[tuple[int, str], list[Comparison]] = {}
+    groups: dict[tuple[int, str], list[TruthCheck]] = {}
     for one in found:
         groups.setdefault((one.seconds, one.name), []).append(one)
     return [_summary(group) for group in groups.values()]
@@ -233,13 +233,13 @@ def false_alarms(
         yield chain.car.payload.found, chain.car.payload.withdrawn
 
 
-def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[Comparison]:
+def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[TruthCheck]:
     found = chain.parameters()
     truth = true_so_far(drive, seconds)
     share = identifiable_shares(published(chain.car.filter, chain.car.sums))
 
-    def one(name: str, value: float, std: float, prior: float, true: float) -> Comparison:
-        return Comparison(drive.vehicle.key, drive.seed, seconds, name, value, std, prior, true)
+    def one(name: str, value: float, std: float, prior: float, true: float) -> TruthCheck:
+        return TruthCheck(drive.vehicle.key, drive.seed, seconds, name, value, std, prior, true)
 
     for name in IDENTIFIABLE_NAMES[:4]:
         parts = (found.identifiable, found.identifiable_std, share, truth.identifiable)
@@ -261,7 +261,7 @@ def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
     return true_values(drive.car, Trace(motion=motion, **columns))
 
 
-def _summary(group: list[Comparison]) -> TruthSummary:
+def _summary(group: list[TruthCheck]) -> TruthSummary:
     error = np.array([one.error_percent for one in group])
     first = group[0]
     return TruthSummary(

@@ -39,7 +39,7 @@ TABLES: Mapping[str, MutableMapping[Any, Any]] = {
 }
 
 
-class Place(NamedTuple):
+class ConstantPlace(NamedTuple):
     """Place of a constant: a table of `TABLES` and its key there."""
 
     table: str
@@ -61,7 +61,7 @@ class Variant:
     """The core with these constants in place of its own."""
 
     name: str
-    changes: Mapping[Place, Any] = field(default_factory=dict)
+    changes: Mapping[ConstantPlace, Any] = field(default_factory=dict)
 
 
 class RecordedCar(NamedTuple):
@@ -73,7 +73,7 @@ class RecordedCar(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class VariantRow:
     """One variant on one car: errors in percent (median and mean), coverage in percent.
 
     `by_drive` is the likelihood of each drive, carried and of its stretches: what is left of a
@@ -89,7 +89,7 @@ class Row:
     likelihood: float
     by_drive: tuple[float, ...] = ()
 
-    def gain(self, over: Row) -> tuple[float, float]:
+    def gain(self, over: VariantRow) -> tuple[float, float]:
         """Likelihood more than another variant has on the same car, and its standard error."""
         more = np.subtract(self.by_drive, over.by_drive)
         error = float(np.std(more, ddof=1)) / math.sqrt(len(more)) if len(more) > 1 else math.nan
@@ -106,10 +106,10 @@ SCORE_COLUMNS = (
 )
 
 
-def constant(name: str) -> Place:
+def constant(name: str) -> ConstantPlace:
     """A constant of the filter or of the noise of its intervals."""
     own = name in vars(interval_noise)
-    return Place("interval_noise" if own else "car_filter", name)
+    return ConstantPlace("interval_noise" if own else "car_filter", name)
 
 
 def read_car(data: str, key: str) -> RecordedCar:
@@ -130,7 +130,7 @@ def read_car(data: str, key: str) -> RecordedCar:
 
 
 @contextmanager
-def replaced(changes: Mapping[Place, Any]) -> Iterator[None]:
+def replaced(changes: Mapping[ConstantPlace, Any]) -> Iterator[None]:
     """The core with other constants, in this process, as long as the context lasts."""
     before = {place: place.present for place in changes}
     _replace(changes)
@@ -140,18 +140,18 @@ def replaced(changes: Mapping[Place, Any]) -> Iterator[None]:
         _replace(before)
 
 
-def score(variant: Variant, car: RecordedCar) -> Row:
+def score(variant: Variant, car: RecordedCar) -> VariantRow:
     """Score a variant on a car's drives."""
     with replaced(variant.changes):
         return _score(variant.name, car)
 
 
-def _replace(changes: Mapping[Place, Any]) -> None:
+def _replace(changes: Mapping[ConstantPlace, Any]) -> None:
     for place, value in changes.items():
         TABLES[place.table][place.key] = value
 
 
-def _score(name: str, recorded: RecordedCar) -> Row:
+def _score(name: str, recorded: RecordedCar) -> VariantRow:
     car, carried, stretches, by_drive = CarFilter(recorded.vehicle), [], [], []
     for number, drive in enumerate(recorded.drives):
         car.begin_drive()
@@ -163,7 +163,7 @@ def _score(name: str, recorded: RecordedCar) -> Row:
     drives, cuts = np.array(carried), np.array(stretches or [(1.0, 1.0, 1.0, 1.0)])
     net = 100.0 * np.abs(drives[:, 1] - drives[:, 0]) / np.abs(drives[:, 0])
     gross = 100.0 * np.abs(cuts[:, 1] - cuts[:, 0]) / cuts[:, 3]
-    return Row(
+    return VariantRow(
         name,
         recorded.key,
         (float(np.median(net)), float(np.mean(net))),

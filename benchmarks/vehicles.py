@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.energy_library import read_cycle
+from benchmarks.population import CertifiedDistribution, population
 from evpinn_ros.energy.forecast import Profiles, forecast
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.energy.quadrature import trapezoid
@@ -17,12 +18,9 @@ from evpinn_ros.estimation.car_state import prior_of
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.vehicle.certified import (
     AIR_DENSITY,
-    CHARGING_LOSS,
     CertifiedCar,
-    CertifiedDistribution,
     RoadLoad,
     certified_cars,
-    population,
 )
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.physics import GRAVITY
@@ -30,6 +28,7 @@ from evpinn_ros.vehicle.physics import GRAVITY
 SPEEDS = (10.0, 20.0, 30.0)  # m/s
 TOWN_SPEED, TOWN_ERROR = 10.0, 0.03  # m/s; share by which mass and force are known after a drive
 CYCLES = ("udds", "hwfet")
+CHARGING_LOSS = 0.12  # of the energy at the wall
 NINETY = 1.645
 PLAIN = np.array([1.0, 0.0, 0.0])
 JOULES_PER_WH_KM = 3.6  # J/m

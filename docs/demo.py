@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the benchmarks lie beside the package
 
 from benchmarks.breakdown import SpanChain  # noqa: E402
+from benchmarks.ledger import true_parts  # noqa: E402
 from evpinn_ros.drives.sources import open_source  # noqa: E402
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH  # noqa: E402
 from evpinn_ros.estimation.estimator import EstimatorSettings  # noqa: E402
@@ -22,7 +23,6 @@ from evpinn_ros.replays.chain import Chain  # noqa: E402
 from evpinn_ros.replays.run import ReplayOptions, replay  # noqa: E402
 from evpinn_ros.report.figure import drive_figure, save_figure  # noqa: E402
 from evpinn_ros.simulation.drive import DriveKind  # noqa: E402
-from evpinn_ros.simulation.ledger import true_parts  # noqa: E402
 from evpinn_ros.simulation.simulate import simulate  # noqa: E402
 from evpinn_ros.vehicle.files import load_vehicle  # noqa: E402
 

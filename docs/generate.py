@@ -3,6 +3,7 @@
 Run: python docs/generate.py
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
@@ -11,14 +12,18 @@ from enum import Enum
 import inspect
 import math
 from pathlib import Path
+import sys
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin
 
 import typer
 
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the package
+
+from docs.metric_table import METRICS
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli.main import app
-from evpinn_ros.replays.metric_table import METRICS
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 from evpinn_ros.vehicle.certified import certified_cars

@@ -10,6 +10,7 @@ import sys
 
 import torch
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.reproduction import optimizers, problem
 from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
@@ -94,7 +95,7 @@ def row(title: str, adam: Adam, epochs: int) -> str:
     for _ in range(epochs):
         adam.step()
     own = adam.problem
-    held = own.log.part(own.split.validation)
+    held = chosen_rows(own.log, own.split.validation)
     score = power_score(own.predicted_power(adam.network, held), held.power, own.scale)
     losses = own.losses(own.validation, adam.network, adam.log_scale.detach())
     values = own.values(adam.log_scale)
@@ -113,7 +114,7 @@ def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
         fit = one.fit(one.training, one.training.power)
         values = one.values(fit.log_scale)
         found = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
-        held = log.part(one.split.validation)
+        held = chosen_rows(log, one.split.validation)
         score = power_score(least_squares_power(one)[0], held.power, one.scale)
         rows.append(
             f"| {form.value} | {score.rmse_w:.0f} | {score.r2:.4f} | "

@@ -30,14 +30,14 @@ NOT_QUICK = frozenset(
         *("test_drives.py", "test_estimator.py", "test_evidence.py", "test_faults.py"),
         *("test_payload.py", "test_published.py", "test_state_schema.py"),
         *("test_metric_table.py", "test_recorded.py", "test_rknn_training.py"),
-        *("test_robustness.py", "test_state.py", "estimation/test_stuck.py"),
+        *("test_robustness.py", "estimation/test_state.py", "estimation/test_stuck.py"),
         *("test_codec_properties.py", "test_mcap_file.py"),
         *("test_power_loss.py", "test_stream_properties.py", "test_any_format.py"),
         *("test_pinn.py", "test_first_change.py"),
         *("test_car_filter.py", "test_comparison.py", "test_grade_detector.py"),
         *("test_inspection.py", "test_owner_text.py", "test_current_sign.py"),
         *("test_bombs.py", "test_recover.py", "test_storage.py"),
-        *("test_ledger.py", "test_simulate.py"),
+        "test_simulate.py",
     }
 )
 """Folders and files that start ROS, a browser, colcon or processes, load torch, or take long.
@@ -98,6 +98,20 @@ LONG = (
 """Long files and folders of them: begun first, they leave no worker alone with one in the end."""
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def empty_files(tmp_path: Path) -> Callable[..., Path]:
+    """Makes empty files by their names in a folder, and gives the folder."""
+
+    def make(*names: str) -> Path:
+        for name in names:
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        return tmp_path
+
+    return make
 
 
 @pytest.fixture(scope="session")

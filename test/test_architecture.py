@@ -124,6 +124,39 @@ def test_dependencies_point_down() -> None:
     assert [found for name in MODULES for found in upward(name)] == []
 
 
+def below(part: str) -> set[str]:
+    """The rooms that modules of a room import."""
+    found = {
+        (imported if imported.startswith("benchmarks") else imported.partition(".")[2])
+        for name in MODULES
+        if part_of(name) == part
+        for imported in imports(name)
+        if imported.startswith(("benchmarks.", "evpinn_ros."))
+    }
+    return {part_of(each) for each in found} & {*ROOMS} - {part}
+
+
+ROOMS = [part for layer in LAYERS for part in layer if (PACKAGE / part).is_dir() and part]
+ROOMS.append("benchmarks")
+
+
+def test_the_page_shows_who_imports_whom() -> None:
+    """The arrows of architecture.md, of which none follows from others."""
+    direct = {room: below(room) for room in ROOMS}
+    reached: dict[str, set[str]] = {}
+    for room in ROOMS:  # from the ground up
+        reached[room] = direct[room].union(*(reached[each] for each in direct[room]))
+    arrows = {
+        room: direct[room] - set().union(*(reached[each] for each in direct[room]))
+        for room in ROOMS
+    }
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
+    lines = [line.split("->") for line in page.splitlines() if "->" in line and " -> " in line]
+    shown = {room.strip(): {*targets[0].replace(" ", "").split(",")}
+             for room, *targets in lines if len(targets) == 1}  # fmt: skip
+    assert shown == {room: targets for room, targets in arrows.items() if targets}
+
+
 def test_only_nodes_know_ros() -> None:
     assert known(without_ros(), ros_packages()) == []
 
@@ -167,7 +200,7 @@ def test_files_are_read_safely() -> None:
                 assert options.get("weights_only") == "True", (name, ast.unparse(call))
 
 
-SAFE_TO_PRINT = ("printable(", "json.dumps(", "_json(")
+SAFE_TO_PRINT = ("printable(", "json.dumps(", "json_text(")
 PRINTERS = {"print", "typer.echo", "sys.stdout.write", "sys.stderr.write"}
 CONSOLES = {"rich.console.Console": "live.view", "rich.table.Table": None}
 """What shows text, and would obey the escapes and the markup in it."""

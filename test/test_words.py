@@ -1,6 +1,7 @@
 """Words of docs/explanation/glossary.md in the package: one thing, one word, the field's."""
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 import io
@@ -93,6 +94,17 @@ def test_no_exception_is_left_over() -> None:
     """A word that a file no longer has needs no exception."""
     for file, word in KEPT:
         assert any(word in parts(name) for _, name in names(tree_of(file)))
+
+
+def test_no_two_things_have_one_name() -> None:
+    """A class has a name of its own, in whatever room or benchmark it lies."""
+    found = Counter(
+        node.name
+        for file in FILES
+        for node in tree_of(file).body
+        if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, count in found.items() if count > 1] == []
 
 
 def missing(file: str) -> Iterator[tuple[str, str]]:

@@ -9,7 +9,7 @@ import typer
 
 from benchmarks.ablation import CARS, VARIANTS, ablate
 from benchmarks.cli.output import table_of
-from benchmarks.variants import SCORE_COLUMNS, Row, read_car
+from benchmarks.variants import SCORE_COLUMNS, VariantRow, read_car
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 
@@ -23,7 +23,7 @@ def ablation(
 
     Example: evpinn bench ablation $DATA --cars i3,e208
     """
-    rows: list[Row] = []
+    rows: list[VariantRow] = []
     keys = cars.split(",")
     with progress_bar("variants", len(keys) * len(VARIANTS), unit="variants") as progress:
         for key in keys:

@@ -38,7 +38,7 @@ CAR = "tesla_model_3_lr"  # of the figures of speed
 JOULES_PER_WH = 3600.0
 
 
-class Part(str, Enum):
+class MeasuredPart(str, Enum):
     """Part that can be measured by itself."""
 
     INTEGRATORS = "integrators"
@@ -62,8 +62,9 @@ def energy(
     ] = CAR,
     cycles: Annotated[Path | None, typer.Option(help="Folder of drive cycles.")] = None,
     parts: Annotated[
-        list[Part], typer.Option("--part", help="Measure this alone; more than one may be given.")
-    ] = [*Part],  # noqa: B006
+        list[MeasuredPart],
+        typer.Option("--part", help="Measure this alone; more than one may be given."),
+    ] = [*MeasuredPart],  # noqa: B006
     epochs: Annotated[
         int, typer.Option(min=1, help="Of the networks trained to be compared as integrators.")
     ] = EPOCHS,
@@ -86,21 +87,21 @@ def energy(
     cars = [find_logs(path, vehicle) for path in paths]
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
     with json_at_the_end(json_file, lambda: found):
-        if Part.INTEGRATORS in parts:
+        if MeasuredPart.INTEGRATORS in parts:
             found["integrators"] = integrators(cars, epochs)
-        if Part.COUNTING in parts:
+        if MeasuredPart.COUNTING in parts:
             found["counting"] = counting(cars)
-        if Part.FORECASTS in parts:
+        if MeasuredPart.FORECASTS in parts:
             found["forecasts"] = []
             for logs in cars:
                 found["forecasts"].append(_forecasts(logs))
-        if Part.BATTERY in parts:
+        if MeasuredPart.BATTERY in parts:
             found["battery"] = [battery(logs) for logs in cars]
-        if Part.LIBRARY in parts:
+        if MeasuredPart.LIBRARY in parts:
             found |= _library(cycles)
-        if Part.PLANS in parts and find_spec("rclpy") is None:
+        if MeasuredPart.PLANS in parts and find_spec("rclpy") is None:
             note("rclpy is not installed: plans over DDS are left out")
-        elif Part.PLANS in parts:
+        elif MeasuredPart.PLANS in parts:
             found["plans"] = _plans(plans)
 
 

@@ -16,7 +16,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 
 if TYPE_CHECKING:
-    from benchmarks.faults.fault import Result
+    from benchmarks.faults.fault import FaultResult
 
 BUSY = 0.3  # load of other programs from which the times are not those of the nodes alone
 
@@ -49,7 +49,7 @@ def faults(
     load = os.getloadavg()[0]
     if load > BUSY:
         note(f"other programs take {load:.1f} cores: expect longer times")
-    found: list[Result] = []
+    found: list[FaultResult] = []
     try:
         for result in run_campaign(only or [], kills, lambda name: note(f"{name}...")):
             found.append(result)
@@ -65,7 +65,7 @@ def faults(
         raise typer.Exit(1)
 
 
-def _show(found: list[Result]) -> None:
+def _show(found: list[FaultResult]) -> None:
     table = PlainTable(
         "Faults, injected into running nodes",
         ("fault", "lost", "took", "limit", "diagnostics say", ""),
@@ -91,7 +91,7 @@ def _seconds(seconds: float) -> str:
     return f"{1000 * seconds:.1f} ms" if seconds < 0.1 else f"{seconds:.2f} s"
 
 
-def _row(result: Result) -> dict[str, Any]:
+def _row(result: FaultResult) -> dict[str, Any]:
     fault, finding = result.fault, asdict(result.finding)
     if not math.isfinite(finding["seconds"]):
         finding["seconds"] = None

@@ -14,7 +14,7 @@ from benchmarks.integrators import (
     SIMULATED,
     IntegratorAgreement,
     IntegratorRow,
-    PowerSeries,
+    UnbrokenPower,
     agreement,
     compare_integrators,
     measured_power,
@@ -50,7 +50,7 @@ def integrators(cars: Sequence[Sequence[Log]], epochs: int) -> dict[str, Any]:
     }
 
 
-def _drives(logs: Sequence[Log]) -> list[PowerSeries]:
+def _drives(logs: Sequence[Log]) -> list[UnbrokenPower]:
     drives = []
     for log in logs:
         try:
@@ -60,7 +60,7 @@ def _drives(logs: Sequence[Log]) -> list[PowerSeries]:
     return drives
 
 
-def _compared(car: str, drives: Sequence[PowerSeries], epochs: int) -> list[IntegratorRow]:
+def _compared(car: str, drives: Sequence[UnbrokenPower], epochs: int) -> list[IntegratorRow]:
     """One car's figures, shown with methods down and samplings across."""
     rows = list(compare_integrators(car, drives, epochs))
     cells: dict[str, list[str]] = {}

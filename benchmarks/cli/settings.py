@@ -22,7 +22,7 @@ from benchmarks.settings import (
     support,
 )
 from benchmarks.unseen.drives import cars_in
-from benchmarks.variants import SCORE_COLUMNS, RecordedCar, Row, Variant, read_car, score
+from benchmarks.variants import SCORE_COLUMNS, RecordedCar, Variant, VariantRow, read_car, score
 from evpinn_ros.cli.console import progress_bar, show
 from evpinn_ros.cli.options import MetricsOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
@@ -51,8 +51,8 @@ def settings(
     lonely = [key for key in keys if not others(key, keys)]
     if lonely:
         raise InputError(f"--cars: {lonely[0]} needs another car, which chooses for it")
-    scores: dict[str, dict[str, Row]] = {key: {} for key in keys}
-    finals: dict[str, dict[str, Row]] = {key: {} for key in keys}
+    scores: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
+    finals: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
     with json_at_the_end(metrics, lambda: _found(scores, chosen, finals)):
         with ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool:
@@ -70,7 +70,7 @@ def _score(
     pool: ProcessPoolExecutor,
     title: str,
     tasks: Sequence[tuple[Variant, RecordedCar]],
-    scores: dict[str, dict[str, Row]],
+    scores: dict[str, dict[str, VariantRow]],
 ) -> None:
     with progress_bar(title, len(tasks), unit="done") as progress:
         for number, row in enumerate(pool.map(score, *zip(*tasks, strict=True)), start=1):

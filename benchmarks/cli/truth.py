@@ -13,8 +13,8 @@ from benchmarks.cli.output import json_at_the_end, table_of
 from benchmarks.floor import ASKED, floors
 from benchmarks.truth import (
     VEHICLES,
-    Comparison,
     LoadStep,
+    TruthCheck,
     TruthSummary,
     compare,
     false_alarms,
@@ -81,8 +81,8 @@ def truth(
             _show_alarms(figures, kind, hours)
 
 
-def _compare(figures: dict[str, Any], compared: Iterable[Comparison], drives: int) -> None:
-    found: list[Comparison] = []
+def _compare(figures: dict[str, Any], compared: Iterable[TruthCheck], drives: int) -> None:
+    found: list[TruthCheck] = []
     try:
         with progress_bar("drives", drives, unit="drives") as progress:
             for one in compared:
@@ -100,7 +100,7 @@ def _show(figures: dict[str, Any], rows: list[TruthSummary]) -> None:
     show(table_of("", rows, COLUMNS))
 
 
-def _unobservable(found: Sequence[Comparison]) -> str:
+def _unobservable(found: Sequence[TruthCheck]) -> str:
     """In how many drives C_d was shown as not informed by the data, at the end."""
     end = max(one.seconds for one in found)
     shares = [one.prior_share for one in found if one.name == "c_d" and one.seconds == end]

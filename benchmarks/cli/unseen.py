@@ -13,8 +13,8 @@ from benchmarks.unseen.drives import cars_in
 from benchmarks.unseen.run import (
     METHODS,
     RECORDED,
-    Result,
     Task,
+    TaskResult,
     find_method,
     recorded_core,
     run_tasks,
@@ -82,7 +82,7 @@ def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:
     return wanted or there
 
 
-def _add(found: dict[str, Any], result: Result) -> None:
+def _add(found: dict[str, Any], result: TaskResult) -> None:
     fresh = {
         "vehicle": result.vehicle,
         "drives": result.drives,

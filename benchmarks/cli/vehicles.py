@@ -9,10 +9,10 @@ import numpy as np
 import typer
 
 from benchmarks.cli.output import table_of
-from benchmarks.vehicles import CycleEnergy, cycle_energies, prior_errors
+from benchmarks.vehicles import CHARGING_LOSS, CycleEnergy, cycle_energies, prior_errors
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.vehicle.certified import CHARGING_LOSS, certified_cars
+from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 # Certified cars that a vehicle file stands for too.

@@ -15,7 +15,7 @@ import tty
 from benchmarks.can_traffic import GROUP, INTERFACE, bus_options, own_port
 from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, start_node
 from benchmarks.faults.drive import RATE, readings
-from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.rig import SLACK, NodeStatus, Rig, Sent, nothing
 from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
@@ -116,9 +116,9 @@ def _bridge(rig: Rig, adapter: _Adapter, **parameters: Value) -> Process:
 
 def _finding(
     arrivals: _SpeedArrivals, end: float, lost: str, status: NodeStatus | None
-) -> Finding:
+) -> FaultEffect:
     took = arrivals.since(end)
-    return Finding(lost, took < math.inf, took, None if status is None else status.text)
+    return FaultEffect(lost, took < math.inf, took, None if status is None else status.text)
 
 
 def _await_receiving(rig: Rig, adapter: _Adapter, arrivals: _SpeedArrivals) -> None:
@@ -149,7 +149,7 @@ def _receiving(rig: Rig) -> Iterator[tuple[_Adapter, _SpeedArrivals]]:
         yield adapter, arrivals
 
 
-def _unplug(rig: Rig) -> Finding:
+def _unplug(rig: Rig) -> FaultEffect:
     with _receiving(rig) as (adapter, arrivals):
         begin = time.monotonic()
         adapter.unplug()
@@ -159,7 +159,7 @@ def _unplug(rig: Rig) -> Finding:
     return _finding(arrivals, end, "what was sent meanwhile", status)
 
 
-def _no_adapter(rig: Rig) -> Finding:
+def _no_adapter(rig: Rig) -> FaultEffect:
     adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
     adapter.link.unlink(missing_ok=True)
     begin = time.monotonic()
@@ -172,11 +172,11 @@ def _no_adapter(rig: Rig) -> Finding:
     return _finding(arrivals, end, "what was sent meanwhile", status)
 
 
-def _silent(rig: Rig) -> Finding:
+def _silent(rig: Rig) -> FaultEffect:
     return _while(rig, lambda _: None, "silent")
 
 
-def _garbage(rig: Rig) -> Finding:
+def _garbage(rig: Rig) -> FaultEffect:
     chance = random.Random(0)
     return _while(
         rig,
@@ -186,7 +186,7 @@ def _garbage(rig: Rig) -> Finding:
     )
 
 
-def _noise(rig: Rig) -> Finding:
+def _noise(rig: Rig) -> FaultEffect:
     chance, profile = random.Random(0), load_profile(PROFILE)
     ids = [rule.message.frame_id for rule in profile.messages.values()]
 
@@ -197,7 +197,7 @@ def _noise(rig: Rig) -> Finding:
     return _while(rig, send, "no speed", "contradicts", "held back")
 
 
-def _while(rig: Rig, send: Callable[[_Adapter], None], *words: str) -> Finding:
+def _while(rig: Rig, send: Callable[[_Adapter], None], *words: str) -> FaultEffect:
     """A good bus, then something else on it until it is named, then a good bus."""
     with _receiving(rig) as (adapter, arrivals):
         begin, status = time.monotonic(), None
@@ -212,7 +212,7 @@ def _while(rig: Rig, send: Callable[[_Adapter], None], *words: str) -> Finding:
     return _finding(arrivals, end, "what was sent meanwhile", status)
 
 
-def _wrong_profile(rig: Rig) -> Finding:
+def _wrong_profile(rig: Rig) -> FaultEffect:
     """A person who set another car's profile, reads why nothing comes, and sets the right one."""
     adapter, arrivals = _Adapter(rig.folder), _SpeedArrivals(rig)
     adapter.plug()
@@ -237,7 +237,7 @@ def _wrong_profile(rig: Rig) -> Finding:
 class _Two(ChainFault):
     """A second driver of the same topic, as a bag played beside the car."""
 
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         begin, sent = time.monotonic(), rig.sent
         second = factory.advertise(rig.node, topics.SPEED)
 
@@ -256,4 +256,4 @@ class _Two(ChainFault):
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
         kept = missing <= SLACK and rig.faulty(begin) is None
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions"
-        return Finding(lost, kept, rig.recovered(end), None if status is None else status.text)
+        return FaultEffect(lost, kept, rig.recovered(end), None if status is None else status.text)

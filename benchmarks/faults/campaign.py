@@ -12,7 +12,7 @@ import rclpy
 from benchmarks.faults.bus import bus_faults
 from benchmarks.faults.chain import NodeChain
 from benchmarks.faults.clocks import clock_faults
-from benchmarks.faults.fault import Fault, Finding, Result
+from benchmarks.faults.fault import Fault, FaultEffect, FaultResult
 from benchmarks.faults.files import file_faults
 from benchmarks.faults.inputs import input_faults
 from benchmarks.faults.load import load_faults
@@ -24,7 +24,7 @@ from evpinn_ros.nodes.processes import own_network
 
 def run_campaign(
     only: Collection[str], kills: int, progress: Callable[[str], None]
-) -> Iterator[Result]:
+) -> Iterator[FaultResult]:
     """Inject the faults; results come one by one.
 
     `only` names faults, none for all; `kills` is how often to kill at a random instant; `progress`
@@ -43,7 +43,7 @@ def run_campaign(
                     progress(fault.name)
                     if not fault.is_shared:
                         chain.stop()
-                    yield Result(fault, _inject(fault, rig))
+                    yield FaultResult(fault, _inject(fault, rig))
         finally:
             chain.stop()
 
@@ -57,11 +57,11 @@ def _faults(chain: NodeChain, kills: int) -> Iterator[Fault]:
     yield from clock_faults()
 
 
-def _inject(fault: Fault, rig: Rig) -> Finding:
+def _inject(fault: Fault, rig: Rig) -> FaultEffect:
     try:
         return fault.inject(rig)
     except InputError as error:
-        return Finding(str(error), False, float("inf"), None)
+        return FaultEffect(str(error), False, float("inf"), None)
 
 
 def _refuse_unknown(only: Collection[str], faults: Collection[Fault]) -> None:

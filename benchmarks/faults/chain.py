@@ -16,7 +16,7 @@ import time
 from typing import NamedTuple
 
 from benchmarks.faults.drive import VEHICLE, learned_state
-from benchmarks.faults.fault import Finding
+from benchmarks.faults.fault import FaultEffect
 from benchmarks.faults.rig import SPIN, Change, Rig, unchanged
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.processes import START_TIMEOUT, STOP_TIMEOUT, node_command
@@ -184,11 +184,11 @@ class ChainFault(ABC):
 
     chain: NodeChain
 
-    def __call__(self, rig: Rig) -> Finding:
+    def __call__(self, rig: Rig) -> FaultEffect:
         """Do it, and look."""
         self.chain.await_well()
         return self.inject(rig)
 
     @abstractmethod
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         """Do it to the nodes of the chain, and look."""

@@ -15,7 +15,7 @@ import time
 
 from benchmarks.faults.chain import NodeChain
 from benchmarks.faults.drive import RATE
-from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.inputs import MOST_MOVED
 from benchmarks.faults.rig import SLACK, Rig
 from evpinn_ros import topics
@@ -113,7 +113,7 @@ def _stamped_by(rig: Rig, clock: _SimTime | SystemClock) -> Iterator[None]:
         rig.clock = before
 
 
-def _late(rig: Rig) -> Finding:
+def _late(rig: Rig) -> FaultEffect:
     chain = NodeChain(rig, rig.folder / "late", use_sim_time=True)
     clock = _SimTime(rig)
     with _stamped_by(rig, clock):
@@ -134,7 +134,7 @@ def _late(rig: Rig) -> Finding:
         finally:
             chain.stop()
     status, harm = rig.status("estimator", "/clock", begin), rig.faulty(begin)
-    return Finding(
+    return FaultEffect(
         harm or f"{max(missing, 0)} of {rig.sent - sent} predictions",
         missing <= SLACK and harm is None,
         rig.recovered(end),
@@ -151,7 +151,7 @@ class _Jump:
     policy: str = "reset"
     system: bool = False
 
-    def __call__(self, rig: Rig) -> Finding:
+    def __call__(self, rig: Rig) -> FaultEffect:
         clock = SystemClock(rig.folder) if self.system else _SimTime(rig)
         chain = NodeChain(
             rig,
@@ -180,7 +180,7 @@ class _Jump:
         most = SLACK + (DEAF * RATE if self.system else 0)
         moved = abs(rig.learned() / learned - 1.0)
         status, harm = rig.status("estimator", self.word, begin), rig.faulty(begin)
-        return Finding(
+        return FaultEffect(
             harm or f"{max(missing, 0)} predictions, mass/eta moved {moved:.1%}",
             missing <= most and harm is None and moved <= MOST_MOVED,
             rig.recovered(begin),

@@ -13,7 +13,7 @@ RECOVERY = 5.0  # s, the goal
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class FaultEffect:
     """Effect of a fault on the chain."""
 
     lost: str  # what was lost, in a few words
@@ -22,7 +22,7 @@ class Finding:
     said: str | None  # its diagnosis, None when they did not name it
 
 
-Inject: TypeAlias = Callable[["Rig"], Finding]
+Inject: TypeAlias = Callable[["Rig"], FaultEffect]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +42,11 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class FaultResult:
     """A fault and what was found; `problem` is why it failed, None when it did not."""
 
     fault: Fault
-    finding: Finding
+    finding: FaultEffect
 
     @property
     def problem(self) -> str | None:

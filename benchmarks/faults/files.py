@@ -14,7 +14,7 @@ import time
 from benchmarks.faults.bus import PROFILE, bus_arguments
 from benchmarks.faults.chain import Process, running, start_all, start_node
 from benchmarks.faults.drive import OTHER_VEHICLE, RATE, learned_state, readings
-from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.rig import Rig
 from evpinn_ros import topics
 from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
@@ -53,7 +53,7 @@ class _BadState:
     def __init__(self, spoil: Callable[[Path], None], word: str) -> None:
         self._spoil, self._word = spoil, word
 
-    def __call__(self, rig: Rig) -> Finding:
+    def __call__(self, rig: Rig) -> FaultEffect:
         path = rig.folder / "bad.json"
         shutil.copy(learned_state(rig.folder), path)
         self._spoil(path)
@@ -72,7 +72,7 @@ class _BadState:
         kept = kept and read_state(path) is not None
         refused.unlink(missing_ok=True)
         lost = "what was learned; set aside" if kept else "the file"
-        return Finding(lost, kept, took, None if named is None else named.text)
+        return FaultEffect(lost, kept, took, None if named is None else named.text)
 
 
 def _noise(path: Path) -> None:
@@ -95,7 +95,7 @@ def _not_finite(path: Path) -> None:
     path.write_text(path.read_text().replace("0.", "NaN, 0.", 1))
 
 
-def _no_folder(rig: Rig) -> Finding:
+def _no_folder(rig: Rig) -> FaultEffect:
     """Root may write anywhere, so the folder is one that no system lets be made."""
     estimator = start_node(rig, "estimator", state_file="/proc/evpinn/car.json")
     with running(estimator):
@@ -108,10 +108,10 @@ def _no_folder(rig: Rig) -> Finding:
         code = estimator.stop().code
     refused = answer is not None and not answer.success
     kept = refused and code == 0 and rig.faulty(begin) is None
-    return Finding("saving", kept, took, None if named is None else named.text)
+    return FaultEffect("saving", kept, took, None if named is None else named.text)
 
 
-def _state_disk_full(rig: Rig) -> Finding:
+def _state_disk_full(rig: Rig) -> FaultEffect:
     path = rig.folder / "full.json"
     shutil.copy(learned_state(rig.folder), path)
     before = path.read_bytes()
@@ -131,7 +131,7 @@ def _state_disk_full(rig: Rig) -> Finding:
     kept = whole and answer is not None and not answer.success
     kept = kept and again is not None and again.success and rig.faulty(begin) is None
     lost = "saving meanwhile; the old file stayed whole" if kept else "the old file"
-    return Finding(lost, kept, took, None if named is None else named.text)
+    return FaultEffect(lost, kept, took, None if named is None else named.text)
 
 
 def limit_files(process: Process, size: int | None) -> None:
@@ -140,7 +140,7 @@ def limit_files(process: Process, size: int | None) -> None:
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (soft, resource.RLIM_INFINITY))
 
 
-def _bag_full(rig: Rig) -> Finding:
+def _bag_full(rig: Rig) -> FaultEffect:
     folder = rig.folder / "full_bag"
     run = start_all(rig, *bus_arguments(), "--record", str(folder))
     with running(run):
@@ -162,7 +162,7 @@ def _bag_full(rig: Rig) -> Finding:
         messages = sum(1 for _ in bag.records())
     kept = code == 0 and messages > 2 * RATE and rig.faulty(begin) is None
     lost = f"recording from there; {messages} messages stayed readable"
-    return Finding(lost, kept, took, None if named is None else named.text)
+    return FaultEffect(lost, kept, took, None if named is None else named.text)
 
 
 def file_of(folder: Path) -> Path:
@@ -170,7 +170,7 @@ def file_of(folder: Path) -> Path:
     return next(folder.glob("*.mcap"))
 
 
-def _bag_corrupt(rig: Rig) -> Finding:
+def _bag_corrupt(rig: Rig) -> FaultEffect:
     """A recording of raw frames with a damaged second, played by the bridge."""
     folder, seconds = rig.folder / "corrupt_bag", 8
     encoder = Encoder(load_profile(PROFILE))
@@ -195,6 +195,6 @@ def _bag_corrupt(rig: Rig) -> Finding:
         named = rig.status("can_bridge", "damaged", begin)
     lost = 20 * seconds - len(received)
     kept = lost <= 20 * 2 and rig.faulty(begin) is None
-    return Finding(
+    return FaultEffect(
         f"{lost} of {20 * seconds} readings", kept, 0.0, None if named is None else named.text
     )

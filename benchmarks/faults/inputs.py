@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from benchmarks.faults.chain import ChainFault, NodeChain
-from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.rig import SLACK, Change, Rig, Sent, nothing, stamped
 from evpinn_ros import topics
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -29,7 +29,7 @@ class Disturbance(ChainFault):
     may_lose: float = 0.0  # share of the predictions that may be missing meanwhile
     forgets: bool = False  # whether what was learned may move
 
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         """Disturb, and look."""
         begin, sent, learned = time.monotonic(), rig.sent, rig.learned()
         rig.drive(SHORTEST, self.change)
@@ -47,7 +47,7 @@ class Disturbance(ChainFault):
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions, mass/eta moved {moved:.1%}"
         kept = missing <= self.may_lose * (rig.sent - sent) + SLACK
         named = rig.status("estimator", self.word, begin)
-        return Finding(
+        return FaultEffect(
             lost if harm is None else f"{lost}; {harm}",
             kept and harm is None and (self.forgets or moved <= MOST_MOVED),
             rig.recovered(end),
@@ -226,7 +226,7 @@ def input_faults(chain: NodeChain) -> Iterator[Fault]:
 class _SignFlip(ChainFault):
     """A wrong profile has the wrong sign from the first message on: a car nothing is known of."""
 
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         begin = time.monotonic()
         rig.call("estimator/reset")
         rig.drive(
@@ -239,7 +239,7 @@ class _SignFlip(ChainFault):
         end = time.monotonic()
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
         harm = rig.faulty(begin)
-        return Finding(
+        return FaultEffect(
             harm or f"learning, until reported after {end - begin:.0f} s",
             harm is None,
             rig.recovered(end),

@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, start_node
 from benchmarks.faults.drive import RATE, learned_state, vehicle
-from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.rig import OUTPUTS, SLACK, Rig
 from benchmarks.processor import processor_seconds
 from evpinn_ros import topics
@@ -80,18 +80,20 @@ def load_faults(chain: NodeChain) -> Iterator[Fault]:
     )
 
 
-def _finding(rig: Rig, begin: float, end: float, lost: str, kept: bool, *words: str) -> Finding:
+def _finding(
+    rig: Rig, begin: float, end: float, lost: str, kept: bool, *words: str
+) -> FaultEffect:
     """Drive until recovered, and look."""
     rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
     rig.drive(1.5, until=lambda: any(rig.status("e", word, begin) for word in words))
     status = next(filter(None, (rig.status("e", word, begin) for word in words)), None)
     harm = rig.faulty(begin)
     text = "" if status is None else status.text
-    return Finding(harm or lost, kept and harm is None, rig.recovered(end), text or None)
+    return FaultEffect(harm or lost, kept and harm is None, rig.recovered(end), text or None)
 
 
 class _FullRate(ChainFault):
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         begin, sent = time.monotonic(), rig.sent
         rig.drive(5.0, rate=FULL_RATE)
         end = time.monotonic()
@@ -102,11 +104,11 @@ class _FullRate(ChainFault):
         lost = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
         text = f"{lost} of {rig.sent - sent} at {rate:.0f} Hz, the newest {age:.2f} s old"
         found = _finding(rig, begin, end, text, age < RECOVERY, "lost")
-        return found if lost > SLACK else Finding(text, found.kept, found.seconds, "none lost")
+        return found if lost > SLACK else FaultEffect(text, found.kept, found.seconds, "none lost")
 
 
 class _Backlog(ChainFault):
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         rig.rest(BACKLOG)
         begin, now_ns, number = time.monotonic(), rig.clock(), round(BACKLOG * RATE)
         for back in range(number, 0, -1):
@@ -125,7 +127,7 @@ class _Quiet(ChainFault):
 
     during: Callable[[Rig], Any]
 
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         rig.drive(11.0, until=lambda: False)
         begin, sent = time.monotonic(), rig.sent
         with self.during(rig):
@@ -136,7 +138,7 @@ class _Quiet(ChainFault):
         wolf = rig.complaints(begin)
         status = "rightly nothing" if not wolf else None
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions" + "; ".join(["", *wolf])
-        return Finding(lost, missing <= SLACK, rig.recovered(end), status)
+        return FaultEffect(lost, missing <= SLACK, rig.recovered(end), status)
 
 
 @contextmanager
@@ -169,7 +171,7 @@ def _noise(domains_away: int) -> Callable[[Rig], Any]:
 
 
 class _BadPlans(ChainFault):
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         plan = new_message(topics.PATH_TYPE)
         begin = time.monotonic()
 
@@ -187,7 +189,7 @@ class _BadPlans(ChainFault):
         return _finding(rig, begin, end, lost, missing <= SLACK, "plan refused")
 
 
-def _qos_input(rig: Rig) -> Finding:
+def _qos_input(rig: Rig) -> FaultEffect:
     name = f"qos_overrides.{topics.SPEED.under()}.subscription.reliability"
     strict = factory.qos_profile(topics.SPEED.subscriber_qos)
     strict.reliability = ReliabilityPolicy.BEST_EFFORT
@@ -206,13 +208,13 @@ def _qos_input(rig: Rig) -> Finding:
     status = rig.status("estimator", "QoS", begin)
     harm = rig.faulty(begin)
     took = rig.recovered(end, OUTPUTS)
-    return Finding(
+    return FaultEffect(
         harm or "speed, until mended", harm is None, took, None if status is None else status.text
     )
 
 
 class _QosOutput(ChainFault):
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         begin, sent = time.monotonic(), rig.sent
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         topic = topics.POWER_PREDICTED
@@ -229,7 +231,7 @@ class _QosOutput(ChainFault):
 class _Stall(ChainFault):
     """As a computer that swaps, or a debugger."""
 
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         process = self.chain.processes["estimator"]
         begin, sent = time.monotonic(), rig.sent
         process.signal(signal.SIGSTOP)
@@ -239,10 +241,10 @@ class _Stall(ChainFault):
         found = _finding(rig, begin, end, "", True, "lost", "no power/smoothed")
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
         lost = f"{max(missing, 0)} of {rig.sent - sent} predictions"
-        return Finding(lost, missing <= 8.0 * RATE + SLACK, found.seconds, found.said)
+        return FaultEffect(lost, missing <= 8.0 * RATE + SLACK, found.seconds, found.said)
 
 
-def _overrun(rig: Rig) -> Finding:
+def _overrun(rig: Rig) -> FaultEffect:
     """Updates made slow by hand: no load of a test machine is sure to."""
     parameters = {"vehicle": vehicle().key, "state_file": str(learned_state(rig.folder))}
     command = node_command("estimator", parameters)
@@ -255,10 +257,10 @@ def _overrun(rig: Rig) -> Finding:
         status = rig.status("estimator", "longer than", begin)
         missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
     lost = f"updates; {max(missing, 0)} of {rig.sent - sent} predictions"
-    return Finding(lost, missing <= SLACK, 0.0, None if status is None else status.text)
+    return FaultEffect(lost, missing <= SLACK, 0.0, None if status is None else status.text)
 
 
-def _latency(rig: Rig) -> Finding:
+def _latency(rig: Rig) -> FaultEffect:
     """From publishing a speed to hearing what it predicts, with the 1 Hz learning going on."""
     estimator = start_node(rig, "estimator", state_file=str(learned_state(rig.folder)))
     with running(estimator):
@@ -279,4 +281,4 @@ def _latency(rig: Rig) -> Finding:
     p50, p99, largest = np.quantile(delays, (0.5, 0.99, 1.0)).tolist()
     times = f"p50 {1e3 * p50:.1f}, p99 {1e3 * p99:.1f}, largest {1e3 * largest:.0f} ms"
     lost = f"{sent - len(delays)} of {sent}; {times}; {share:.0%} of the core"
-    return Finding(lost, sent - len(delays) <= SLACK, p99, "nothing to name")
+    return FaultEffect(lost, sent - len(delays) <= SLACK, p99, "nothing to name")

@@ -22,7 +22,7 @@ from benchmarks.faults.chain import (
     start_node,
 )
 from benchmarks.faults.drive import learned_state
-from benchmarks.faults.fault import RECOVERY, Fault, Finding
+from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.files import file_of
 from benchmarks.faults.rig import OUTPUTS, Rig
 from evpinn_ros import topics
@@ -73,7 +73,7 @@ class _Order:
 
     order: tuple[str, ...]
 
-    def __call__(self, rig: Rig) -> Finding:
+    def __call__(self, rig: Rig) -> FaultEffect:
         begin, processes = time.monotonic(), []
         try:
             for name in self.order:
@@ -87,21 +87,21 @@ class _Order:
         harm = rig.faulty(begin)
         kept = not any(codes) and harm is None
         status = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
-        return Finding(harm or "nothing", kept, rig.recovered(ready), status)
+        return FaultEffect(harm or "nothing", kept, rig.recovered(ready), status)
 
 
 def _text(status: object) -> str | None:
     return None if status is None else str(getattr(status, "text", status))
 
 
-def _warm_start(rig: Rig) -> Finding:
+def _warm_start(rig: Rig) -> FaultEffect:
     path = rig.folder / "warm.json"
     shutil.copy(learned_state(rig.folder), path)
     estimator = start_node(rig, "estimator", state_file=str(path))
     wanted, begin = (topics.POWER_PREDICTED,), estimator.started
     with running(estimator):
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin, wanted) < math.inf)
-    return Finding("nothing", True, rig.recovered(begin, wanted), UNNAMED)
+    return FaultEffect("nothing", True, rig.recovered(begin, wanted), UNNAMED)
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class _Stop:
 
     how: signal.Signals
 
-    def __call__(self, rig: Rig) -> Finding:
+    def __call__(self, rig: Rig) -> FaultEffect:
         folder, state = rig.folder / self.how.name, rig.folder / f"{self.how.name}.json"
         files = ("--state", str(state), "--record", str(folder))
         run = start_all(rig, *bus_arguments(), *files)
@@ -124,10 +124,10 @@ class _Stop:
             whole = bag.problem is None
         lost = f"exit {end.code}; files {'saved' if saved else 'not saved'}"
         kept = saved and whole and not end.code
-        return Finding(f"nothing: {lost}" if kept else lost, kept, end.seconds, UNNAMED)
+        return FaultEffect(f"nothing: {lost}" if kept else lost, kept, end.seconds, UNNAMED)
 
 
-def _stop_saving(rig: Rig) -> Finding:
+def _stop_saving(rig: Rig) -> FaultEffect:
     path = rig.folder / "saving.json"
     shutil.copy(learned_state(rig.folder), path)
     estimator = start_node(rig, "estimator", state_file=str(path))
@@ -136,10 +136,10 @@ def _stop_saving(rig: Rig) -> Finding:
         rig.begin_call("estimator/save")
         end = estimator.stop(signal.SIGTERM)
     kept = end.code == 0 and read_state(path) is not None
-    return Finding("nothing" if kept else "the state", kept, end.seconds, UNNAMED)
+    return FaultEffect("nothing" if kept else "the state", kept, end.seconds, UNNAMED)
 
 
-def _stop_starting(rig: Rig) -> Finding:
+def _stop_starting(rig: Rig) -> FaultEffect:
     """Whatever it is importing: it must end, and soon."""
     worst, codes = 0.0, list[int]()
     for delay in (0.3, 1.0, 2.0):
@@ -147,7 +147,7 @@ def _stop_starting(rig: Rig) -> Finding:
         rig.rest(delay)
         end = process.stop(signal.SIGINT)
         worst, codes = max(worst, end.seconds), [*codes, end.code]
-    return Finding(f"exit codes {codes}", not any(codes), worst, UNNAMED)
+    return FaultEffect(f"exit codes {codes}", not any(codes), worst, UNNAMED)
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class _Restart(ChainFault):
     name: str
     killed: bool = False
 
-    def inject(self, rig: Rig) -> Finding:
+    def inject(self, rig: Rig) -> FaultEffect:
         process = self.chain.processes[self.name]
         begin, before = time.monotonic(), rig.learned()
         if self.killed:
@@ -180,7 +180,7 @@ class _Restart(ChainFault):
         named = f"dropout of {self.name}" if status is None and silent else _text(status)
         lost = f"{fresh.name} for {ready - begin:.1f} s; mass/eta moved {moved:.1%}"
         kept = moved < 0.05 and rig.faulty(begin) is None
-        return Finding(lost, kept, took, named)
+        return FaultEffect(lost, kept, took, named)
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class _Kills:
 
     count: int
 
-    def __call__(self, rig: Rig) -> Finding:
+    def __call__(self, rig: Rig) -> FaultEffect:
         chance, state = random.Random(0), rig.folder / "killed.json"
         shutil.copy(learned_state(rig.folder), state)
         lost, slowest, bad = 0.0, 0.0, 0
@@ -206,7 +206,7 @@ class _Kills:
             bad += not _readable(state) or not _readable(state.with_suffix(".energy.json"))
             shutil.rmtree(folder, ignore_errors=True)
         text = f"{lost:.2f} s of recording at most, {bad} bad files in {self.count}"
-        return Finding(text, lost <= MOST_LOST and not bad, slowest, UNNAMED)
+        return FaultEffect(text, lost <= MOST_LOST and not bad, slowest, UNNAMED)
 
     def _live(self, rig: Rig, run: Process, chance: random.Random) -> None:
         """Drive for a random time; half of the kills strike near a save."""

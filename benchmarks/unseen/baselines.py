@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.kalman import FAST, FiveStateFilter
 from benchmarks.methods import PriorOnly
 from benchmarks.unseen.method import Estimate, Factory, Prediction
-from benchmarks.unseen.steps import Step, StepStream
+from benchmarks.unseen.steps import DrivingStep, StepStream
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.sample import Sample
@@ -47,11 +47,11 @@ class StepMethod(ABC):
         return {}
 
     @abstractmethod
-    def predict(self, step: Step) -> Prediction:
+    def predict(self, step: DrivingStep) -> Prediction:
         """Power of a step."""
 
     @abstractmethod
-    def learn(self, step: Step) -> None:
+    def learn(self, step: DrivingStep) -> None:
         """Learn from a step whose power is known."""
 
 
@@ -62,14 +62,14 @@ class PriorAlone(StepMethod):
         super().__init__(vehicle)
         self._prior = PriorOnly(vehicle)
 
-    def learn(self, step: Step) -> None:
+    def learn(self, step: DrivingStep) -> None:
         """Keep the prior."""
 
-    def predict(self, step: Step) -> Prediction:
+    def predict(self, step: DrivingStep) -> Prediction:
         """Power of the prior car, W."""
         return Prediction(step.middle_ns, self.power(step))
 
-    def power(self, step: Step) -> float:
+    def power(self, step: DrivingStep) -> float:
         """Likewise."""
         return self._prior.predict(_sample(step)).power
 
@@ -94,12 +94,12 @@ class EnergyPerKilometre(PriorAlone):
             self._drives.append((float(self._now[0]), float(self._now[1])))
         self._now, self._unmeasured = np.zeros(2), 0.0
 
-    def learn(self, step: Step) -> None:
+    def learn(self, step: DrivingStep) -> None:
         """Add energy and distance."""
         self._now += np.array((step.power, abs(step.speed))) * step.dt
         self._unmeasured = 0.0
 
-    def predict(self, step: Step) -> Prediction:
+    def predict(self, step: DrivingStep) -> Prediction:
         """Consumption times speed, W."""
         sums = np.array([*self._drives, self._now])
         energy, distance = sums.sum(axis=0)
@@ -113,7 +113,7 @@ class EnergyPerKilometre(PriorAlone):
         return Prediction(step.middle_ns, float(power), energy_sigma=sigma)
 
 
-class BatchLeastSquares(PriorAlone):
+class LeastSquaresBaseline(PriorAlone):
     """Batch least squares on all samples so far.
 
     Its terms are v, v^3, v a driving, v a braking, 1, a^2, v braking, where acceleration holds
@@ -126,7 +126,7 @@ class BatchLeastSquares(PriorAlone):
         self._normal, self._target, self._count = np.zeros((7, 7)), np.zeros(7), 0
         self._solved: np.ndarray | None = None
 
-    def learn(self, step: Step) -> None:
+    def learn(self, step: DrivingStep) -> None:
         """Add a sample to the sums of the normal equations."""
         row = self._row(step)
         self._normal += np.outer(row, row)
@@ -134,7 +134,7 @@ class BatchLeastSquares(PriorAlone):
         self._count += 1
         self._solved = None
 
-    def predict(self, step: Step) -> Prediction:
+    def predict(self, step: DrivingStep) -> Prediction:
         """Power of the present fit, W."""
         if self._count < LEAST_STEPS:
             return super().predict(step)
@@ -144,7 +144,7 @@ class BatchLeastSquares(PriorAlone):
             self._solved = np.linalg.solve(self._normal + ridge, self._target)
         return Prediction(step.middle_ns, float(self._row(step) @ self._solved) + step.known)
 
-    def _row(self, step: Step) -> np.ndarray:
+    def _row(self, step: DrivingStep) -> np.ndarray:
         v = abs(step.speed)
         specific = self._rotating_mass_factor * step.kinetic + GRAVITY * step.climb
         braking = specific < 0
@@ -174,12 +174,12 @@ class FastKalman(StepMethod):
         super().begin_next_drive()
         self._unmeasured = np.zeros(2)
 
-    def learn(self, step: Step) -> None:
+    def learn(self, step: DrivingStep) -> None:
         """One step of the filter."""
         self._filter.observe(_sample(step), step.power)
         self._unmeasured = np.zeros(2)
 
-    def predict(self, step: Step) -> Prediction:
+    def predict(self, step: DrivingStep) -> Prediction:
         """Power of the present state; its error is taken to last for the whole dropout."""
         power, sigma, *_ = self._filter.predict(_sample(step))
         self._unmeasured[0] += sigma * step.dt
@@ -201,13 +201,13 @@ class FastKalman(StepMethod):
 BASELINES: Mapping[str, Factory] = {
     "prior": PriorAlone,
     "per_km": EnergyPerKilometre,
-    "batch7": BatchLeastSquares,
+    "batch7": LeastSquaresBaseline,
     "weak_ls": WeakFormLeastSquares,
     "ekf_fast": FastKalman,
 }
 
 
-def _sample(step: Step) -> Sample:
+def _sample(step: DrivingStep) -> Sample:
     """The middle of a step as a sample."""
     moving = abs(step.speed) > MOVING
     return Sample(

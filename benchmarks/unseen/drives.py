@@ -15,7 +15,7 @@ from benchmarks.unseen.fastsim_cars import (
     fastsim_truth,
     simulate_fastsim,
 )
-from benchmarks.unseen.lines import Line, Span, battery_power, common, speed_line
+from benchmarks.unseen.lines import DrivePart, Line, battery_power, common, speed_line
 from benchmarks.unseen.splitting import split
 from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
 from benchmarks.unseen.truth import CARRIED_VEHICLE, carried_drives
@@ -33,7 +33,7 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 
 @dataclass(frozen=True)
-class Drive:
+class UnseenDrive:
     """One drive: its readings in recorded order."""
 
     name: str
@@ -59,7 +59,7 @@ class Drive:
         return speed_line(self.readings, self.start_ns)
 
     @cached_property
-    def spans(self) -> list[Span]:
+    def spans(self) -> list[DrivePart]:
         """Spans in which speed and battery are both known: these are scored, for every method."""
         return common(self.power.spans(), self.speed.spans())
 
@@ -71,16 +71,16 @@ class Drive:
     @property
     def distance(self) -> float:
         """Driven, m."""
-        return self.speed.over(Span(0.0, self.duration)) if self.speed.time.size > 1 else 0.0
+        return self.speed.over(DrivePart(0.0, self.duration)) if self.speed.time.size > 1 else 0.0
 
 
 @dataclass(frozen=True)
-class Car:
+class UnseenCar:
     """A car and its drives, in order."""
 
     key: str  # what `--cars` calls it
     vehicle: Vehicle  # all that a method knows of it
-    drives: tuple[Drive, ...]  # in order of time
+    drives: tuple[UnseenDrive, ...]  # in order of time
     # true combinations by `method.NAMES`, empty where they are unknown
     truth: dict[str, float] = field(default_factory=dict)
 
@@ -135,30 +135,34 @@ def cars_in(data: str) -> list[str]:
     return [*recorded, SIMULATED, *by_sumo, *(FASTSIM_CARS if fastsim_is_there(root) else ())]
 
 
-def load_car(data: str, key: str) -> Car:
+def load_car(data: str, key: str) -> UnseenCar:
     """Read or simulate the drives of a car.
 
     Raises:
         InputError: none of them can be read.
     """
     if key == SIMULATED:
-        drives = tuple(Drive(f"{i}", readings) for i, readings in enumerate(carried_drives()))
-        return Car(key, load_vehicle(CARRIED_VEHICLE), drives)
+        drives = tuple(
+            UnseenDrive(f"{i}", readings) for i, readings in enumerate(carried_drives())
+        )
+        return UnseenCar(key, load_vehicle(CARRIED_VEHICLE), drives)
     if key in SUMO_CARS:
         readings, trace = simulate_sumo(key)
         generic = load_vehicle("generic")
-        return Car(key, generic, (Drive(key, readings),), sumo_truth(key, trace, generic))
+        return UnseenCar(
+            key, generic, (UnseenDrive(key, readings),), sumo_truth(key, trace, generic)
+        )
     if key in FASTSIM_CARS:
         traces, generic = simulate_fastsim(key, Path(data)), load_vehicle("generic")
         cycles = enumerate(fastsim_readings(traces))
-        drives = tuple(Drive(f"{key} {i}", readings) for i, readings in cycles)
-        return Car(key, generic, drives, fastsim_truth(traces, generic))
+        drives = tuple(UnseenDrive(f"{key} {i}", readings) for i, readings in cycles)
+        return UnseenCar(key, generic, drives, fastsim_truth(traces, generic))
     if key not in FOLDERS:
         path, _, vehicle = key.rpartition("=")
         car = load_vehicle(vehicle.partition(",")[0])
         logs = find_logs(key, vehicle)
         sources: Iterable[tuple[Path, str | None]] = [(log.path, log.can_profile) for log in logs]
-        return Car(Path(path).name, car, tuple(_drives(sources, car, lambda _: True)))
+        return UnseenCar(Path(path).name, car, tuple(_drives(sources, car, lambda _: True)))
     folder = FOLDERS[key]
     car = load_vehicle(folder.vehicle)
     paths = sorted(Path(data).glob(folder.pattern))
@@ -167,15 +171,15 @@ def load_car(data: str, key: str) -> Car:
     )
     if not drives:
         raise InputError(f"{data}: no drive of {key} can be read")
-    return Car(key, car, drives)
+    return UnseenCar(key, car, drives)
 
 
 def _drives(
     sources: Iterable[tuple[Path, str | None]], car: Vehicle, keep: Callable[[Reading], bool]
-) -> Iterator[Drive]:
+) -> Iterator[UnseenDrive]:
     for path, profile in sources:
         readings = tuple(filter(keep, open_source(path, car, profile).readings()))
         for number, part in enumerate(split(readings), start=1):
-            drive = Drive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)
+            drive = UnseenDrive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)
             if drive.spans:
                 yield drive

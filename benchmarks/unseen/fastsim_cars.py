@@ -41,7 +41,7 @@ CYCLES = ("udds", "hwfet", "wltc_3b")
 SEED, DAY_S, VOLTAGE = 30, 86_400, 360.0
 
 
-class Trace(NamedTuple):
+class FastsimDrive(NamedTuple):
     """A drive of FASTSim by second, shape (n,) each; powers are those of the second before."""
 
     seconds: np.ndarray
@@ -58,7 +58,7 @@ def fastsim_is_there(data: Path) -> bool:
     return fastsim_version() is not None and (data / "drive_cycles").is_dir()
 
 
-def simulate_fastsim(key: str, data: Path) -> list[Trace]:
+def simulate_fastsim(key: str, data: Path) -> list[FastsimDrive]:
     """Drive a car over every cycle, flat and then with hills."""
     rng = np.random.default_rng(SEED)
     traces = []
@@ -73,14 +73,14 @@ def simulate_fastsim(key: str, data: Path) -> list[Trace]:
     return traces
 
 
-def fastsim_readings(traces: list[Trace]) -> Iterator[tuple[Reading, ...]]:
+def fastsim_readings(traces: list[FastsimDrive]) -> Iterator[tuple[Reading, ...]]:
     """Readings of each drive, a day after the one before."""
     for day, trace in enumerate(traces):
         start_ns = EPOCH_NS + day * DAY_S * NANOSECONDS
         yield tuple(_readings(trace, start_ns))
 
 
-def fastsim_truth(traces: list[Trace], vehicle: Vehicle) -> dict[str, float]:
+def fastsim_truth(traces: list[FastsimDrive], vehicle: Vehicle) -> dict[str, float]:
     """The combinations that these drives determine, of an unlimited sensor."""
     terms, power, wheel = [], [], []
     for trace in traces:
@@ -101,7 +101,7 @@ def fastsim_truth(traces: list[Trace], vehicle: Vehicle) -> dict[str, float]:
 
 def _drive(
     car: str, seconds: np.ndarray, speed: np.ndarray, slope: np.ndarray, height: np.ndarray
-) -> Trace:
+) -> FastsimDrive:
     fastsim = import_module("fastsim")
     drive = fastsim.SimDrive(
         fastsim.Vehicle.from_resource(car), fastsim_cycle(seconds, speed, slope)
@@ -109,7 +109,7 @@ def _drive(
     drive.run()
     found = drive.to_dict()["veh"]
     course, battery = found["history"], found["pt_type"]["BEV"]["res"]["history"]
-    return Trace(
+    return FastsimDrive(
         seconds,
         np.array(course["speed_ach_meters_per_second"]),
         height,
@@ -120,7 +120,7 @@ def _drive(
     )
 
 
-def _readings(trace: Trace, start_ns: int) -> Iterator[Reading]:
+def _readings(trace: FastsimDrive, start_ns: int) -> Iterator[Reading]:
     """Speed and height at the end of each second, power at its middle."""
     rows = zip(trace.seconds, trace.speed, trace.height, trace.power, strict=True)
     for index, (second, speed, height, power) in enumerate(rows):

@@ -13,7 +13,7 @@ LEAST_GAP_S = 2.5  # shorter gaps are bridged by a straight line at any sampling
 GAP_PERIODS = 4.0  # of polled logs, gaps up to so many median periods
 
 
-class Span(NamedTuple):
+class DrivePart(NamedTuple):
     """A part of a drive, s since its start."""
 
     begin: float
@@ -59,7 +59,7 @@ class Line:
         known &= (end - begin <= self.gap) | (time == begin) | (time == end)
         return np.where(known, np.interp(time, self.time, self.value), np.nan)
 
-    def spans(self) -> list[Span]:
+    def spans(self) -> list[DrivePart]:
         """The parts without a gap."""
         if self.time.size < 2:
             return []
@@ -67,7 +67,7 @@ class Line:
         begins = np.concatenate(([0], breaks + 1))
         ends = np.concatenate((breaks, [self.time.size - 1]))
         found = [
-            Span(float(self.time[i]), float(self.time[j]))
+            DrivePart(float(self.time[i]), float(self.time[j]))
             for i, j in zip(begins, ends, strict=True)
         ]
         return [span for span in found if span.length > 0]
@@ -82,11 +82,11 @@ class Line:
         value = np.interp(time, self.time, self.value)
         return np.asarray(self._net[before] + into * (self.value[before] + value) / 2)
 
-    def gross(self, span: Span) -> float:
+    def gross(self, span: DrivePart) -> float:
         """Integral of the size of the signal over a span, gaps left out."""
         return float(np.diff(np.interp(span, self.time, self._gross))[0])
 
-    def over(self, span: Span) -> float:
+    def over(self, span: DrivePart) -> float:
         """Integral over a span, gaps left out."""
         return float(np.diff(self.integral(np.array(span)))[0])
 
@@ -118,9 +118,9 @@ def speed_line(readings: Iterable[Reading], start_ns: int) -> Line:
     return Line(*np.array(rows, dtype=float).reshape(-1, 2).T)
 
 
-def common(some: Sequence[Span], others: Sequence[Span]) -> list[Span]:
+def common(some: Sequence[DrivePart], others: Sequence[DrivePart]) -> list[DrivePart]:
     """Spans in which both are known."""
-    both = [Span(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
+    both = [DrivePart(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
     return [span for span in both if span.length > 0]
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.unseen.drives import Car, Drive
-from benchmarks.unseen.lines import Span
+from benchmarks.unseen.drives import UnseenCar, UnseenDrive
+from benchmarks.unseen.lines import DrivePart
 from benchmarks.unseen.method import Estimate, Factory, Method, Prediction
 from benchmarks.unseen.scores import PartScore, Track, score_part
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -35,17 +35,17 @@ class Cut:
     length: float
 
     @property
-    def span(self) -> Span:
+    def span(self) -> DrivePart:
         """The part that is predicted."""
-        return Span(self.begin, self.begin + self.length)
+        return DrivePart(self.begin, self.begin + self.length)
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredPart:
     """A part of a drive that was predicted."""
 
     drive: str
-    span: Span
+    span: DrivePart
     score: PartScore
 
 
@@ -53,14 +53,14 @@ class Scored:
 class CarRun:
     """Results of a method on one car."""
 
-    carried: list[Scored]  # each drive whole, from what the drives before it taught
-    online: list[Scored]  # each drive with the battery, but for the first `WARM_UP` s
-    withheld: list[Scored]  # dropouts of 200 s (shorter where the drive is)
-    long: list[Scored]  # dropouts of 600 s
+    carried: list[ScoredPart]  # each drive whole, from what the drives before it taught
+    online: list[ScoredPart]  # each drive with the battery, but for the first `WARM_UP` s
+    withheld: list[ScoredPart]  # dropouts of 200 s (shorter where the drive is)
+    long: list[ScoredPart]  # dropouts of 600 s
     combinations: dict[str, Estimate]  # what is known of the car at the end
 
 
-def cuts(drive: Drive, step: float) -> list[Cut]:
+def cuts(drive: UnseenDrive, step: float) -> list[Cut]:
     """Cuts every `step` s from 250 s on, the last as late as 200 s allow; 600 s where they fit."""
     last = drive.duration - DROPOUT
     if last < FIRST_CUT:
@@ -74,7 +74,7 @@ def cuts(drive: Drive, step: float) -> list[Cut]:
     return [*found, *(Cut(float(begin), LONG_DROPOUT) for begin in apart)]
 
 
-def run_car(car: Car, factory: Factory) -> CarRun:
+def run_car(car: UnseenCar, factory: Factory) -> CarRun:
     """Predict and learn all drives of a car in order."""
     method = factory(car.vehicle)
     found = CarRun([], [], [], [], {})
@@ -83,16 +83,18 @@ def run_car(car: Car, factory: Factory) -> CarRun:
         if number:
             method.begin_next_drive()
         if drive.distance >= LEAST_DISTANCE:
-            whole = Span(0.0, drive.duration)
+            whole = DrivePart(0.0, drive.duration)
             track = predicted(copy.deepcopy(method), drive, 0, whole, [])
-            found.carried.append(Scored(drive.name, whole, score_part(drive, track, whole)))
+            found.carried.append(ScoredPart(drive.name, whole, score_part(drive, track, whole)))
         for part, scored in _through(method, drive, cuts(drive, step)):
             getattr(found, part).append(scored)
     found.combinations.update(method.combinations())
     return found
 
 
-def _through(method: Method, drive: Drive, planned: Sequence[Cut]) -> Iterator[tuple[str, Scored]]:
+def _through(
+    method: Method, drive: UnseenDrive, planned: Sequence[Cut]
+) -> Iterator[tuple[str, ScoredPart]]:
     """Go through a drive with the battery; give each dropout and what was predicted online."""
     waiting = sorted(planned, key=lambda cut: (cut.begin, -cut.length))
     rows: list[Prediction] = []
@@ -104,15 +106,15 @@ def _through(method: Method, drive: Drive, planned: Sequence[Cut]) -> Iterator[t
                 track = predicted(copy.deepcopy(method), drive, index, cut.span, rows[-1:])
                 begin = cut.begin
             part = "long" if cut.length == LONG_DROPOUT else "withheld"
-            yield part, Scored(drive.name, cut.span, score_part(drive, track, cut.span))
+            yield part, ScoredPart(drive.name, cut.span, score_part(drive, track, cut.span))
         rows.extend(_predictions(method, reading))
     if drive.duration > WARM_UP:
-        span = Span(WARM_UP, drive.duration)
-        yield "online", Scored(drive.name, span, score_part(drive, Track(drive, rows), span))
+        span = DrivePart(WARM_UP, drive.duration)
+        yield "online", ScoredPart(drive.name, span, score_part(drive, Track(drive, rows), span))
 
 
 def predicted(
-    method: Method, drive: Drive, index: int, span: Span, before: Sequence[Prediction]
+    method: Method, drive: UnseenDrive, index: int, span: DrivePart, before: Sequence[Prediction]
 ) -> Track:
     """Let a method go on from a reading without any battery reading.
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from benchmarks.truth import VEHICLES
 from benchmarks.unseen.baselines import BASELINES
-from benchmarks.unseen.drives import Car, load_car
+from benchmarks.unseen.drives import UnseenCar, load_car
 from benchmarks.unseen.method import Factory, OnlineChain
 from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
@@ -33,7 +33,7 @@ class Task(NamedTuple):
     method: str
 
 
-class Result(NamedTuple):
+class TaskResult(NamedTuple):
     """Result of a task, for the table and the JSON."""
 
     task: Task
@@ -63,22 +63,22 @@ def find_method(name: str) -> Factory:
     return found
 
 
-def run_task(task: Task) -> Result:
+def run_task(task: Task) -> TaskResult:
     """Score one method on one car."""
     limit_blas_threads()
     factory = find_method(task.method)
     if task.car in KINDS:
         scores: dict[str, Any] = {"truth": run_truth(task.car, factory)}
-        return Result(task, ", ".join(VEHICLES), DRIVES, DRIVES * SECONDS / 3600.0, scores)
+        return TaskResult(task, ", ".join(VEHICLES), DRIVES, DRIVES * SECONDS / 3600.0, scores)
     car = _car(task.data, task.car)
     run = run_car(car, factory)
     scores = summary(run)
     if car.truth:
         scores["truth"] = truth_summary([errors(run.combinations, car.truth)])
-    return Result(task, car.vehicle.key, len(car.drives), car.hours, scores)
+    return TaskResult(task, car.vehicle.key, len(car.drives), car.hours, scores)
 
 
-def run_tasks(tasks: Sequence[Task], jobs: int) -> Iterator[Result]:
+def run_tasks(tasks: Sequence[Task], jobs: int) -> Iterator[TaskResult]:
     """Score all, each as it is done, in this process or in so many others."""
     if jobs == 1:
         yield from map(run_task, tasks)
@@ -103,6 +103,6 @@ def recorded_core(car: str, drives: int) -> dict[str, Any] | None:
 
 
 @lru_cache(maxsize=1)
-def _car(data: str, key: str) -> Car:
+def _car(data: str, key: str) -> UnseenCar:
     """Tasks of one car follow each other, so its drives are read once a process."""
     return load_car(data, key)

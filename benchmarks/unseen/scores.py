@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from benchmarks.unseen.drives import Drive
-from benchmarks.unseen.lines import Line, Span, common
+from benchmarks.unseen.drives import UnseenDrive
+from benchmarks.unseen.lines import DrivePart, Line, common
 from benchmarks.unseen.method import Prediction
 
 QUANTILE_90 = 1.6448536269514722  # sigmas to either side that hold 90 % of a normal deviate
@@ -33,7 +33,7 @@ class Track:
         sigma: 1-sigma, J, of the energy since the last battery reading.
     """
 
-    def __init__(self, drive: Drive, rows: Sequence[Prediction]) -> None:
+    def __init__(self, drive: UnseenDrive, rows: Sequence[Prediction]) -> None:
         columns = np.array([row[1:] for row in rows], dtype=float).reshape(-1, 4).T
         time = np.array([drive.seconds(row.stamp_ns) for row in rows], dtype=float)
         gap = max(drive.power.gap, drive.speed.gap)
@@ -41,7 +41,7 @@ class Track:
         self.energy = Line(time, columns[2], gap)
         self.sigma = Line(time, columns[3], gap)
 
-    def energy_over(self, spans: Iterable[Span]) -> float:
+    def energy_over(self, spans: Iterable[DrivePart]) -> float:
         """Predicted energy of spans, J: the method's own count, else the integral of power."""
         total = 0.0
         for span in spans:
@@ -98,7 +98,7 @@ class PartScore:
         return abs(self.error) <= QUANTILE_90 * self.sigma
 
 
-def score_part(drive: Drive, track: Track, span: Span) -> PartScore:
+def score_part(drive: UnseenDrive, track: Track, span: DrivePart) -> PartScore:
     """Score the predictions of a part of a drive."""
     spans = common(drive.spans, [span])
     seconds = sum(each.length for each in spans)
@@ -125,7 +125,7 @@ def score_part(drive: Drive, track: Track, span: Span) -> PartScore:
     )
 
 
-def _sample_times(drive: Drive, spans: Sequence[Span]) -> np.ndarray:
+def _sample_times(drive: UnseenDrive, spans: Sequence[DrivePart]) -> np.ndarray:
     """Stamps of speed in the spans, at most ten a second."""
     time = drive.speed.time
     kept = time[np.concatenate(([True], np.diff(np.floor(time / 0.0999)) > 0))]
@@ -135,7 +135,9 @@ def _sample_times(drive: Drive, spans: Sequence[Span]) -> np.ndarray:
     return kept[inside]
 
 
-def _means(drive: Drive, track: Track, spans: Sequence[Span], length: float) -> tuple[float, int]:
+def _means(
+    drive: UnseenDrive, track: Track, spans: Sequence[DrivePart], length: float
+) -> tuple[float, int]:
     """Sum of squared errors of mean power over pieces of a length, W^2, and their number."""
     period = float(np.median(np.diff(drive.speed.time)))
     squares, count = 0.0, 0
@@ -150,12 +152,12 @@ def _means(drive: Drive, track: Track, spans: Sequence[Span], length: float) -> 
 
 
 def _ages(
-    drive: Drive, track: Track, span: Span, age: np.ndarray, error: np.ndarray
+    drive: UnseenDrive, track: Track, span: DrivePart, age: np.ndarray, error: np.ndarray
 ) -> dict[float, AgeScore]:
     """Errors around each age, and of the energy up to it."""
     found = {}
     for each in AGES:
-        upto = Span(span.begin, span.begin + each)
+        upto = DrivePart(span.begin, span.begin + each)
         known = common(drive.spans, [upto])
         if upto.end > span.end + 1e-6 or not known:
             continue

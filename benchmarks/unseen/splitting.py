@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from benchmarks.unseen.lines import Span, battery_power, common, speed_line
+from benchmarks.unseen.lines import DrivePart, battery_power, common, speed_line
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
 LONGEST_PAUSE = 600.0  # s
@@ -40,7 +40,7 @@ def split(readings: Sequence[Reading]) -> Iterator[tuple[Reading, ...]]:
             )
 
 
-def _driving(readings: Sequence[Reading]) -> list[Span]:
+def _driving(readings: Sequence[Reading]) -> list[DrivePart]:
     """The spans of a log between pauses and charging."""
     if not readings:
         return []
@@ -49,20 +49,20 @@ def _driving(readings: Sequence[Reading]) -> list[Span]:
     if speed.time.size < 2:
         return []
     pauses = np.flatnonzero(np.diff(speed.time) > LONGEST_PAUSE)
-    between = [Span(float(speed.time[i]), float(speed.time[i + 1])) for i in pauses]
+    between = [DrivePart(float(speed.time[i]), float(speed.time[i + 1])) for i in pauses]
     for stand in _standing(speed.time, speed.value):
         known = [part.length for part in common(power.spans(), [stand])]
         if known and -power.over(stand) > CHARGING_POWER * sum(known):
-            between.append(Span(stand.begin - EPSILON, stand.end + EPSILON))
+            between.append(DrivePart(stand.begin - EPSILON, stand.end + EPSILON))
     ends = [-math.inf, *(end for span in sorted(between) for end in span), math.inf]
-    return [Span(begin, end) for begin, end in zip(ends[::2], ends[1::2], strict=True)]
+    return [DrivePart(begin, end) for begin, end in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _standing(time: np.ndarray, speed: np.ndarray) -> Iterator[Span]:
+def _standing(time: np.ndarray, speed: np.ndarray) -> Iterator[DrivePart]:
     """Stands of `LEAST_CHARGING` or longer, not across pauses."""
     still = np.abs(speed) < STANDING
     ends = np.flatnonzero((still[1:] != still[:-1]) | (np.diff(time) > LONGEST_PAUSE))
     begins = np.concatenate(([0], ends + 1))
     for begin, end in zip(begins, np.concatenate((ends, [time.size - 1])), strict=True):
         if still[begin] and time[end] - time[begin] >= LEAST_CHARGING:
-            yield Span(float(time[begin]), float(time[end]))
+            yield DrivePart(float(time[begin]), float(time[end]))

@@ -27,7 +27,7 @@ KEPT = 4000  # battery samples
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class DrivingStep:
     """Driving between two moments; means over it."""
 
     begin_ns: int  # where it begins
@@ -66,9 +66,9 @@ class StepStream:
         self._speeds: deque[tuple[int, float]] = deque(maxlen=SMOOTHED)
         self._last: tuple[int, float] | None = None
         self._volts, self._amperes = _Signal(), _Signal()
-        self._waiting: deque[Step] = deque(maxlen=KEPT)
+        self._waiting: deque[DrivingStep] = deque(maxlen=KEPT)
 
-    def add_reading(self, reading: Reading) -> Iterator[Step]:
+    def add_reading(self, reading: Reading) -> Iterator[DrivingStep]:
         """Take a reading; give steps to be predicted, and steps to be learned from."""
         if isinstance(reading, SpeedReading):
             yield from self._add_speed(reading)
@@ -79,7 +79,7 @@ class StepStream:
         elif why_impossible(reading) is None:
             self._road.add_reading(reading)
 
-    def _add_speed(self, reading: SpeedReading) -> Iterator[Step]:
+    def _add_speed(self, reading: SpeedReading) -> Iterator[DrivingStep]:
         newest = self._speeds[-1][0] if self._speeds else -math.inf
         since = (reading.stamp_ns - newest) / NANOSECONDS
         if not abs(reading.speed) <= MAX_SPEED or since < LEAST_STEP:
@@ -112,11 +112,11 @@ class StepStream:
             return None
         return speeds[HALF][0], sum(speed for _, speed in speeds) / SMOOTHED
 
-    def _step(self, before: tuple[int, float], now: tuple[int, float]) -> Step:
+    def _step(self, before: tuple[int, float], now: tuple[int, float]) -> DrivingStep:
         (begin, u), (end, v) = before, now
         grade = self._road.grade(end)
         mean = (u + v) / 2
-        return Step(
+        return DrivingStep(
             begin,
             end,
             speed=mean,
@@ -129,7 +129,7 @@ class StepStream:
             celsius=self._road.celsius,
         )
 
-    def _measured(self) -> Iterator[Step]:
+    def _measured(self) -> Iterator[DrivingStep]:
         """Steps that voltage and current have passed."""
         passed = min(self._volts.newest, self._amperes.newest)
         while self._waiting and self._waiting[0].end_ns <= passed:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.unseen.drives import LOG_PART
-from benchmarks.unseen.protocols import CarRun, Scored
+from benchmarks.unseen.protocols import CarRun, ScoredPart
 from benchmarks.unseen.scores import AGES, MEANS, QUANTILE_90, PartScore
 
 MOST_LEFT_OUT = 0.1  # share of the parts that a method may leave without a prediction
@@ -35,7 +35,7 @@ def summary(run: CarRun) -> dict[str, Any]:
     }
 
 
-def _energies(parts: Sequence[Scored]) -> dict[str, Any] | None:
+def _energies(parts: Sequence[ScoredPart]) -> dict[str, Any] | None:
     """Scores over parts; None when a method left out more than `MOST_LEFT_OUT` of them.
 
     Errors of energy are percent without their sign: of net energy by the measured net energy and
@@ -69,7 +69,7 @@ def _energies(parts: Sequence[Scored]) -> dict[str, Any] | None:
     }
 
 
-def _by_log(carried: Sequence[Scored]) -> dict[str, float | None] | None:
+def _by_log(carried: Sequence[ScoredPart]) -> dict[str, float | None] | None:
     """Errors of the net energy of whole logs, percent, where a log holds several drives.
 
     Drives that run downhill have a net energy near zero, which no percentage is of use for.
@@ -124,7 +124,7 @@ def _at_age(scores: Sequence[PartScore], age: float) -> dict[str, float | None] 
     }
 
 
-def _one(each: Scored) -> dict[str, Any]:
+def _one(each: ScoredPart) -> dict[str, Any]:
     score = each.score
     return {
         "drive": each.drive,

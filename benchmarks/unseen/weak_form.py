@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from benchmarks.unseen.method import NAMES, Estimate, Prediction
-from benchmarks.unseen.steps import Step, StepStream
+from benchmarks.unseen.steps import DrivingStep, StepStream
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import identifiable
@@ -112,7 +112,7 @@ class WeakFormLeastSquares:
             else:
                 self._learn(step, row)
 
-    def _row(self, step: Step) -> np.ndarray:
+    def _row(self, step: DrivingStep) -> np.ndarray:
         drag_area, rolling, mass, rotating = self._prior
         v = abs(step.speed)
         drag, roll = step.density * abs(step.cube) / 2, GRAVITY * v
@@ -139,7 +139,7 @@ class WeakFormLeastSquares:
             )
         )
 
-    def _predict(self, step: Step, row: np.ndarray) -> Prediction:
+    def _predict(self, step: DrivingStep, row: np.ndarray) -> Prediction:
         power = float(row @ self.mean)
         noise = NOISE**2 + (NOISE_FORCE * step.speed) ** 2
         self._unmeasured += row * step.dt
@@ -153,7 +153,7 @@ class WeakFormLeastSquares:
         sigma = math.sqrt(residual * noise)
         return Prediction(step.middle_ns, power, sigma, middle, math.sqrt(scale * variance))
 
-    def _learn(self, step: Step, row: np.ndarray) -> None:
+    def _learn(self, step: DrivingStep, row: np.ndarray) -> None:
         self._unmeasured, self._residual = np.zeros(row.size), 0.0
         if step.begin_ns != self._last_ns:
             self._interval, self._interval_s = np.zeros(row.size), 0.0

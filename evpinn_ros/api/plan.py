@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from evpinn_ros.common.errors import InputError, one_line
+from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_along, forecast_plan
@@ -147,10 +147,8 @@ def planned_energy(
 def _trip(plan: Any) -> Plan:
     if isinstance(plan, str | os.PathLike):
         path = Path(plan)
-        try:
+        with as_input_error(path, InputError):
             return _trip(_read(path))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
     if not isinstance(plan, pd.DataFrame | Mapping):
         raise InputError(f"a plan is a DataFrame, a dict or a CSV file, not {_kind(plan)}")
     if isinstance(plan, pd.DataFrame) and plan.index.name == "t_s":
@@ -168,10 +166,8 @@ def _numbers(name: str, values: Any) -> np.ndarray:
     found = np.atleast_1d(np.asarray(values))
     if found.dtype.kind in "mM":
         raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
-    try:
+    with as_input_error(f"{name} holds what is no number", TypeError, ValueError):
         numbers = np.array(found.tolist(), float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} holds what is no number: {one_line(error)}") from error
     if numbers.ndim > 1:
         raise InputError(f"{name} has the shape {numbers.shape}; a plan is one trip")
     return numbers
@@ -180,8 +176,6 @@ def _numbers(name: str, values: Any) -> np.ndarray:
 def _read(path: Path) -> pd.DataFrame:
     try:
         return pd.read_csv(path, nrows=MAX_POINTS + 1, skipinitialspace=True)
-    except OSError as error:
-        raise InputError(error.strerror or one_line(error)) from error
     except ValueError as error:  # of pandas, and of letters that are none
         raise InputError(f"no table with commas and decimal points: {one_line(error)}") from error
 

@@ -11,7 +11,7 @@ import zstandard
 
 from evpinn_ros.bags.mcap_file import McapFile, RawMessage
 from evpinn_ros.bags.rosbags_file import RosbagsFile
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.unpacking import RATIO, most_unpacked
 
 _PIECE = 1 << 20
@@ -30,11 +30,9 @@ def open_packed(packed: Path, open_file: Callable[[Path], PlainFile]) -> PlainFi
     with TemporaryDirectory() as folder:
         path = Path(folder) / packed.stem
         try:
-            _unpack(packed, path)
-            file = open_file(path)
-        except (OSError, zstandard.ZstdError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{packed}: cannot be unpacked: {reason}") from error
+            with as_input_error(f"{packed}: cannot be unpacked", zstandard.ZstdError):
+                _unpack(packed, path)
+                file = open_file(path)
         except InputError as error:
             raise InputError(str(error).replace(str(path), str(packed))) from error
     file.path = packed  # which the person knows

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 import math
+from operator import attrgetter
+from typing import TypeVar
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
@@ -17,6 +19,7 @@ from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_messages, to_reading
 
 NOT_A_MESSAGE = "not_finite_or_out_of_range"
+Item = TypeVar("Item")
 
 
 def write_readings(
@@ -40,18 +43,21 @@ def write_readings(
 
 
 def reported(
-    readings: Iterable[Reading], progress: Callable[[float], None] | None
-) -> Iterator[Reading]:
-    """The same readings; `progress` takes the seconds since the first, about every second."""
+    items: Iterable[Item],
+    progress: Callable[[float], None] | None,
+    stamp_of: Callable[[Item], int] = attrgetter("stamp_ns"),
+) -> Iterator[Item]:
+    """The same items; `progress` takes the seconds since the first, about every second."""
     first_ns: int | None = None
     reported = -math.inf
-    for reading in readings:
-        first_ns = reading.stamp_ns if first_ns is None else first_ns
-        done = (reading.stamp_ns - first_ns) / NANOSECONDS
+    for item in items:
+        stamp_ns = stamp_of(item)
+        first_ns = stamp_ns if first_ns is None else first_ns
+        done = (stamp_ns - first_ns) / NANOSECONDS
         if progress is not None and done - reported >= 1.0:
             progress(done)
             reported = done
-        yield reading
+        yield item
 
 
 class BagReadings:

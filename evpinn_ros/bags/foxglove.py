@@ -12,7 +12,7 @@ import socket
 
 from evpinn_ros.bags.origin_gate import OriginGate
 from evpinn_ros.bags.types import typestore
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, extra_needed
 
 LOOPBACK, PORT = "127.0.0.1", 8765  # 8765 is where Foxglove looks
 LAST_PORT = 65535
@@ -51,13 +51,9 @@ class FoxgloveServer:
         """
         if not 0 <= port <= LAST_PORT:
             raise InputError(f"port {port} is not in 0 to {LAST_PORT}")
-        try:
+        with extra_needed("Foxglove wants an extra", "foxglove"):
             import foxglove
             from foxglove.websocket import Capability
-        except ImportError as error:
-            raise InputError(
-                "Foxglove wants an extra: pip install 'evpinn_ros[foxglove]'"
-            ) from error
         self._context = foxglove.Context()  # channels close with it
         # Before the server: what a client subscribes to while it is being offered may be lost.
         self._channels = {

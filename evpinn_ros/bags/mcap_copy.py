@@ -38,7 +38,7 @@ from evpinn_ros.bags.mcap_content import (
     Records,
 )
 from evpinn_ros.bags.metadata import WrittenFile
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import as_input_error
 
 INDEX = struct.Struct("<BQHI")  # opcode, bytes that follow, channel, bytes of entries
 
@@ -62,10 +62,8 @@ class McapCopy:
         self._metadata: list[MetadataIndex] = []
         self._described: set[int] = set()
         self._schemas: set[int] = set()
-        try:
+        with as_input_error(path):
             self._file = path.open("xb")
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from error
         self._file.write(MAGIC)
         # Readers that know ROS 2 refuse any other profile; the types are in the schemas.
         self._add(Header(profile="ros2", library=library))

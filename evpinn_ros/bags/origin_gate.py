@@ -11,7 +11,7 @@ from collections.abc import Collection
 from contextlib import suppress
 import threading
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, reason_of
 
 LONGEST_HEAD = 16_384  # bytes of the request that opens a connection
 HEAD_TIMEOUT_S = 10.0
@@ -67,8 +67,8 @@ class OriginGate:
             )
         except (OSError, OverflowError, UnicodeError) as error:
             self._loop.close()
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"cannot serve Foxglove at {host}:{port}: {reason}") from error
+            where = f"cannot serve Foxglove at {host}:{port}"
+            raise InputError(f"{where}: {reason_of(error)}") from error
         self.port: int = self._door.sockets[0].getsockname()[1]
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()

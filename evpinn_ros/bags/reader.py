@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import heapq
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from evpinn_ros.bags.compressed import BagFile, CompressedMessages, PlainFile, open_packed
 from evpinn_ros.bags.limits import LONGEST_MESSAGE
@@ -30,24 +30,13 @@ class TopicInfo:
     count: int
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
-    """A message of a bag and the time at which it was logged."""
+class Record(NamedTuple):
+    """A message of a bag, or its CDR bytes, and the time at which it was logged."""
 
     topic: str
     type_name: str
     log_time_ns: int
     message: Any
-
-
-@dataclass(frozen=True, slots=True)
-class RawRecord:
-    """A message of a bag as its CDR bytes."""
-
-    topic: str
-    type_name: str
-    log_time_ns: int
-    data: bytes
 
 
 class BagReader:
@@ -104,21 +93,19 @@ class BagReader:
         """
         for raw in self.raw_records(topics):
             try:
-                message = decode(raw.type_name, raw.data)
+                yield Record(*raw[:3], decode(raw.type_name, raw.message))
             except ValueError:
                 self.dropped["undecodable"] += 1
-                continue
-            yield Record(raw.topic, raw.type_name, raw.log_time_ns, message)
 
-    def raw_records(self, topics: Collection[str] | None = None) -> Iterator[RawRecord]:
-        """The same before they are decoded, those that cannot be too."""
+    def raw_records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
+        """The same as bytes, those that cannot be decoded too."""
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
             if len(data) > LONGEST_MESSAGE:
                 self.dropped["too_large"] += 1
                 continue
-            yield RawRecord(channel.topic, channel.type_name, log_time_ns, data)
+            yield Record(channel.topic, channel.type_name, log_time_ns, data)
 
     def log_times(self) -> Iterator[tuple[str, int]]:
         """Topic and log time, ns, of every message in that order, also of types not known."""

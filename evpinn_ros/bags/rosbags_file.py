@@ -12,7 +12,7 @@ from urllib.parse import quote
 from rosbags.rosbag2 import Reader
 
 from evpinn_ros.bags.mcap_file import Channel, RawMessage
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 
 # What a damaged file makes rosbags raise is listed nowhere: errors of its own, of apsw, of zstd.
 READ_ERRORS = (Exception,)
@@ -74,11 +74,11 @@ class RosbagsFile:
 def _refuse_programs(path: Path) -> None:
     """Refuse a database that computes: a view in place of a table can run for ever."""
     address = f"file:{quote(str(path))}?immutable=1"
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as database:
-            entries = database.execute("SELECT type, sql FROM sqlite_master").fetchall()
-    except (sqlite3.Error, OverflowError) as error:
-        raise InputError(f"{path}: Cannot open database: {error}") from error
+    with (
+        as_input_error(f"{path}: Cannot open database", sqlite3.Error, OverflowError),
+        closing(sqlite3.connect(address, uri=True)) as database,
+    ):
+        entries = database.execute("SELECT type, sql FROM sqlite_master").fetchall()
     for kind, sql in entries:
         if kind not in ("table", "index") or COMPUTING.search(str(sql)):
             raise InputError(f"{path}: no bag: its database has a {kind} that computes")

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
+from itertools import takewhile
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
+from evpinn_ros.bags.convert import reported
 from evpinn_ros.bags.metadata import VERSION
 from evpinn_ros.bags.rosbags_file import READ_ERRORS
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import NANOSECONDS
 
 
 class Storage(str, Enum):
@@ -61,17 +63,13 @@ def _copy(
     progress: Callable[[float], None] | None,
     stopped: Callable[[], bool],
 ) -> int:
-    count, reported_ns = 0, 0
+    count = 0
     with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
         new = {each.id: _connect(writer, each) for each in reader.connections}
-        for connection, log_time_ns, data in reader.messages():
-            if stopped():
-                break
+        messages = takewhile(lambda _: not stopped(), reader.messages())
+        for connection, log_time_ns, data in reported(messages, progress, itemgetter(1)):
             writer.write(new[connection.id], log_time_ns, data)
             count += 1
-            if progress is not None and log_time_ns - reported_ns > NANOSECONDS:
-                progress((log_time_ns - reader.start_time) / NANOSECONDS)
-                reported_ns = log_time_ns
     return count
 
 

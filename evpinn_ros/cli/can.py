@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+import math
 from pathlib import Path
 import threading
 import time
@@ -11,13 +12,14 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.can_frames import open_can_log
+from evpinn_ros.bags.convert import reported
 from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.inspection import BusReport, Inspection
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.cli.can_tables import as_json, show_report
 from evpinn_ros.cli.console import note, progress_bar, show_json
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
-from evpinn_ros.cli.options import Elm327Option, complete_profile, elm327_bus
+from evpinn_ros.cli.options import Elm327Option, JsonTextOption, complete_profile, elm327_bus
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.node_parameters import bus_options
@@ -75,7 +77,7 @@ def inspect(
             autocompletion=complete_profile,
         ),
     ] = None,
-    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+    as_json_text: JsonTextOption = False,
 ) -> None:
     """Show what is on a CAN bus, and which profile fits, without sending.
 
@@ -111,16 +113,13 @@ def inspect(
 def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | None:
     """Take the frames of a recorded bus; gives what could not be read."""
     log = open_can_log(path)
-    first_ns, shown = None, 0.0
+    last_ns: float | None = None
     with progress_bar(path.name, seconds or log.seconds) as progress:
-        for frame in log.frames():
-            first_ns = frame.stamp_ns if first_ns is None else first_ns
-            done = (frame.stamp_ns - first_ns) / NANOSECONDS
-            if seconds is not None and done > seconds:
+        for frame in reported(log.frames(), progress):
+            if last_ns is None:
+                last_ns = frame.stamp_ns + (seconds or math.inf) * NANOSECONDS
+            if frame.stamp_ns > last_ns:
                 break
-            if done - shown >= 1.0:
-                progress(done)
-                shown = done
             inspection.add_frame(frame)
     for kind, count in sorted(log.skipped.items()):
         note(f"{path}: {count} frames left out: {kind}")

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-import shlex
-import sys
 from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import (
     CanProfileOption,
     ColumnOption,
@@ -76,7 +74,7 @@ def compare(
     if json_file is not None:
         write_json(json_file, found.metrics())
     if report is not None:
-        write_comparison(report, found, shlex.join(["evpinn", *sys.argv[1:]]))
+        write_comparison(report, found, command_line())
     if found.problems:
         raise typer.Exit(1)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from datetime import datetime, timezone
-import json
-import math
 from pathlib import Path
+import shlex
+import sys
 import time
 from typing import Any
 
@@ -27,6 +27,7 @@ from rich.text import Text
 
 from evpinn_ros.common.errors import InputError, as_input_error, printable
 from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.json_text import json_text
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -57,6 +58,11 @@ def show(table: PlainTable, at_least: int = 0) -> None:
     (Console(width=at_least, stderr=results.stderr) if narrow else results).print(table)
 
 
+def command_line() -> str:
+    """Text of the command that runs, as a shell takes it."""
+    return shlex.join(["evpinn", *sys.argv[1:]])
+
+
 def moment(stamp_ns: int, timespec: str = "seconds") -> str:
     """UTC of a stamp, as exact as `isoformat` is asked; the bare number where it is no date."""
     try:
@@ -68,7 +74,7 @@ def moment(stamp_ns: int, timespec: str = "seconds") -> str:
 
 def show_json(found: Any) -> None:
     """Results for scripts, on stdout; null where a number is not finite."""
-    print(_json(found, indent=2), flush=True)
+    print(json_text(found, indent=2), flush=True)
 
 
 def tables_beside(json_file: Path | None) -> None:
@@ -82,7 +88,7 @@ def write_json(path: Path, found: Any) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    text = _json(found, indent=1)
+    text = json_text(found, indent=1)
     if str(path) == STDOUT:
         print(text, flush=True)
         return
@@ -90,21 +96,6 @@ def write_json(path: Path, found: Any) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replaced(path) as draft:
             draft.write_text(text + "\n", encoding="utf-8")
-
-
-def _json(found: Any, indent: int) -> str:
-    return json.dumps(_finite(found), indent=indent, allow_nan=False)
-
-
-def _finite(found: Any) -> Any:
-    """The same with None for numbers that JSON does not know."""
-    if isinstance(found, float):
-        return found if math.isfinite(found) else None
-    if isinstance(found, Mapping):
-        return {key: _finite(value) for key, value in found.items()}
-    if isinstance(found, list | tuple):
-        return [_finite(value) for value in found]
-    return found
 
 
 class RateColumn(ProgressColumn):

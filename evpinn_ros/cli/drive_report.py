@@ -16,7 +16,7 @@ import typer
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.cli.console import note
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 
 POLL_S = 0.2
 CUT_SHORT_S = 20.0
@@ -44,14 +44,12 @@ def reported(
     """
     if report.is_dir():
         raise InputError(f"--report {report}: a folder is there; give the name of a file")
-    try:
+    with as_input_error():
         report.parent.mkdir(parents=True, exist_ok=True)
         beside = TemporaryDirectory(prefix=f".{report.stem}_", dir=report.parent)
         if state is not None and state.exists():
             before = shutil.copy(state, Path(beside.name, "state.json"))
             options = (*options, "--state", str(before))
-    except OSError as error:
-        raise InputError(f"{error.filename or report}: {error.strerror}") from error
     with beside as folder:
         bag = record or Path(folder, "bag")
         other = bag.is_file() or (bag.is_dir() and any(bag.iterdir()))

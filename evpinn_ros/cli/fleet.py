@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-import shlex
 import signal
-import sys
 from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
@@ -119,15 +117,13 @@ def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[st
 
 
 def _write(summary: FleetSummary, report: Path, vehicles: Path | None) -> None:
-    try:
-        write_fleet_page(report, summary, shlex.join(["evpinn", *sys.argv[1:]]))
+    with as_input_error():
+        write_fleet_page(report, summary, command_line())
         for key, population in summary.populations.items():
             if vehicles is not None:
                 one = vehicles.suffix in (".yaml", ".yml")
                 path = vehicles if one else vehicles / f"{key}.yaml"
                 write_vehicle(path, population.priors("evpinn fleet"))
-    except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}") from error
 
 
 def _found(summary: FleetSummary) -> dict[str, Any]:

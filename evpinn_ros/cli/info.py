@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import moment, note, progress_bar, say, show, show_json
-from evpinn_ros.cli.options import ColumnOption
+from evpinn_ros.cli.options import ColumnOption, JsonTextOption
 from evpinn_ros.cli.table_columns import shorter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
@@ -26,7 +26,7 @@ MOST_SPANS = 10  # on the terminal; --json has them all
 def info(
     inputs: Annotated[list[Path], typer.Argument(help="Bags, CAN logs or tables (CSV, xlsx...).")],
     column: ColumnOption = None,
-    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+    as_json_text: JsonTextOption = False,
 ) -> None:
     """Show what recordings hold, and which part of them the estimator can use.
 
@@ -134,7 +134,7 @@ def _as_json(found: Contents) -> dict[str, Any]:
         "vehicles": list(found.vehicles),
         "readings": {k: _flow_json(flow) for k, flow in (drive.flows if drive else {}).items()},
         "distance_m": drive.distance if drive else None,
-        "voltage_v": drive.voltage if drive and math.isfinite(drive.voltage) else None,
+        "voltage_v": drive.voltage if drive else None,
         "usable": None
         if drive is None
         else {
@@ -149,6 +149,5 @@ def _as_json(found: Contents) -> dict[str, Any]:
 
 
 def _flow_json(flow: ReadingFlow) -> dict[str, Any]:
-    rate = flow.rate if math.isfinite(flow.rate) else None
     gaps = {"longest_gap_s": flow.longest_gap, "gaps": flow.gaps}
-    return {"count": flow.count, "rate_hz": rate, **gaps}
+    return {"count": flow.count, "rate_hz": flow.rate, **gaps}

@@ -59,6 +59,7 @@ _JSON_HELP = f"As JSON; {STDOUT} for stdout."
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_tables_beside_json)
 ]
+JsonTextOption = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
 MetricsOption = Annotated[
     Path | None,
     typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_tables_beside_json),

@@ -14,6 +14,7 @@ from evpinn_ros.bags.recover import RecoveredFile, broken_files
 from evpinn_ros.bags.recover import recover as recover_bag
 from evpinn_ros.bags.salvage import Loss
 from evpinn_ros.cli.console import bytes_bar, moment, note, say, show_json, writing
+from evpinn_ros.cli.options import JsonTextOption
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_LINES = 20  # of losses on the terminal; --json has them all
@@ -23,7 +24,7 @@ _time = partial(moment, timespec="milliseconds")
 def recover(
     broken: Annotated[Path, typer.Argument(help="MCAP file, or folder of a rosbag2 bag.")],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
-    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+    as_json_text: JsonTextOption = False,
 ) -> None:
     """Save what a broken bag still holds, and say what was lost.
 

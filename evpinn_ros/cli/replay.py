@@ -7,14 +7,12 @@ from contextlib import ExitStack
 from functools import partial
 import itertools
 from pathlib import Path
-import shlex
-import sys
 from typing import Annotated, Any
 
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json, writing
+from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     CanProfileOption,
@@ -27,7 +25,7 @@ from evpinn_ros.cli.options import (
 )
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
@@ -186,13 +184,11 @@ def _write(
     for path, write in jobs:
         try:
             if path is not None:
-                write(path)
+                with as_input_error(path, ValueError):
+                    write(path)
         except InputError as error:
             problems += 1
             note(f"evpinn: {error}")
-        except (OSError, ValueError) as error:
-            problems += 1
-            note(f"evpinn: {path}: {getattr(error, 'strerror', None) or error}")
     return problems == 0
 
 
@@ -205,5 +201,4 @@ def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     # Here, for pictures take longer to import than all else together.
     from evpinn_ros.report.drive_page import write_replayed
 
-    command = shlex.join(["evpinn", *sys.argv[1:]])
-    write_replayed(path, car.done, car.vehicle, car.options, command, units)
+    write_replayed(path, car.done, car.vehicle, car.options, command_line(), units)

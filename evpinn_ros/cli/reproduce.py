@@ -6,15 +6,22 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from enum import Enum
 from pathlib import Path
-import shlex
-import sys
 import time
 from typing import Annotated
 
 import torch
 import typer
 
-from evpinn_ros.cli.console import Report, note, progress_bar, results, say, show, write_json
+from evpinn_ros.cli.console import (
+    Report,
+    command_line,
+    note,
+    progress_bar,
+    results,
+    say,
+    show,
+    write_json,
+)
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
@@ -185,7 +192,7 @@ def _print(table: ResultTable) -> None:
 
 def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str) -> None:
     """Report, results and what was found, each in the folder."""
-    command = shlex.join(["evpinn", *sys.argv[1:]])
+    command = command_line()
     report, numbers = folder / "report.html", folder / "results.json"
     state, vehicle = folder / "state.json", folder / "vehicle.yaml"
     with as_input_error(f"{folder}: cannot be written"):

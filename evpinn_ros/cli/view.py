@@ -84,6 +84,6 @@ def _play(reader: BagReader, server: FoxgloveServer, rate: float) -> None:
         before_ns = record.log_time_ns
         time.sleep(max(due - time.monotonic(), 0.0))
         server.send_time(record.log_time_ns)
-        server.send(record.topic, record.type_name, record.data, record.log_time_ns)
+        server.send(record.topic, record.type_name, record.message, record.log_time_ns)
     if before_ns is None:
         raise InputError(f"{reader.path}: no message that can be shown")

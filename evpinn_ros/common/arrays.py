@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+Columns = TypeVar("Columns", bound=tuple[Any, ...])
 
 
 def namespace(array: Any) -> Any:
@@ -21,3 +23,8 @@ def like(array: np.ndarray, example: Any) -> Any:
     if namespace(example) is np:
         return array
     return namespace(example).as_tensor(array, dtype=example.dtype, device=example.device)
+
+
+def chosen_rows(columns: Columns, chosen: np.ndarray) -> Columns:
+    """A NamedTuple of arrays, shape (n,) each: the rows at some indices, or under a mask."""
+    return type(columns)(*(column[chosen] for column in columns))

@@ -22,12 +22,31 @@ class InputError(Exception):
 
 
 @contextmanager
-def as_input_error(what: object) -> Iterator[None]:
-    """Say in one line what of the system failed in a block, after `what`: a path in most cases."""
+def as_input_error(what: object = None, *kinds: type[Exception]) -> Iterator[None]:
+    """Say in one line what failed in a block: the system, or foreign code by an error of `kinds`.
+
+    The line begins with `what`, a path in most cases; if not given, the file of the error.
+    """
+    caught: tuple[type[Exception], ...] = (OSError, *kinds)
     try:
         yield
-    except OSError as error:
-        raise InputError(f"{what}: {error.strerror or error}") from error
+    except caught as error:
+        begin = getattr(error, "filename", None) if what is None else what
+        raise InputError(f"{begin}: {reason_of(error)}") from error
+
+
+@contextmanager
+def extra_needed(what: str, extra: str) -> Iterator[None]:
+    """Say in one line for what a package of an extra is missing, where a block imports it."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{what}: pip install 'evpinn_ros[{extra}]'") from error
+
+
+def reason_of(error: BaseException) -> str:
+    """Reason of an error in one line: that of the system without its number and file."""
+    return getattr(error, "strerror", None) or one_line(error)
 
 
 def one_line(error: BaseException) -> str:

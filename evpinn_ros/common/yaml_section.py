@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from evpinn_ros.common.errors import InputError, known_names
+from evpinn_ros.common.errors import InputError, as_input_error, known_names
 from evpinn_ros.common.plain_file import open_file
 
 MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
@@ -43,10 +43,8 @@ def load_plain(path: Path, title: str, most_bytes: int) -> Any:
         InputError: no such file, or not YAML of plain values.
     """
     node = _root(path, title, most_bytes)
-    try:
+    with as_input_error(path, ValueError):
         return plain(node)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def plain_text(text: str) -> Any:
@@ -121,13 +119,9 @@ def _refusal(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
 
 
 def _root(path: Path, title: str, most_bytes: int) -> yaml.Node:
-    try:
-        with open_file(path) as file:
-            text = file.read(most_bytes + 1)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except ValueError as error:  # no file can have such a name
-        raise InputError(f"{path}: {error}") from error
+    # A ValueError where no file can have such a name.
+    with as_input_error(path, ValueError), open_file(path) as file:
+        text = file.read(most_bytes + 1)
     if len(text) > most_bytes:
         raise InputError(f"{path}: larger than {most_bytes} bytes, not a {title}")
     try:

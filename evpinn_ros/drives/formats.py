@@ -9,7 +9,7 @@ import zlib
 from evpinn_ros.bags.can_frames import BAG_SUFFIXES
 from evpinn_ros.can.log_readers import GVRET_HEADER
 from evpinn_ros.can.logs import LOG_SUFFIXES
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import as_input_error
 from evpinn_ros.common.plain_file import open_file
 from evpinn_ros.common.unpacking import open_gzipped
 from evpinn_ros.drives.measurement import holds_signals
@@ -40,11 +40,11 @@ def is_drive_table(path: Path) -> bool:
         return holds_signals(path)
     if suffix != ".csv":
         return True
-    try:
-        with open_gzipped(path) if path.suffix == ".gz" else open_file(path) as file:
-            header = file.readline(10_000)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: {error}") from error
+    with (
+        as_input_error(path, EOFError, zlib.error),
+        open_gzipped(path) if path.suffix == ".gz" else open_file(path) as file,
+    ):
+        header = file.readline(10_000)
     return not any(column in header for column in FRAME_COLUMNS)
 
 

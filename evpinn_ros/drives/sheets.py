@@ -12,7 +12,7 @@ import zipfile
 
 import polars as pl
 
-from evpinn_ros.common.errors import InputError, one_line
+from evpinn_ros.common.errors import InputError, as_input_error, extra_needed
 from evpinn_ros.drives.text_table import MOST_COLUMNS, Row
 
 MOST_EMPTY = 1000  # rows in a row that hold nothing: the sheet is over
@@ -36,12 +36,8 @@ class SheetTable:
             InputError: it is none, or openpyxl is not installed.
         """
         self.path = path
-        try:
-            with zipfile.ZipFile(path) as archive:
-                parts = archive.infolist()
-        except (OSError, zipfile.BadZipFile) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{path}: {reason}") from error
+        with as_input_error(path, zipfile.BadZipFile), zipfile.ZipFile(path) as archive:
+            parts = archive.infolist()
         unpacked = sum(part.file_size for part in parts)
         if unpacked > MOST_UNPACKED or unpacked > MOST_RATIO * path.stat().st_size + (1 << 20):
             raise InputError(f"{path}: unpacks to over {MOST_RATIO} times its size")
@@ -75,11 +71,8 @@ class SheetTable:
         Raises:
             InputError: it cannot be read.
         """
-        try:
+        with extra_needed(f"{self.path}: .xlsx needs openpyxl", "tables"):
             import openpyxl
-        except ImportError as error:
-            say = "pip install 'evpinn_ros[tables]'"
-            raise InputError(f"{self.path}: .xlsx needs openpyxl; {say}") from error
         try:
             book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
             try:
@@ -141,10 +134,8 @@ class ParquetTable:
             InputError: it is no Parquet file.
         """
         self.path = path
-        try:
+        with as_input_error(path, pl.exceptions.PolarsError):
             schema = pl.read_parquet_schema(path)
-        except (OSError, pl.exceptions.PolarsError) as error:
-            raise InputError(f"{path}: {one_line(error)[:200]}") from error
         # Nested columns hold no signal; a Parquet of ours or of pandas has none.
         self._columns = [name for name, kind in schema.items() if not kind.is_nested()]
         if len(self._columns) > MOST_COLUMNS:
@@ -170,8 +161,6 @@ class ParquetTable:
 
     def _part(self, start: int, count: int) -> list[list[str]]:
         columns = pl.col(self._columns).cast(pl.String, strict=False)
-        try:
+        with as_input_error(self.path, pl.exceptions.PolarsError):
             part = pl.scan_parquet(self.path).select(columns).slice(start, count).collect()
-        except (OSError, pl.exceptions.PolarsError) as error:
-            raise InputError(f"{self.path}: {one_line(error)[:200]}") from error
         return [["" if cell is None else cell for cell in row] for row in part.iter_rows()]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 import zlib
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error, reason_of
 from evpinn_ros.common.plain_file import LONGEST_LINE, open_file
 from evpinn_ros.common.unpacking import open_gzipped
 
@@ -74,8 +74,7 @@ class TextTable:
                     yield self._line, row
         except READ_ERRORS as error:
             where = f"{self.path}:{self._line + 1}" if self._line else str(self.path)
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{where}: {reason}") from error
+            raise InputError(f"{where}: {reason_of(error)}") from error
 
     def last_row(self) -> list[str]:
         """The cells of the last line, none where the file does not show its end."""
@@ -89,12 +88,8 @@ class TextTable:
 
     def _separator(self) -> str:
         """Separator of a line `sep=;`, or the sign that most lines have in the same number."""
-        try:
-            with self._open() as file:
-                lines = list(islice(self._lines(file), LOOKED_AT))
-        except READ_ERRORS as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{self.path}: {reason}") from error
+        with as_input_error(self.path, *READ_ERRORS), self._open() as file:
+            lines = list(islice(self._lines(file), LOOKED_AT))
         lines = [line for line in lines if line.strip()]
         if lines and _says_separator(lines[0]):
             rest = lines[0].strip('\ufeff"\r\n ')[4:]

@@ -28,14 +28,14 @@ from evpinn_ros.energy.plausible import (
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
 from evpinn_ros.energy.trip import SavedTrip, Stretch, TripLog
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STATE_VERSION = 1
 LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
 SUMMARY_NS = NANOSECONDS  # between two summaries
 
 
-class Totals(NamedTuple):
+class EnergyTotals(NamedTuple):
     """Totals counted over some time.
 
     Attributes:
@@ -61,9 +61,9 @@ class Totals(NamedTuple):
         """Drawn less regenerated energy, J."""
         return Uncertain(self.drawn - self.regenerated, math.sqrt(self.variance))
 
-    def plus(self, other: Totals) -> Totals:
+    def plus(self, other: EnergyTotals) -> EnergyTotals:
         """Both together."""
-        return Totals(*(a + b for a, b in zip(self, other, strict=True)))
+        return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 class TripCorrection(NamedTuple):
@@ -84,7 +84,7 @@ class SavedAccount:
     charge: SavedGauge
     battery: Annotated[SavedBattery | None, ADDED]
     correction: TripCorrection
-    before_reset: Totals
+    before_reset: EnergyTotals
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +105,8 @@ class AccountSummary:
     """
 
     stamp_ns: int
-    since_reset: Totals
-    lifetime: Totals
+    since_reset: EnergyTotals
+    lifetime: EnergyTotals
     consumption: Mapping[str, float]
     charge: Uncertain
     projected: bool
@@ -147,9 +147,9 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.trip = TripLog()
         self.gauge.reset()
         self.battery.reset()
-        self._begin(Totals(), TripCorrection())
+        self._begin(EnergyTotals(), TripCorrection())
 
-    def _begin(self, before: Totals, correction: TripCorrection) -> None:
+    def _begin(self, before: EnergyTotals, correction: TripCorrection) -> None:
         self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
@@ -212,10 +212,13 @@ class EnergyAccount(Saveable[SavedAccount]):
             return
         self.trip.update(stamp_ns, speed, self.meter.consumed)
 
-    def add_battery(self, reading: BatteryReading) -> None:
-        """Take what the battery tells of itself: state of charge, voltage and current."""
-        self.battery.add_reading(reading)
-        self.add_charge(reading.stamp_ns, reading.state_of_charge)
+    def add_reading(self, reading: Reading) -> None:
+        """Take a speed, or what the battery tells of itself; other readings count nothing here."""
+        if isinstance(reading, SpeedReading):
+            self.add_speed(reading.stamp_ns, reading.speed)
+        elif isinstance(reading, BatteryReading):
+            self.battery.add_reading(reading)
+            self.add_charge(reading.stamp_ns, reading.state_of_charge)
 
     def add_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
@@ -263,10 +266,10 @@ class EnergyAccount(Saveable[SavedAccount]):
         consumed = state.consumed + self._correction.energy
         return replace(state, consumed=consumed, consumed_sigma=sigma)
 
-    def since_reset(self) -> Totals:
+    def since_reset(self) -> EnergyTotals:
         """Totals since the last reset."""
         state, stretch = self.state, self.trip.total
-        return Totals(
+        return EnergyTotals(
             drawn=state.consumed + state.regenerated.energy,
             regenerated=state.regenerated.energy,
             variance=state.consumed_sigma**2,
@@ -276,7 +279,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             unknown_s=state.unknown_s,
         )
 
-    def lifetime(self) -> Totals:
+    def lifetime(self) -> EnergyTotals:
         """Totals since the first start."""
         return self._before_reset.plus(self.since_reset())
 
@@ -309,7 +312,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             self._remaining(usable, consumption),
         )
 
-    def _consumption(self, since_reset: Totals, lifetime: Totals) -> dict[str, float]:
+    def _consumption(self, since_reset: EnergyTotals, lifetime: EnergyTotals) -> dict[str, float]:
         found = {f"{w.length / 1e3:g}": w.total for w in self.trip.windows if w.known}
         for name, totals in (("trip", since_reset), ("lifetime", lifetime)):
             if totals.distance >= LEAST_DISTANCE:

@@ -20,7 +20,7 @@ import signal
 import threading
 from typing import Any, Generic, Protocol, TypeVar
 
-from evpinn_ros.common.errors import InputError, with_kind
+from evpinn_ros.common.errors import InputError, extra_needed, one_line, with_kind
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -105,17 +105,15 @@ class DaskExecutor:
         Raises:
             InputError: Dask is not installed, nothing answers, or there is no worker.
         """
-        try:
+        with extra_needed("--scheduler needs Dask", "fleet"):
             from distributed import Client
-        except ImportError as error:
-            raise InputError("--scheduler needs Dask: pip install 'evpinn_ros[fleet]'") from error
         self._running: dict[Any, Any] = {}
         try:
             asyncio.run(_identify(address))
             self._client = Client(address, timeout=PATIENCE, set_as_default=False)
         except Exception as error:  # whatever answers there may answer anything
-            reason = str(error) or type(error).__name__
-            raise InputError(f"--scheduler {address}: no scheduler answers: {reason}") from error
+            why = f"no scheduler answers: {one_line(error)}"
+            raise InputError(f"--scheduler {address}: {why}") from error
         try:
             self._client.wait_for_workers(1, timeout=PATIENCE)
         except asyncio.TimeoutError as error:

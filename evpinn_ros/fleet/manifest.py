@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_file import open_file
 from evpinn_ros.common.yaml_section import compose
 from evpinn_ros.drives.formats import recordings
@@ -136,10 +136,8 @@ def _top_folder(given: Path, drive: Path) -> Path:
 
 
 def _recordings(path: Path) -> list[Path]:
-    try:
+    with as_input_error():
         return list(recordings(path))
-    except OSError as error:
-        raise InputError(f"{error.filename or path}: {error.strerror}") from error
 
 
 def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
@@ -147,20 +145,16 @@ def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
     path = base / pattern
     found = [path]
     if not path.exists():
-        try:
+        with as_input_error(where or pattern, ValueError):
             found = list(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
-        except ValueError as error:
-            raise InputError(f"{where or pattern}: {error}") from error
     if not found:
         raise InputError(f"{where or path}: {pattern}: nothing there")
     return [each.resolve() for each in found]
 
 
 def _vehicle(line: _Line, base: Path) -> Vehicle:
-    try:
+    with as_input_error(line.where, InputError):
         return load_model(line.vehicle, base)
-    except InputError as error:
-        raise InputError(f"{line.where}: {error}") from error
 
 
 def _yaml_lines(path: Path) -> Iterator[_Line]:
@@ -174,16 +168,16 @@ def _yaml_lines(path: Path) -> Iterator[_Line]:
 
 
 def _csv_lines(path: Path) -> Iterator[_Line]:
-    try:
-        with TextIOWrapper(open_file(path), "utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file)
-            if set(rows.fieldnames or ()) != set(COLUMNS):
-                raise InputError(f"{path}:1: the columns must be {', '.join(COLUMNS)}")
-            for row in rows:
-                where = f"{path}:{rows.line_num}"
-                cells = [(row[name] or "").strip() for name in COLUMNS]
-                if not all(cells) or None in row:
-                    raise InputError(f"{where}: expected {', '.join(COLUMNS)}")
-                yield _Line(where, *cells)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: {error}") from error
+    with (
+        as_input_error(path, UnicodeDecodeError, csv.Error),
+        TextIOWrapper(open_file(path), "utf-8-sig", newline="") as file,
+    ):
+        rows = csv.DictReader(file)
+        if set(rows.fieldnames or ()) != set(COLUMNS):
+            raise InputError(f"{path}:1: the columns must be {', '.join(COLUMNS)}")
+        for row in rows:
+            where = f"{path}:{rows.line_num}"
+            cells = [(row[name] or "").strip() for name in COLUMNS]
+            if not all(cells) or None in row:
+                raise InputError(f"{where}: expected {', '.join(COLUMNS)}")
+            yield _Line(where, *cells)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.errors import as_input_error, extra_needed
 from evpinn_ros.common.fsync import replaced
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.fleet.car import read_result
@@ -79,10 +79,8 @@ def require_parquet() -> None:
     Raises:
         InputError: pyarrow is not installed.
     """
-    try:
+    with extra_needed("results are Parquet", "fleet"):
         import pyarrow.parquet  # noqa: F401
-    except ImportError as error:
-        raise InputError("results are Parquet: pip install 'evpinn_ros[fleet]'") from error
 
 
 def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> FleetSummary:

@@ -1,12 +1,11 @@
 """The live view as an object for scripts: what `evpinn watch --json` prints once a second.
 
-SI units; None where nothing is known. The current keeps the sign of `battery/state`; power and
-energy are positive when drawn from the battery.
+SI units; None or NaN where nothing is known. The current keeps the sign of `battery/state`; power
+and energy are positive when drawn from the battery.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import math
 from typing import Any
 
@@ -16,29 +15,29 @@ from evpinn_ros.live.state import POWERS, LiveState
 
 
 def as_json(state: LiveState, now: float) -> dict[str, Any]:
-    """State of the system, ready for `json.dumps`."""
+    """State of the system, ready for `json_text`."""
     battery = state.fresh_battery(now)
+    parts, sigmas = state.vector(topics.ENERGY_BREAKDOWN), state.sigmas(topics.ENERGY_BREAKDOWN)
     return {
-        "speed_mps": _known(state.fresh_speed(now)),
-        "voltage_v": _known(battery.voltage) if battery else None,
-        "current_a": _known(battery.current) if battery else None,
+        "speed_mps": state.fresh_speed(now),
+        "voltage_v": battery.voltage if battery else None,
+        "current_a": battery.current if battery else None,
         "power_w": {name: _estimate(*state.power(topic, now)) for topic, name in POWERS.items()},
         "receiving": state.received,
-        "state_of_charge": _known(state.charge()),
-        "wh_per_km": _known(state.consumption()),
-        "energy_j": _numbers(state.vector(topics.ENERGY_STATE)),
+        "state_of_charge": state.charge(),
+        "wh_per_km": state.consumption(),
+        "energy_j": state.vector(topics.ENERGY_STATE),
         "breakdown_j": {
-            name: _estimate(value, state.sigmas(topics.ENERGY_BREAKDOWN).get(name, math.nan))
-            for name, value in state.vector(topics.ENERGY_BREAKDOWN).items()
+            name: _estimate(value, sigmas.get(name, math.nan)) for name, value in parts.items()
         },
-        "consumption": _numbers(state.vector(topics.ENERGY_CONSUMPTION)),
-        "range_m": _numbers(state.vector(topics.ENERGY_RANGE)),
+        "consumption": state.vector(topics.ENERGY_CONSUMPTION),
+        "range_m": state.vector(topics.ENERGY_RANGE),
         "parameters": {
             row.name: {
                 **_estimate(row.value, row.sigma),
-                "prior_share": _known(row.prior_share),
-                "lower": _known(row.lower),
-                "upper": _known(row.upper),
+                "prior_share": row.prior_share,
+                "lower": row.lower,
+                "upper": row.upper,
                 "state": row.state or None,
             }
             for row in state.parameters()
@@ -51,13 +50,5 @@ def as_json(state: LiveState, now: float) -> dict[str, Any]:
     }
 
 
-def _estimate(value: float, std: float) -> dict[str, float | None]:
-    return {"value": _known(value), "std": _known(std)}
-
-
-def _numbers(found: Mapping[str, float]) -> dict[str, float | None]:
-    return {name: _known(value) for name, value in found.items()}
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _estimate(value: float, std: float) -> dict[str, float]:
+    return {"value": value, "std": std}

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from io import TextIOWrapper
-import json
 import multiprocessing
 import os
 import signal
@@ -22,6 +21,7 @@ from rich.console import Console
 from rich.live import Live
 
 from evpinn_ros.common.errors import InputError, printable
+from evpinn_ros.common.json_text import json_text
 from evpinn_ros.live.json_view import as_json
 from evpinn_ros.live.screen import plain_line, problem_lines, screen
 from evpinn_ros.live.state import NOTHING, WATCHED, LiveState
@@ -151,8 +151,7 @@ def _plain(out: TextIO) -> Show:
 
 
 def _print_json(state: LiveState, now: float) -> None:
-    found = {"time_s": time.time(), **as_json(state, now)}
-    print(json.dumps(found, allow_nan=False), flush=True)
+    print(json_text({"time_s": time.time(), **as_json(state, now)}), flush=True)
 
 
 def _follow(listener: LiveListener, period: float, show: Show) -> None:

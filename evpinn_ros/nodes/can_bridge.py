@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 import threading
 from typing import Any
@@ -22,6 +22,7 @@ from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.recorder import RawFrames
+from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import bus_options
 from evpinn_ros.topics.readings import reading_messages
@@ -170,8 +171,7 @@ class CanBridgeNode(GuardedNode):
         if isinstance(self._source, LogPlayer):
             with self._lock:
                 readings = self._bridge.finish()
-            for reading in readings:
-                self.publish(reading_messages(new_message, reading))
+            self._publish_all(readings)
 
     def _send(self, frame: CanFrame) -> bool:
         return isinstance(self._source, BusReader) and self._source.send(frame)
@@ -181,6 +181,9 @@ class CanBridgeNode(GuardedNode):
             self._record.append((self.now_ns(), frame))
         with self._lock:
             readings = self._bridge.decode(frame)
+        self._publish_all(readings)
+
+    def _publish_all(self, readings: Iterable[Reading]) -> None:
         for reading in readings:
             self.publish(reading_messages(new_message, reading))
 

@@ -26,7 +26,7 @@ from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.nodes.plan_service import answer_plans
 from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.signals.time_jump import StampGuard
 from evpinn_ros.topics import Topic
@@ -156,10 +156,7 @@ class EnergyNode(StatefulNode):
         reading, topic = to_reading(topic.type_name, message), self.stream(topic)
         guard, jumped = self._reading_guard, self.account.begin_readings_anew
         for admitted in self.in_order(topic, reading.stamp_ns, reading, guard, jumped):
-            if isinstance(admitted, SpeedReading):
-                self.account.add_speed(admitted.stamp_ns, admitted.speed)
-            else:
-                self.account.add_battery(admitted)
+            self.account.add_reading(admitted)
 
     def _on_model(self, message: Any) -> None:
         self.forecaster.set_model(read_model(message, self._vehicle.key))

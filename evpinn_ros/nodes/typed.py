@@ -24,7 +24,7 @@ def typed(topic: Topic, name: str) -> Topic:
     """The typed topic beside one of the contract."""
     text = f"`{topic.name}` as `{PACKAGE}/{name}`"
     type_name = f"{PACKAGE}/msg/{name}"
-    return Topic(f"typed/{topic.name}", type_name, topic.source, text, topic.unit, topic.latched)
+    return Topic(f"typed/{topic.name}", topic.source, text, topic.unit, type_name, topic.latched)
 
 
 TYPED = {

@@ -9,7 +9,7 @@ import time
 
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.drives.sources import Source, open_source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.state_file import read_state, write_state
@@ -137,10 +137,8 @@ def _restore(chain: Chain, state: Path | None) -> None:
     saved = read_state(state) if state is not None else None
     if saved is None:
         return
-    try:
+    with as_input_error(state, ValueError):
         chain.estimator.restore(saved)
-    except ValueError as error:
-        raise InputError(f"{state}: {error}") from error
     chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
 
 

@@ -12,7 +12,7 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
 from evpinn_ros.estimation.worker import Worker
-from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import Reading, SpeedReading
 from evpinn_ros.signals.time_jump import (
     DEFAULT_RULE,
     Jump,
@@ -74,10 +74,7 @@ class Chain:
         if isinstance(reading, Jump):
             self._jump()
             return
-        if isinstance(reading, SpeedReading):
-            self.account.add_speed(reading.stamp_ns, reading.speed)
-        elif isinstance(reading, BatteryReading):
-            self.account.add_battery(reading)
+        self.account.add_reading(reading)
         for output in self.estimator.add_reading(reading):
             yield output
             if not isinstance(output, PowerEstimate):

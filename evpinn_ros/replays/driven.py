@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import known_at, longest_step
 
 
-class Steps(NamedTuple):
+class DrivenSteps(NamedTuple):
     """Steps of a drive between readings, none across a gap; shape (n,) each.
 
     Attributes:
@@ -27,33 +28,29 @@ class Steps(NamedTuple):
     distance: np.ndarray
     energy: np.ndarray
 
-    def those(self, chosen: np.ndarray) -> Steps:
-        """Some of them."""
-        return Steps(*(column[chosen] for column in self))
 
-
-def travelled(drive: Drive) -> Steps:
+def travelled(drive: Drive) -> DrivenSteps:
     """Steps between readings of the speed."""
     rows = rising(drive.speed)
     return _steps(rows, np.zeros(len(rows)), np.ones(len(rows), dtype=bool))
 
 
-def measured_steps(drive: Drive) -> Steps:
+def measured_steps(drive: Drive) -> DrivenSteps:
     """Steps between readings of the battery over which speed is known too."""
     time, power = drive.measured.T
     speed, known = known_at(rising(drive.speed), time)
     return _steps(np.column_stack((time, speed)), power, known)
 
 
-def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> Steps:
+def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> DrivenSteps:
     time, speed = rows[:, 0], np.abs(rows[:, 1])
     steps = np.diff(time)
     middle = (speed[1:] + speed[:-1]) / 2
     with np.errstate(over="ignore"):  # a bag may hold powers that no battery has
         energy = (power[1:] / 2 + power[:-1] / 2) * steps
-    found = Steps(time[1:], steps, middle, middle * steps, energy)
+    found = DrivenSteps(time[1:], steps, middle, middle * steps, energy)
     whole = known[1:] & known[:-1] & (steps <= longest_step(time))
-    return found.those(whole & np.isfinite(found.energy))
+    return chosen_rows(found, whole & np.isfinite(found.energy))
 
 
 def rising(rows: np.ndarray) -> np.ndarray:

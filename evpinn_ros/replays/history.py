@@ -6,7 +6,7 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
 MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then
+SERIES = dict.fromkeys(("speed", "altitude", "charge", "temperature", "jumps"), 2)
+SERIES |= {"position": 3, "energy": 4}
+"""Series of a `Drive` that are kept as they come, and their columns."""
 
 
 class Columns:
@@ -128,11 +131,8 @@ class History:
         self._start_ns: int | None = None
         self._last_ns = self._offset_ns = 0
         self._jumped: Jump | None = None
-        self._jumps = Columns(2)
-        self._speed, self._energy = Columns(2), Columns(4)
+        self._series = {name: Columns(width) for name, width in SERIES.items()}
         self._voltage, self._current = Columns(2), Columns(2)
-        self._altitude, self._charge, self._temperature = Columns(2), Columns(2), Columns(2)
-        self._position = Columns(3)
         self._combinations = {name: Columns(3) for name in IDENTIFIABLE_NAMES}
         self._detections: list[Detection] = []
         self._models: list[KnownModel] = []
@@ -160,25 +160,25 @@ class History:
             self._start_ns = self._last_ns = reading.stamp_ns
         if self._jumped is not None:
             self._offset_ns = self._last_ns + JUMP_GAP - reading.stamp_ns
-            self._jumps.add(self.seconds(reading.stamp_ns), self._jumped.seconds)
+            self._series["jumps"].add(self.seconds(reading.stamp_ns), self._jumped.seconds)
             self._jumped = None
         self._last_ns = max(self._last_ns, self.moment(reading.stamp_ns))
         time = self.seconds(reading.stamp_ns)
         if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
-            self._speed.add(time, reading.speed)
+            self._series["speed"].add(time, reading.speed)
         elif isinstance(reading, BatteryReading):
             if math.isfinite(reading.voltage):
                 self._voltage.add(time, reading.voltage)
             if math.isfinite(reading.current):
                 self._current.add(time, reading.current)
             if math.isfinite(reading.state_of_charge):
-                self._charge.add(time, reading.state_of_charge)
+                self._series["charge"].add(time, reading.state_of_charge)
         elif isinstance(reading, AltitudeReading) and math.isfinite(reading.altitude):
-            self._altitude.add(time, reading.altitude)
+            self._series["altitude"].add(time, reading.altitude)
             if reading.has_position:
-                self._position.add(time, reading.latitude, reading.longitude)
+                self._series["position"].add(time, reading.latitude, reading.longitude)
         elif isinstance(reading, TemperatureReading) and math.isfinite(reading.celsius):
-            self._temperature.add(time, reading.celsius)
+            self._series["temperature"].add(time, reading.celsius)
 
     def add_output(self, output: ChainOutput) -> None:
         """Take the outputs of the chain for the last reading."""
@@ -188,7 +188,7 @@ class History:
         if isinstance(output, EnergyState):
             predicted, rknn = output.predicted.energy, output.rknn.energy
             if math.isfinite(predicted) and math.isfinite(rknn):  # not before the first step
-                self._energy.add(time, predicted, rknn, output.predicted.sigma)
+                self._series["energy"].add(time, predicted, rknn, output.predicted.sigma)
         elif isinstance(output, PowerEstimate):
             if output.kind in self._power:
                 lag = (self._last_ns - self.moment(output.stamp_ns)) / NANOSECONDS
@@ -237,25 +237,20 @@ class History:
 
     def drive(self, model: LinearPower | None = None) -> Drive:
         """The series so far, with the car as it is known now."""
+        plain: dict[str, Any] = {name: rows.values() for name, rows in self._series.items()}
         return Drive(
+            **plain,
             duration=self._now,
-            speed=self._speed.values(),
             measured=self._measured(),
             smoothed=PowerSeries(*self._power[PowerKind.SMOOTHED].values().T),
             newest=PowerSeries(*self._power[PowerKind.PREDICTED].values().T),
-            energy=self._energy.values(),
             parameters={name: rows.values() for name, rows in self._parameters.items()},
             final=self._final,
             start_ns=self._start_ns or 0,
-            altitude=self._altitude.values(),
-            position=self._position.values(),
-            charge=self._charge.values(),
-            temperature=self._temperature.values(),
             combinations={name: rows.values() for name, rows in self._combinations.items()},
             detections=tuple(self._detections),
             models=tuple(self._models),
             model=model,
-            jumps=self._jumps.values(),
             breakdown=self._breakdown,
         )
 

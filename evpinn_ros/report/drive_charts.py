@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import ForecastOutcome
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.parameter_text import DECIMALS
@@ -72,12 +73,12 @@ def error_chart(drive: Drive, points: int) -> Chart:
     return _time_chart(grid, "error, kW", 2, lines)
 
 
-def energy_chart(drive: Drive, steps: Steps, points: int) -> Chart:
+def energy_chart(drive: Drive, steps: DrivenSteps, points: int) -> Chart:
     """Energy since the start: measured, predicted with its 90 % band, by the RK network."""
     time, predicted, rknn, sigma = drive.energy.T
     grid = grid_for(time if len(time) else drive.speed[:, 0], drive.duration, points)
     half = GAUSSIAN_QUANTILE * sigma
-    steps = steps.those(steps.end > (time[0] if len(time) else 0.0))
+    steps = chosen_rows(steps, steps.end > (time[0] if len(time) else 0.0))
     lines = [
         _line("measured", "measured", steps.end, np.cumsum(steps.energy) / JOULES_PER_WH, grid),
         *_with_band("predicted", time, predicted, half, JOULES_PER_WH, grid),

@@ -7,7 +7,7 @@ import numpy as np
 from evpinn_ros.common.units import Units
 from evpinn_ros.energy.power_model import Motion, PowerModel
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.report.drive_charts import JOULES_PER_WH, Chart
@@ -19,7 +19,7 @@ LEAST_SHARE = 0.02  # and so much of the drive: to pass through a speed is not t
 SHOWN_SPEED = 36.0  # m/s: a steady speed is shown up to here however slow the drive was
 
 
-def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: Steps, units: Units) -> Chart:
+def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units: Units) -> Chart:
     """Energy over distance by speed: measured in bins, and at steady speed on a flat road.
 
     Steps count where they are slow or fast, so what it took to speed up is in the bins on the
@@ -51,11 +51,13 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: Steps, units: Unit
     }
 
 
-def running_totals(travelled: Steps, measured: Steps, duration: float, points: int) -> Chart:
+def running_totals(
+    travelled: DrivenSteps, measured: DrivenSteps, duration: float, points: int
+) -> Chart:
     """Distance, m, and of where power was measured distance, m, and energy, J, over time."""
     time = np.linspace(0.0, max(duration, 1.0), points)
 
-    def total(steps: Steps, values: np.ndarray) -> dict[str, object]:
+    def total(steps: DrivenSteps, values: np.ndarray) -> dict[str, object]:
         if not len(values):
             return packed(np.zeros(points))
         return packed(np.interp(time, steps.end, np.cumsum(values), left=0.0))

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.units import Units
-from evpinn_ros.replays.driven import Steps, rising
+from evpinn_ros.replays.driven import DrivenSteps, rising
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, longest_step, measured_at, scored
 from evpinn_ros.report.thinning import packed
@@ -43,10 +44,6 @@ class Moments(NamedTuple):
     seconds: np.ndarray
     error: np.ndarray
 
-    def those(self, chosen: np.ndarray) -> Moments:
-        """Some of them."""
-        return Moments(*(column[chosen] for column in self))
-
 
 def moments(drive: Drive) -> Moments:
     """The moments of `power/smoothed` at which the battery was measured."""
@@ -64,13 +61,13 @@ def moments(drive: Drive) -> Moments:
         np.nan_to_num(steps),
         (series.power - measured) / KILO,
     )
-    return every.those(known & np.isfinite(every.error))
+    return chosen_rows(every, known & np.isfinite(every.error))
 
 
 def scored_moments(drive: Drive, found: Moments, warm_up: float) -> Moments:
     """Those that count for scores."""
     counted = drive.smoothed.time[scored(drive, drive.smoothed, Span(warm_up, drive.duration))]
-    return found.those(np.isin(found.time, counted))
+    return chosen_rows(found, np.isin(found.time, counted))
 
 
 def driven_minutes(found: Moments) -> dict[str, float]:
@@ -86,7 +83,7 @@ def driven_minutes(found: Moments) -> dict[str, float]:
     return {name: float(found.seconds[kind].sum()) / 60 for name, kind in kinds.items()}
 
 
-def route_map(drive: Drive, steps: Steps, units: Units) -> Chart:
+def route_map(drive: Drive, steps: DrivenSteps, units: Units) -> Chart:
     """Map of the road, east and north of where the drive began, with mean measured power.
 
     A degree is as long as at the mean latitude, which is right to a pixel for what one drives in

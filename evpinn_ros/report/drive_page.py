@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.replays.drive_names import short_names
-from evpinn_ros.replays.driven import Steps, measured_steps, travelled
+from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
@@ -164,14 +164,14 @@ def _shaded(reported: ReportedDrive) -> Iterator[tuple[float, float]]:
         yield reported.withheld_from, reported.drive.duration
 
 
-def _energy_charts(reported: ReportedDrive, measured: Steps, units: Units) -> Charts:
+def _energy_charts(reported: ReportedDrive, measured: DrivenSteps, units: Units) -> Charts:
     drive = reported.drive
     yield "by_speed", speed_energy_chart(drive, reported.vehicle, measured, units)
     if len(drive.position) > 1:
         yield "map", drive_maps.route_map(drive, measured, units)
 
 
-def _curves(reported: ReportedDrive, measured: Steps, points: int, units: Units) -> Charts:
+def _curves(reported: ReportedDrive, measured: DrivenSteps, points: int, units: Units) -> Charts:
     """All over time."""
     drive, few = reported.drive, points // SMALL
     speed = drive.speed * (1.0, units.speeds)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from datetime import timedelta
 
 from evpinn_ros.common.units import JOULES_PER_KWH, Units
-from evpinn_ros.replays.driven import Steps
+from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.history import Drive
 
 LEAST_DISTANCE = 500.0  # m before energy over distance says something
@@ -14,7 +14,7 @@ NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured al
 
 
 def drive_tiles(
-    drive: Drive, travelled: Steps, measured: Steps, units: Units
+    drive: Drive, travelled: DrivenSteps, measured: DrivenSteps, units: Units
 ) -> Iterator[tuple[str, str]]:
     """Energy over distance, then the rest that is known of the drive."""
     far, energy = float(travelled.distance.sum()), float(measured.energy.sum())

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
@@ -34,10 +35,6 @@ class DriveLog(NamedTuple):
     speed: np.ndarray  # m/s
     acceleration: np.ndarray  # m/s^2, from a local quadratic
     power: np.ndarray  # battery power, V times I (eq. 11), W
-
-    def part(self, rows: np.ndarray) -> DriveLog:
-        """The samples at these indices or under this mask."""
-        return DriveLog(*(column[rows] for column in self))
 
 
 class ReadLog(NamedTuple):
@@ -87,7 +84,7 @@ def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
 def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
     """Share of the variance of power, `delay` before each sample of speed, that eq. 21 leaves."""
     known = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
-    _, speed, acceleration, _ = log.part(known)
+    _, speed, acceleration, _ = chosen_rows(log, known)
     power = np.interp(log.time[known] - delay, log.time, log.power)
     braking = acceleration < vehicle.beta
     kinetic = speed * acceleration

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.paper.log_parameters import standing_load
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.drive_log import DriveLog
@@ -247,7 +248,7 @@ def _scores(training: PowerTraining, split: str) -> list[Scored]:
     """Network and regression on the validation data of a training, and its baseline."""
     problem = training.problem
     log, rows = problem.log, problem.split
-    trained, held = log.part(rows.training), log.part(rows.validation)
+    trained, held = (chosen_rows(log, each) for each in rows)
     powers = {
         NETWORK: problem.predicted_power(training.optimizer.network, held),
         REGRESSION: least_squares_power(problem)[0],

@@ -18,6 +18,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import torch
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.paper.log_parameters import LEARNED, LogParameters, ParameterFit, standing_load
 from evpinn_ros.paper.network import PHYSICS_LOSS
 from evpinn_ros.reproduction.drive_log import DriveLog
@@ -132,10 +133,10 @@ class Problem:
         raw = inputs is InputForm.RAW
         self.inputs = (RAW, RAW) if raw else (Scale.of(log.speed), Scale.of(log.time))
         self.scale = Scale.of(log.power)
-        trained = log.part(split.training)
+        trained = chosen_rows(log, split.training)
         self.p_aux = standing_load(trained.speed, trained.power, vehicle.initial.p_aux)
         self.training = self._samples(trained)
-        self.validation = self._samples(log.part(split.validation))
+        self.validation = self._samples(chosen_rows(log, split.validation))
         self._parameters = LogParameters(vehicle)
 
     def values(self, log_scale: torch.Tensor) -> Parameters:

@@ -42,7 +42,7 @@ CRITERIA = (
 )
 
 
-class Answer(str, Enum):
+class ClaimAnswer(str, Enum):
     """Answer of a drive to a claim."""
 
     HOLDS = "holds"
@@ -55,7 +55,7 @@ class Finding(NamedTuple):
     """One claim of the paper."""
 
     claim: str  # of the paper
-    answer: Answer  # of this drive
+    answer: ClaimAnswer  # of this drive
     measured: str  # behind the answer
 
     def __str__(self) -> str:
@@ -73,11 +73,11 @@ def _fits(outcome: Outcome) -> Finding:
     asked = max(each[-1].validation.total for each in published)
     reached = outcome.power_rows[-1].validation.total
     if reached <= asked:
-        answer = Answer.HOLDS
+        answer = ClaimAnswer.HOLDS
     elif settings.epochs < DEFAULT_EPOCHS[settings.optimizer]:
-        answer = Answer.OPEN
+        answer = ClaimAnswer.OPEN
     else:
-        answer = Answer.FAILS
+        answer = ClaimAnswer.FAILS
     other = "" if settings.optimizer is OptimizerName.ADAM else ", not the paper's adam"
     line = _score(outcome, BASELINES[RANDOM], RANDOM).data_loss
     return Finding(
@@ -93,12 +93,12 @@ def _predicts(outcome: Outcome) -> tuple[Finding, Finding]:
     """Power and energy of the last fifth of the drive, on which nothing was trained."""
     network = _score(outcome, NETWORK, CHRONOLOGICAL)
     physics = _score(outcome, REGRESSION, CHRONOLOGICAL)
-    power = energy = Answer.OPEN
+    power = energy = ClaimAnswer.OPEN
     if network.r2 is not None:
-        power = Answer.HOLDS if network.r2 >= GOOD_R2 else Answer.FAILS
+        power = ClaimAnswer.HOLDS if network.r2 >= GOOD_R2 else ClaimAnswer.FAILS
     if network.energy_error_percent is not None:
         good = abs(network.energy_error_percent) <= GOOD_ENERGY
-        energy = Answer.HOLDS if good else Answer.FAILS
+        energy = ClaimAnswer.HOLDS if good else ClaimAnswer.FAILS
     held = _score(outcome, TIME_HELD, CHRONOLOGICAL)
     why = ""
     if network.r2 is not None and held.r2 is not None and held.r2 - network.r2 > EXPLAINING:
@@ -124,7 +124,7 @@ def _predicts(outcome: Outcome) -> tuple[Finding, Finding]:
 def _parameters(outcome: Outcome) -> Finding:
     known = [row.name for row in outcome.combinations if row.determined]
     guessed = [row.name for row in outcome.parameters if not row.determined]
-    answer = (Answer.PARTLY if known else Answer.FAILS) if guessed else Answer.HOLDS
+    answer = (ClaimAnswer.PARTLY if known else ClaimAnswer.FAILS) if guessed else ClaimAnswer.HOLDS
     measured = f"the data determine {_named(known)}; not determined: {_named(guessed)}"
     table_five = f"Table V, {outcome.settings.form.value}"
     if any(each.method == table_five for each in outcome.scores):
@@ -140,9 +140,9 @@ def _integrates(outcome: Outcome) -> Finding:
     plain = float(np.median([row.dnn_validation for row in late]))
     paper = ENERGY_LOSSES[-1]
     if rknn <= BETTER * plain:
-        answer = Answer.HOLDS
+        answer = ClaimAnswer.HOLDS
     else:
-        answer = Answer.OPEN if last < paper.epoch else Answer.FAILS
+        answer = ClaimAnswer.OPEN if last < paper.epoch else ClaimAnswer.FAILS
     return Finding(
         "Runge-Kutta makes the energy network better",
         answer,

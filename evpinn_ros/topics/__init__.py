@@ -42,18 +42,18 @@ class Topic:
 
     Attributes:
         name: relative to the namespace, or absolute.
-        type_name: `package/msg/Type`.
         source: who publishes it.
         description: content, in one line.
         unit: of the content; empty where it has several or none.
+        type_name: `package/msg/Type`.
         latched: a late subscriber gets the last message.
     """
 
     name: str
-    type_name: str
     source: str
     description: str
     unit: str = ""
+    type_name: str = NAMED_VECTOR_TYPE
     latched: bool = False
 
     @property
@@ -82,125 +82,105 @@ class Topic:
         return full_name == self.name or full_name.endswith(f"/{self.name.lstrip('/')}")
 
 
-_TOPICS: list[Topic] = []
-
-
-def _topic(
-    name: str,
-    type_name: str,
-    source: str,
-    description: str,
-    unit: str = "",
-    *,
-    latched: bool = False,
-) -> Topic:
-    """A topic, which becomes the next of `TOPICS`."""
-    _TOPICS.append(Topic(name, type_name, source, description, unit, latched))
-    return _TOPICS[-1]
-
-
-def _vector(
-    name: str, source: str, description: str, unit: str = "", *, latched: bool = False
-) -> Topic:
-    """The topic of a named vector."""
-    return _topic(name, NAMED_VECTOR_TYPE, source, description, unit, latched=latched)
-
-
-SPEED = _topic(
+SPEED = Topic(
     "vehicle/speed",
-    SPEED_TYPE,
     "can_bridge",
     "`twist.twist.linear.x` in frame `base_link`, with the variance of its resolution",
     "m/s",
+    type_name=SPEED_TYPE,
 )
-ODOMETRY = _topic(
+ODOMETRY = Topic(
     "odom",
-    ODOMETRY_TYPE,
     "the car",
     "optional: `twist.twist.linear.x` as speed, until `vehicle/speed` is received",
     "m/s",
+    type_name=ODOMETRY_TYPE,
 )
-BATTERY = _topic(
+BATTERY = Topic(
     "battery/state",
-    BATTERY_TYPE,
     "can_bridge",
     "voltage and current of one moment, negative current discharges; NaN where not measured",
     "V, A",
+    type_name=BATTERY_TYPE,
 )
-BATTERY_VOLTAGE = _topic(
-    "battery/voltage", SCALAR_TYPE, "can_bridge", "the same voltage, for plots", "V"
+BATTERY_VOLTAGE = Topic(
+    "battery/voltage", "can_bridge", "the same voltage, for plots", "V", type_name=SCALAR_TYPE
 )
-BATTERY_CURRENT = _topic(
+BATTERY_CURRENT = Topic(
     "battery/current",
-    SCALAR_TYPE,
     "can_bridge",
     "the same current, for plots; negative discharges",
     "A",
+    type_name=SCALAR_TYPE,
 )
-IMU = _topic(
+IMU = Topic(
     "vehicle/imu",
-    IMU_TYPE,
     "the car",
     "optional grade source: grade = -pitch in `base_link`; of another frame with "
     "`imu_rotation_rpy` alone",
     "rad",
+    type_name=IMU_TYPE,
 )
-FIX = _topic(
-    "vehicle/fix", FIX_TYPE, "the car", "optional grade source: altitude over distance", "m"
+FIX = Topic(
+    "vehicle/fix",
+    "the car",
+    "optional grade source: altitude over distance",
+    "m",
+    type_name=FIX_TYPE,
 )
-TEMPERATURE = _topic(
+TEMPERATURE = Topic(
     "environment/temperature",
-    TEMPERATURE_TYPE,
     "the car",
     "optional: ambient temperature, for the density of air",
     "degC",
+    type_name=TEMPERATURE_TYPE,
 )
-PRESSURE = _topic(
+PRESSURE = Topic(
     "environment/pressure",
-    PRESSURE_TYPE,
     "the car",
     "optional: pressure of the air outside, for its density",
     "Pa",
+    type_name=PRESSURE_TYPE,
 )
-WIND = _topic(
+WIND = Topic(
     "environment/wind",
-    WIND_TYPE,
     "the car",
     "optional: velocity of the air over ground in `base_link`; a head wind is negative x",
     "m/s",
+    type_name=WIND_TYPE,
 )
-AUXILIARY_POWER = _vector(
+AUXILIARY_POWER = Topic(
     "auxiliary/power",
     "can_bridge",
     "optional: known loads by name, heating and others; heating counts below 20 degrees outside",
     "W",
 )
-MOTOR_TORQUE = _vector(
+MOTOR_TORQUE = Topic(
     "vehicle/motor_torque",
     "can_bridge",
     "optional: `torque` of all motors together at their shaft, positive drives forward, and their "
     "`speed`, left out where not known",
     "N m, rad/s",
 )
-PARAMETERS = _vector(
+PARAMETERS = Topic(
     "estimate/parameters",
     "estimator",
     "`eta, mu, mass, c_rr, c_d, p_aux`: live value and 1-sigma",
     "1, 1, kg, 1, 1, W",
 )
-IDENTIFIABLE = _vector(
+IDENTIFIABLE = Topic(
     "estimate/identifiable",
     "estimator",
     "what the data alone determines: "
     "`mass_over_eta, drag_area_over_eta, c_rr, regeneration, p_aux`",
     "kg, m^2, 1, 1, W",
 )
-BOUNDS = _vector(
+BOUNDS = Topic(
     "estimate/bounds",
     "estimator",
     "`<parameter>_lower`, `_upper`, `_prior_share` (0 = all data, 1 = all prior)",
 )
-RELIABLE = _vector(
+RELIABLE = Topic(
     "estimate/reliable",
     "estimator",
     "the last parameters that passed every validity check",
@@ -208,7 +188,7 @@ RELIABLE = _vector(
     latched=True,
 )
 PARAMETER_SCALARS = tuple(
-    _topic(f"estimate/{name}", SCALAR_TYPE, "estimator", f"live {text}, for plots", unit)
+    Topic(f"estimate/{name}", "estimator", f"live {text}, for plots", unit, type_name=SCALAR_TYPE)
     for name, text, unit in (
         ("eta", "drive efficiency", "1"),
         ("mu", "regeneration efficiency", "1"),
@@ -217,29 +197,29 @@ PARAMETER_SCALARS = tuple(
         ("c_d", "drag coefficient", "1"),
     )
 )
-MODEL = _topic(
+MODEL = Topic(
     "estimate/model",
-    ARRAY_TYPE,
     "estimator",
     "for the node `energy`: the linear model that predicts power, every 10 s; the label of its "
     "first dimension is `vehicle/version`",
+    type_name=ARRAY_TYPE,
     latched=True,
 )
-POWER_MEASURED = _vector("power/measured", "estimator", "`power`: voltage x current", "W")
-POWER_PREDICTED = _vector(
+POWER_MEASURED = Topic("power/measured", "estimator", "`power`: voltage x current", "W")
+POWER_PREDICTED = Topic(
     "power/predicted",
     "estimator",
     "`power` for the newest sample; never uses that sample's voltage or current",
     "W",
 )
-POWER_SMOOTHED = _vector(
+POWER_SMOOTHED = Topic(
     "power/smoothed",
     "estimator",
     "`power` stamped `smoothing_lag` earlier, made once speed up to that lag later is known; "
     "never uses voltage or current of its own or later samples",
     "W",
 )
-ENERGY_BREAKDOWN = _vector(
+ENERGY_BREAKDOWN = Topic(
     "energy/breakdown",
     "estimator",
     "1 Hz: where the energy of this drive went: `air, tyres, slope, speed, brakes, drivetrain, "
@@ -247,23 +227,23 @@ ENERGY_BREAKDOWN = _vector(
     "1-sigma; not published in `mode: paper`",
     "J",
 )
-ENERGY_STATE = _vector(
+ENERGY_STATE = Topic(
     "energy/state",
     "energy",
     "since the last reset `measured, predicted, rknn, regenerated, consumed` (measured where "
     "possible, predicted elsewhere): position J, velocity W, effort 1-sigma J",
     "J",
 )
-ENERGY_CONSUMED = _topic(
-    "energy/consumed", SCALAR_TYPE, "energy", "energy drawn since the last reset", "J"
+ENERGY_CONSUMED = Topic(
+    "energy/consumed", "energy", "energy drawn since the last reset", "J", type_name=SCALAR_TYPE
 )
-ENERGY_TOTALS = _vector(
+ENERGY_TOTALS = Topic(
     "energy/totals",
     "energy",
     "1 Hz: `net, drawn, regenerated` since the last reset and, as `lifetime_...`, since ever",
     "J",
 )
-ENERGY_CONSUMPTION = _vector(
+ENERGY_CONSUMPTION = Topic(
     "energy/consumption",
     "energy",
     "1 Hz: `wh_per_km_1`, `_10`, `_100` over the last so many km, `_trip` since the last reset, "
@@ -271,48 +251,51 @@ ENERGY_CONSUMPTION = _vector(
     "`distance_trip`, `distance_lifetime`",
     "Wh/km, m",
 )
-ENERGY_RANGE = _vector(
+ENERGY_RANGE = Topic(
     "energy/range",
     "energy",
     "1 Hz: `distance_to_empty` with `distance_lower`, `distance_upper` of its 90 % band, "
     "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; what is unknown is left out",
     "m, J, 1",
 )
-PLAN = _topic("plan", PATH_TYPE, "planner", "stamped poses; z is elevation", "m")
-SPEED_PROFILE = _topic(
+PLAN = Topic("plan", "planner", "stamped poses; z is elevation", "m", type_name=PATH_TYPE)
+SPEED_PROFILE = Topic(
     "plan/speed_profile",
-    TRAJECTORY_TYPE,
     "planner",
     "joint `distance`: positions m, velocities m/s, `time_from_start`; optional joint "
     "`elevation`: positions m, else the road is flat",
     "m, m/s",
+    type_name=TRAJECTORY_TYPE,
 )
-FORECAST = _topic(
+FORECAST = Topic(
     "energy/forecast",
-    TRAJECTORY_TYPE,
     "energy",
     "joint `energy`: positions J, velocities W, effort 1-sigma J; the plan's header echoed",
     "J, W",
+    type_name=TRAJECTORY_TYPE,
 )
-FORECAST_STATUS = _topic(
+FORECAST_STATUS = Topic(
     "energy/forecast/status",
-    DIAGNOSTICS_TYPE,
     "energy",
     "one for every plan, its header echoed: OK with `energy`, `sigma`, `battery` and the "
     "`difference` to each plan that was asked together with it, or WARN and why it is refused",
     "J",
+    type_name=DIAGNOSTICS_TYPE,
 )
-FORECAST_BATTERY = _topic(
+FORECAST_BATTERY = Topic(
     "energy/forecast/battery",
-    BATTERY_TYPE,
     "energy",
     "the battery at the end of the plan; not published while the state of charge is unknown. "
     "Its voltage is NaN until a minute of voltage, current and state of charge was received",
     "1",
+    type_name=BATTERY_TYPE,
 )
-DIAGNOSTICS = _topic("/diagnostics", DIAGNOSTICS_TYPE, "all", "1 Hz: state, reasons, counters")
+DIAGNOSTICS = Topic(
+    "/diagnostics", "all", "1 Hz: state, reasons, counters", type_name=DIAGNOSTICS_TYPE
+)
 
-TOPICS = tuple(_TOPICS)
+_DEFINED = (each if isinstance(each, tuple) else (each,) for each in tuple(globals().values()))
+TOPICS = tuple(one for each in _DEFINED for one in each if isinstance(one, Topic))
 INPUTS = tuple(topic for topic in TOPICS if topic.source in ("the car", "can_bridge"))
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from evpinn_ros import topics
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.energy.account import AccountSummary, Totals
+from evpinn_ros.energy.account import AccountSummary, EnergyTotals
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.meter import EnergyState, Flow
 from evpinn_ros.estimation.breakdown import Breakdown
@@ -152,7 +152,7 @@ def _summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tupl
         yield topics.ENERGY_RANGE, _vector(new, summary.stamp_ns, known)
 
 
-def _totals(prefix: str, totals: Totals) -> dict[str, Uncertain]:
+def _totals(prefix: str, totals: EnergyTotals) -> dict[str, Uncertain]:
     """Drawn and regenerated energy are as unsure as the net energy that they are parts of."""
     net = totals.net
     return {

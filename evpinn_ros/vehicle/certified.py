@@ -10,7 +10,7 @@ the median, and 0.05 and 0.14 as their spread.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 import csv
 from dataclasses import dataclass
 from functools import cache
@@ -28,12 +28,10 @@ SOURCE = "US EPA test car list 2022"
 AIR_DENSITY = 1.167  # kg/m^3 of a certified road load: 20 degC and 98.21 kPa (SAE J1263)
 COASTDOWN_SPEEDS = np.arange(4.0, 32.5, 0.5)  # m/s: 115 to 15 km/h
 FRONTAL_AREA = 2.3  # m^2, not certified: only A C_d is
-CHARGING_LOSS = 0.12  # of the energy at the wall
 
 # 1-sigma around a certificate, over the value: one to four people and luggage; tyres that were
 # replaced, inflation, road; a roof box, wheels, a window.
 MASS_SPREAD, ROLLING_SPREAD, DRAG_SPREAD = 0.06, 0.15, 0.06
-ANY_MASS = (1300.0, 3200.0)  # kg, with people, within 2 sigma: of a small car, of a large one
 DRIVETRAIN = {
     "eta": Prior(0.9, 0.06, f"{SOURCE}: energies of two cycles, 12 % lost in charging"),
     "mu": Prior(0.8, 0.12, f"{SOURCE}: energies of two cycles, 12 % lost in charging"),
@@ -89,30 +87,6 @@ class CertifiedCar:
             "c_d": _prior(area / FRONTAL_AREA, spread[2], f"{origin}; only A C_d is certified"),
             "p_aux": DRIVETRAIN["p_aux"],
         }
-
-
-class CertifiedDistribution(NamedTuple):
-    """Logarithms of mass, kg, c_rr and drag area, m^2: mean, shape (3,), and covariance."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-def population(cars: Iterable[CertifiedCar]) -> CertifiedDistribution:
-    """Prior for a car that is not known.
-
-    Certified cars are sold in the United States and heavy; small cars weigh half of them. So mass
-    is as `ANY_MASS`, and of the certified cars is taken what belongs to a mass: how c_rr and drag
-    area go with it, and how they spread at one mass.
-    """
-    logs = np.array([np.log([load.physics for load in car.loads]).mean(axis=0) for car in cars])
-    mean, covariance = logs.mean(axis=0), np.cov(logs.T)
-    slope = covariance[0] / covariance[0, 0]  # of each on mass; of mass itself 1
-    low, high = np.log(ANY_MASS)
-    centre, variance = (low + high) / 2, ((high - low) / 4) ** 2
-    wide = covariance + np.outer(slope, slope) * (variance - covariance[0, 0])
-    own = np.square((MASS_SPREAD, ROLLING_SPREAD, DRAG_SPREAD))
-    return CertifiedDistribution(mean + slope * (centre - mean[0]), wide + np.diag(own))
 
 
 def _prior(value: float, share: float, source: str) -> Prior:

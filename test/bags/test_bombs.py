@@ -167,7 +167,7 @@ def test_messages_packed_one_by_one_are_bounded_together(tmp_path):
     )
     path = few_types(tmp_path / "a.mcap", one * 1000)
     with BagReader(tmp_path) as reader:
-        read = sum(len(each.data) for each in reader.raw_records())
+        read = sum(len(each.message) for each in reader.raw_records())
         assert 0 < read <= most_unpacked(path.stat().st_size) < 1000 * FREE_BYTES
         assert "messages do not unpack" in reader.problem
 

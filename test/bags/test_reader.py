@@ -38,7 +38,7 @@ def write(folder: Path, count: int = COUNT) -> Path:
 def test_raw_records_are_the_bytes_of_the_records(tmp_path):
     with BagReader(write(tmp_path / "bag", 3)) as bag:
         raw, whole = list(bag.raw_records()), list(bag.records())
-    assert [r.data for r in raw] == [encode(r.message) for r in whole]
+    assert [r.message for r in raw] == [encode(r.message) for r in whole]
     assert [(r.topic, r.type_name, r.log_time_ns) for r in raw] == [
         (r.topic, r.type_name, r.log_time_ns) for r in whole
     ]

@@ -9,7 +9,7 @@ from scipy.integrate import trapezoid
 from benchmarks.integrators import (
     RULES,
     SAMPLINGS,
-    PowerSeries,
+    UnbrokenPower,
     agreement,
     at_most,
     compare_integrators,
@@ -28,7 +28,7 @@ URBAN = Path(__file__).parents[2] / "bags" / "urban"
 def series(seconds=400, rate=10, shift=0.0):
     time = np.arange(seconds * rate + 1) / rate
     power = 6e3 + 20e3 * np.sin(time / 3 + shift) + 8e3 * np.sin(time * 1.3)
-    return PowerSeries("made", time, power)
+    return UnbrokenPower("made", time, power)
 
 
 def write_csv(path, rows):
@@ -57,7 +57,7 @@ def test_a_log_that_is_slower_is_left_as_it_is():
 @given(st.lists(st.tuples(st.floats(0.05, 30.0), st.floats(-1e5, 1e5)), min_size=2, max_size=30))
 def test_divided_is_the_same_straight_lines(samples):
     time = np.cumsum([dt for dt, _ in samples])
-    drive = PowerSeries("", time, np.array([power for _, power in samples]))
+    drive = UnbrokenPower("", time, np.array([power for _, power in samples]))
     fine = divided(drive)
     assert np.diff(fine.time).max() <= STEP_LIMIT * (1 + 1e-6)
     assert np.isin(time, fine.time).all()

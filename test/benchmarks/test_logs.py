@@ -9,20 +9,11 @@ from evpinn_ros.common.errors import InputError
 
 
 @pytest.fixture
-def folder(tmp_path) -> Path:
-    for name in (
-        "b/drive.csv.gz",
-        "b/notes.txt",
-        "a.log",
-        "b/c/can.ASC",
-        "bag/bag_0.mcap",
-        "x.gz",
-    ):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("")
-    (tmp_path / "bag" / "inside.csv").write_text("")
-    return tmp_path
+def folder(empty_files) -> Path:
+    return empty_files(
+        *("b/drive.csv.gz", "b/notes.txt", "a.log", "b/c/can.ASC"),
+        *("bag/bag_0.mcap", "bag/inside.csv", "x.gz"),
+    )
 
 
 def test_a_folder_is_searched_and_a_bag_is_one_log(folder):

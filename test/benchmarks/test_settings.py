@@ -20,7 +20,7 @@ from benchmarks.settings import (
     final_variants,
     others,
 )
-from benchmarks.variants import RecordedCar, Row, Variant, constant, read_car, score
+from benchmarks.variants import RecordedCar, Variant, VariantRow, constant, read_car, score
 from evpinn_ros.cli.main import app
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -43,13 +43,13 @@ def car() -> RecordedCar:
 
 
 @pytest.fixture(scope="module")
-def product(car) -> Row:
+def product(car) -> VariantRow:
     """Scores of the constants as they are."""
     return score(Variant(PRODUCT), car)
 
 
 def scores_of(cars: Mapping[str, Mapping[str, float]]) -> Scores:
-    row = Row("", "", (0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+    row = VariantRow("", "", (0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
     return {
         key: {name: replace(row, variant=name, car=key, likelihood=v) for name, v in found.items()}
         for key, found in cars.items()

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from benchmarks.floor import ASKED, median_floor
-from benchmarks.truth import PROFILE, Comparison, compare, summaries
+from benchmarks.truth import PROFILE, TruthCheck, compare, summaries
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE, simulate
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
-ONE = Comparison("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
+ONE = TruthCheck("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
 
 
 def test_a_comparison_by_hand():

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from benchmarks import vehicles
 from evpinn_ros.cli.main import app
-from evpinn_ros.vehicle.certified import AIR_DENSITY, CHARGING_LOSS, certified_cars
+from evpinn_ros.vehicle.certified import AIR_DENSITY, certified_cars
 from evpinn_ros.vehicle.files import load_vehicle
 
 TAYCAN = "porsche_taycan_turbo_cross_turismo_2022"
@@ -49,7 +49,7 @@ def test_a_cycle_at_constant_speed_costs_its_road_load(tmp_path):
         150.0 * (0.5 + 0.5 * speed / 10.0) + 200.0 * (force / start.mass) ** 2
     )  # turning, and by force
     power = force * speed / start.eta + start.p_aux + losses
-    expected = power / speed / 3.6 / (1.0 - CHARGING_LOSS)
+    expected = power / speed / 3.6 / (1.0 - vehicles.CHARGING_LOSS)
     for each in vehicles.cycle_energies(tmp_path, car, vehicle):
         assert each.forecast == pytest.approx(expected, rel=0.005)
         assert each.error == pytest.approx(expected / each.certified - 1.0, abs=0.02)

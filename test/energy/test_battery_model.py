@@ -126,7 +126,7 @@ def test_readings_of_no_battery_change_nothing(wrong):
 @pytest.mark.slow
 def test_saved_and_restored_it_forecasts_the_same():
     account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
-    charge = drive(account.add_battery, 3000)
+    charge = drive(account.add_reading, 3000)
     again = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
     again.restore(json.loads(json.dumps(account.export(), allow_nan=False)))
     ends = [
@@ -140,7 +140,7 @@ def test_saved_and_restored_it_forecasts_the_same():
 def test_a_file_without_a_battery_is_of_before_and_is_read():
     account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
     saved = {key: value for key, value in account.export().items() if key != "battery"}
-    drive(account.add_battery, 100)
+    drive(account.add_reading, 100)
     account.restore(saved)
     assert account.battery.samples == 0
 

@@ -11,9 +11,9 @@ LEAF = load_vehicle("nissan_leaf")
 
 
 @pytest.fixture
-def data(tmp_path):
+def data(empty_files):
     """Bags, loose bag files and CSV files of three cars."""
-    for name in (
+    return empty_files(
         "data/ann/2025/monday/monday_0.mcap",
         "data/ann/2025/tuesday/metadata.yaml",
         "data/ann/2025/tuesday/part.mcap",
@@ -22,11 +22,7 @@ def data(tmp_path):
         "data/bob/notes.txt",
         "data/loose.csv",
         "other/bob/third.mcap",
-    ):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("")
-    return tmp_path
+    )
 
 
 def names_of(cars, data):

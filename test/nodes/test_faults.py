@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from benchmarks.faults.fault import Fault, Finding, Result
+from benchmarks.faults.fault import Fault, FaultEffect, FaultResult
 from evpinn_ros.common.package_data import share_directory
 
 SHORT = ("speed_nan", "state_corrupt")
@@ -48,14 +48,14 @@ def test_a_fault_of_no_such_name_is_told():
 @pytest.mark.parametrize(
     ("finding", "problem"),
     [
-        (Finding("nothing", True, 4.9, "it is so"), None),
-        (Finding("all", False, 0.0, "it is so"), "lost more than the contract states"),
-        (Finding("nothing", True, 5.1, "it is so"), "took more than 5 s"),
-        (Finding("nothing", True, math.inf, "it is so"), "took more than 5 s"),
-        (Finding("nothing", True, math.nan, "it is so"), "took more than 5 s"),
-        (Finding("nothing", True, 0.0, None), "not named in diagnostics"),
+        (FaultEffect("nothing", True, 4.9, "it is so"), None),
+        (FaultEffect("all", False, 0.0, "it is so"), "lost more than the contract states"),
+        (FaultEffect("nothing", True, 5.1, "it is so"), "took more than 5 s"),
+        (FaultEffect("nothing", True, math.inf, "it is so"), "took more than 5 s"),
+        (FaultEffect("nothing", True, math.nan, "it is so"), "took more than 5 s"),
+        (FaultEffect("nothing", True, 0.0, None), "not named in diagnostics"),
     ],
 )
 def test_a_fault_fails_for_what_it_costs_or_hides(finding, problem):
     fault = Fault("x", "x", "x", lambda _: finding)
-    assert Result(fault, finding).problem == problem
+    assert FaultResult(fault, finding).problem == problem

@@ -136,7 +136,7 @@ def test_a_bag_comes_as_it_was_recorded():
         app.subscribe("/ev/vehicle/speed")
         received = list(islice(app.messages(), 20))
     assert [(m.topic, m.time_ns, m.data) for m in received] == [
-        (r.topic, r.log_time_ns, r.data) for r in recorded
+        (r.topic, r.log_time_ns, r.message) for r in recorded
     ]
     assert app.info["name"] == "evpinn" and "time" in app.info["capabilities"]
     assert app.times[0] <= received[0].time_ns and app.times == sorted(app.times)

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import re
 import time
 
+from docs.metric_table import METRICS
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.replays.metric_table import METRICS
 from evpinn_ros.replays.run import ReplayOptions, replay
 
 ANY_NAME = {

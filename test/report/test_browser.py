@@ -10,7 +10,8 @@ from matplotlib.image import imread
 import numpy as np
 import pytest
 
-from evpinn_ros.replays.driven import Steps, measured_steps, travelled
+from evpinn_ros.common.arrays import chosen_rows
+from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
 from evpinn_ros.report.drive_page import write_drives
 
 INKED = """Array.from(document.querySelectorAll('canvas'), canvas => {
@@ -127,8 +128,8 @@ def test_a_stretch_has_its_own_figures(browser, reported, page):
     assert stretch(browser) == whole and browser.troubles == []
 
 
-def between(steps: Steps, begin: float, end: float) -> Steps:
-    return steps.those((steps.end > begin) & (steps.end <= end))
+def between(steps: DrivenSteps, begin: float, end: float) -> DrivenSteps:
+    return chosen_rows(steps, (steps.end > begin) & (steps.end <= end))
 
 
 def stretch(browser) -> list[float]:

@@ -1,11 +1,14 @@
 """A drive that obeys eq. 21, small enough to train on in a test."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
 
 from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.reproduction.experiment import Experiment, Outcome, Settings
+from evpinn_ros.reproduction.optimizers import OptimizerName
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
@@ -48,3 +51,18 @@ def make_log(vehicle: Vehicle) -> Callable[..., DriveLog]:
         return DriveLog(time, speed, acceleration, power)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def reproduced(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[OptimizerName], Outcome]:
+    """A short experiment on that drive."""
+
+    @cache
+    def run(name: OptimizerName) -> Outcome:
+        settings = Settings(name, epochs=30, energy_epochs=20)
+        folder = tmp_path_factory.mktemp("experiment")
+        return Experiment(make_log(), vehicle, settings, folder).run(lambda *_: None)
+
+    return run

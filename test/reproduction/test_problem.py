@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.paper.network import PHYSICS_LOSS, PowerNetwork
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.problem import (
@@ -53,7 +54,7 @@ def test_random_split_differs_by_seed() -> None:
 
 
 def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwork) -> None:
-    log = problem.log.part(problem.split.validation)
+    log = chosen_rows(problem.log, problem.split.validation)
     middle = (problem.log.power.max() + problem.log.power.min()) / 2
     half = (problem.log.power.max() - problem.log.power.min()) / 2
     inputs = torch.tensor(np.stack((log.speed, log.time), axis=1))

@@ -33,14 +33,9 @@ from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 @pytest.fixture(scope="module", params=list(OptimizerName))
 def outcome(
-    request: pytest.FixtureRequest,
-    make_log: Callable[..., DriveLog],
-    vehicle: Vehicle,
-    tmp_path_factory: pytest.TempPathFactory,
+    request: pytest.FixtureRequest, reproduced: Callable[[OptimizerName], Outcome]
 ) -> Outcome:
-    settings = Settings(request.param, epochs=30, energy_epochs=20)
-    folder = tmp_path_factory.mktemp("experiment")
-    return Experiment(make_log(), vehicle, settings, folder).run(lambda *_: None)
+    return reproduced(request.param)
 
 
 def test_window_network_is_the_same_function(outcome: Outcome) -> None:

@@ -7,35 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.reproduction.drive_log import DriveLog
+from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.reproduction.experiment import (
     CHRONOLOGICAL,
     NETWORK,
     TIME_HELD,
-    Experiment,
     Outcome,
-    Settings,
 )
 from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.reproduction.published import POWER_LOSSES, EnergyRow, Losses, LossRow
 from evpinn_ros.reproduction.tables import all_tables
-from evpinn_ros.reproduction.verdict import Answer, verdict
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.reproduction.verdict import ClaimAnswer, verdict
+from evpinn_ros.vehicle.files import load_vehicle
 
-HOLDS, PARTLY, FAILS, OPEN = Answer
+HOLDS, PARTLY, FAILS, OPEN = ClaimAnswer
 FITS, POWER, ENERGY, PARAMETERS, INTEGRATES = range(5)
 ASKED = POWER_LOSSES["tesla_model_3_lr"][-1].validation.total
 
 
 @pytest.fixture(scope="module")
-def outcome(
-    make_log: Callable[..., DriveLog],
-    vehicle: Vehicle,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Outcome:
-    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=30, energy_epochs=20)
-    folder = tmp_path_factory.mktemp("experiment")
-    return Experiment(make_log(), vehicle, settings, folder).run(lambda *_: None)
+def outcome(reproduced: Callable[[OptimizerName], Outcome]) -> Outcome:
+    return reproduced(OptimizerName.GAUSS_NEWTON)
 
 
 def trained_to(outcome: Outcome, total: float, epochs: int) -> Outcome:
@@ -63,7 +55,7 @@ def scored(outcome: Outcome, method: str = NETWORK, **score: float | None) -> Ou
     [(0.9, 30, HOLDS), (1.1, 30, OPEN), (1.1, DEFAULT_EPOCHS[OptimizerName.GAUSS_NEWTON], FAILS)],
 )
 def test_the_loss_is_compared_with_the_papers(
-    outcome: Outcome, share: float, epochs: int, answer: Answer
+    outcome: Outcome, share: float, epochs: int, answer: ClaimAnswer
 ) -> None:
     """A training cut short that is not there yet has not failed."""
     found = verdict(trained_to(outcome, share * ASKED, epochs))[FITS]
@@ -75,7 +67,9 @@ def test_the_loss_is_compared_with_the_papers(
 @pytest.mark.parametrize(
     ("r2", "answer"), [(0.95, HOLDS), (0.5, FAILS), (-0.06, FAILS), (-370.0, FAILS), (None, OPEN)]
 )
-def test_power_of_road_not_yet_driven(outcome: Outcome, r2: float | None, answer: Answer) -> None:
+def test_power_of_road_not_yet_driven(
+    outcome: Outcome, r2: float | None, answer: ClaimAnswer
+) -> None:
     """Time as an input is named as the cause where holding it makes the difference."""
     found = verdict(scored(scored(outcome, r2=r2), TIME_HELD, r2=-0.05))[POWER]
     assert found.answer is answer
@@ -86,7 +80,7 @@ def test_time_is_held_at_the_last_trained(outcome: Outcome) -> None:
     """The score is that of the network at its last time and the speeds of the last fifth."""
     problem = outcome.chronological.problem
     rows, log = problem.split, outcome.log
-    held = log.part(rows.validation)
+    held = chosen_rows(log, rows.validation)
     held = held._replace(time=np.full(len(held.time), log.time[rows.training].max()))
     power = problem.predicted_power(outcome.chronological.optimizer.network, held)
     found = {(each.method, each.split): each.score for each in outcome.scores}
@@ -98,7 +92,7 @@ def test_time_is_held_at_the_last_trained(outcome: Outcome) -> None:
     ("off", "answer"), [(4.9, HOLDS), (-4.9, HOLDS), (-93.0, FAILS), (None, OPEN)]
 )
 def test_energy_of_road_not_yet_driven(
-    outcome: Outcome, off: float | None, answer: Answer
+    outcome: Outcome, off: float | None, answer: ClaimAnswer
 ) -> None:
     assert verdict(scored(outcome, energy_error_percent=off))[ENERGY].answer is answer
 
@@ -124,7 +118,7 @@ def test_parameters_that_the_data_determine(outcome: Outcome) -> None:
     ("rknn", "last", "answer"), [(0.4, 100, HOLDS), (0.9, 100, OPEN), (0.9, 10_000, FAILS)]
 )
 def test_energy_networks_are_compared_by_the_median(
-    outcome: Outcome, rknn: float, last: int, answer: Answer
+    outcome: Outcome, rknn: float, last: int, answer: ClaimAnswer
 ) -> None:
     """One lucky epoch, or the first tenth of them, decides nothing."""
     rows = [EnergyRow(last * i // 100, 0.0, rknn, 0.0, 1.0) for i in range(1, 101)]

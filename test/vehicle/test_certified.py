@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.population import population
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.vehicle.certified import AIR_DENSITY, COASTDOWN_SPEEDS, certified_cars, population
+from evpinn_ros.vehicle.certified import AIR_DENSITY, COASTDOWN_SPEEDS, certified_cars
 from evpinn_ros.vehicle.files import find_vehicles, load_vehicle, vehicle_names
 from evpinn_ros.vehicle.parameters import LIMITS
 from evpinn_ros.vehicle.physics import drag_force, rolling_force

@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks.unseen.drives import Car, Drive
+from benchmarks.unseen.drives import UnseenCar, UnseenDrive
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
@@ -36,10 +36,12 @@ def true_power(vehicle) -> Callable[[np.ndarray], np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def make_drive(true_power) -> Callable[..., Drive]:
+def make_drive(true_power) -> Callable[..., UnseenDrive]:
     """A drive of a length, s, one reading a period, s; polled logs have speed, V and I in turn."""
 
-    def make(seconds: float, *, start: float = 0.0, period: float = 0.1, polled=False) -> Drive:
+    def make(
+        seconds: float, *, start: float = 0.0, period: float = 0.1, polled=False
+    ) -> UnseenDrive:
         time = start + np.arange(0.0, seconds, period)
         shift = period / 3 if polled else 0.0
         readings: list[Reading] = []
@@ -52,15 +54,15 @@ def make_drive(true_power) -> Callable[..., Drive]:
             one, two = (stamp_ns + round(k * shift * NANOSECONDS) for k in (1, 2))
             readings.append(BatteryReading(one, 360.0, float("nan")))
             readings.append(BatteryReading(two, float("nan"), -float(p) / 360.0))
-        return Drive(f"drive at {start:g}", tuple(readings))
+        return UnseenDrive(f"drive at {start:g}", tuple(readings))
 
     return make
 
 
 @pytest.fixture(scope="session")
-def car(vehicle, make_drive) -> Car:
+def car(vehicle, make_drive) -> UnseenCar:
     """Two drives of ten and five minutes."""
-    return Car("made", vehicle, (make_drive(700.0), make_drive(500.0, start=5000.0)))
+    return UnseenCar("made", vehicle, (make_drive(700.0), make_drive(500.0, start=5000.0)))
 
 
 def speed_at(time: np.ndarray) -> np.ndarray:

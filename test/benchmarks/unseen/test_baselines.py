@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.unseen.baselines import BASELINES
-from benchmarks.unseen.drives import Car
+from benchmarks.unseen.drives import UnseenCar
 from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
@@ -42,7 +42,7 @@ def test_weak_form_finds_the_car_at_any_sampling(vehicle, make_drive, seconds, p
     drives = [
         make_drive(seconds, start=9000.0 * i, period=period, polled=polled) for i in range(3)
     ]
-    found = run_car(Car("made", vehicle, tuple(drives)), WeakFormLeastSquares)
+    found = run_car(UnseenCar("made", vehicle, tuple(drives)), WeakFormLeastSquares)
     mass, sigma = found.combinations["mass_over_eta"]
     assert abs(mass / (1950.0 / 0.9) - 1) < 0.05
     assert 0 < sigma < 0.05 * mass

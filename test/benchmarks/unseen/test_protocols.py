@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.unseen.drives import Car, Drive
-from benchmarks.unseen.lines import Span
+from benchmarks.unseen.drives import UnseenCar, UnseenDrive
+from benchmarks.unseen.lines import DrivePart
 from benchmarks.unseen.method import OnlineChain, Prediction
 from benchmarks.unseen.protocols import cuts, predicted, run_car
 from benchmarks.unseen.scores import QUANTILE_90, score_part
@@ -68,7 +68,7 @@ def test_a_later_battery_changes_nothing_that_is_predicted(car, vehicle):
     drive = car.drives[0]
     cut_ns = drive.start_ns + 60 * NANOSECONDS
     method, rows = OnlineChain(vehicle), []
-    other = Drive(
+    other = UnseenDrive(
         "tripled",
         tuple(
             BatteryReading(each.stamp_ns, each.voltage, 3 * each.current)
@@ -80,7 +80,7 @@ def test_a_later_battery_changes_nothing_that_is_predicted(car, vehicle):
     index = next(i for i, each in enumerate(drive.readings) if each.stamp_ns > cut_ns)
     for reading in drive.readings[:index]:
         rows.extend(method.add_reading(reading))
-    span = Span(60.0, 130.0)
+    span = DrivePart(60.0, 130.0)
     one, two = (
         predicted(copy.deepcopy(method), each, index, span, rows[-1:]) for each in (drive, other)
     )
@@ -102,7 +102,7 @@ def test_an_error_of_power_is_found_in_every_score(car, true_power):
     assert found["withheld"]["rmse_w"] == pytest.approx(bias)
     assert found["carried"]["means_w"]["60"] == pytest.approx(bias)
     drive = car.drives[1]
-    gross = drive.power.gross(Span(0.0, drive.duration))
+    gross = drive.power.gross(DrivePart(0.0, drive.duration))
     expected = 100 * bias * drive.duration / gross
     assert found["carried"]["gross_mean_percent"] == pytest.approx(expected, rel=1e-5)
     assert found["by_battery_age"]["60"]["rmse_w"] == pytest.approx(bias)
@@ -142,9 +142,9 @@ def test_gaps_of_the_battery_are_not_scored(make_drive, true_power):
         for each in whole.readings
         if not (isinstance(each, BatteryReading) and 100 < whole.seconds(each.stamp_ns) < 200)
     )
-    drive = Drive("lost", lost)
-    track = predicted(Oracle(true_power, 50.0), drive, 0, Span(0.0, 300.0), [])
-    found = score_part(drive, track, Span(0.0, drive.duration))
+    drive = UnseenDrive("lost", lost)
+    track = predicted(Oracle(true_power, 50.0), drive, 0, DrivePart(0.0, 300.0), [])
+    found = score_part(drive, track, DrivePart(0.0, drive.duration))
     assert found.error == pytest.approx(50.0 * (drive.duration - 100.0), rel=1e-3)
     assert math.isclose(found.covered, 1.0)
 
@@ -152,6 +152,6 @@ def test_gaps_of_the_battery_are_not_scored(make_drive, true_power):
 def test_drives_of_a_polled_car_have_their_energy(make_drive, vehicle):
     """Voltage and current each every 1.2 s at other moments tell the energy of 10 Hz."""
     often, seldom = make_drive(600.0), make_drive(600.0, period=1.2, polled=True)
-    span = Span(5.0, 590.0)
+    span = DrivePart(5.0, 590.0)
     assert seldom.power.over(span) == pytest.approx(often.power.over(span), rel=2e-3)
-    assert Car("polled", vehicle, (seldom,)).hours == pytest.approx(1 / 6, rel=0.01)
+    assert UnseenCar("polled", vehicle, (seldom,)).hours == pytest.approx(1 / 6, rel=0.01)

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.fastsim_peer import fastsim_version
 from benchmarks.unseen import run
 from benchmarks.unseen.drives import load_car
-from benchmarks.unseen.fastsim_cars import Trace, fastsim_readings, fastsim_truth
+from benchmarks.unseen.fastsim_cars import FastsimDrive, fastsim_readings, fastsim_truth
 from benchmarks.unseen.sumo_cars import simulate_sumo, sumo_is_there, sumo_truth
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading
@@ -113,7 +113,7 @@ def test_the_truth_of_a_trace_is_what_made_its_power():
     wheel = 1600 * inertia + 0.009 * 1600 * GRAVITY * mean + 0.6 * 0.7 * mean**3
     power = np.where(wheel > 0, wheel / 0.9, 0.8 * wheel) + 300
     columns = (np.concatenate(([0.0], each)) for each in (power, wheel))
-    trace = Trace(second, speed, height, *columns, p_aux=300.0, air_density=1.2)
+    trace = FastsimDrive(second, speed, height, *columns, p_aux=300.0, air_density=1.2)
     assert fastsim_truth([trace], vehicle) == pytest.approx(
         {
             "mass_over_eta": 1600 / 0.9,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from benchmarks.unseen.drives import Drive
+from benchmarks.unseen.drives import UnseenDrive
 from benchmarks.unseen.splitting import split
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
@@ -14,7 +14,7 @@ def standing(start_ns: int, seconds: float, current: float):
         yield BatteryReading(stamp_ns, 360.0, current)
 
 
-def later(drive: Drive, seconds: float):
+def later(drive: UnseenDrive, seconds: float):
     return [
         replace(each, stamp_ns=each.stamp_ns + int(seconds * NANOSECONDS))
         for each in drive.readings
@@ -26,7 +26,7 @@ def test_a_pause_and_charging_end_a_drive(make_drive):
     charging = list(standing(drive.start_ns + 305 * NANOSECONDS, 400.0, 9.0))
     readings = [*drive.readings, *charging, *later(drive, 800.0), *later(drive, 5000.0)]
     found = list(split(readings))
-    assert [Drive("", part).duration for part in found] == [295.0, 295.0, 295.0]
+    assert [UnseenDrive("", part).duration for part in found] == [295.0, 295.0, 295.0]
     assert not set(charging) & {each for part in found for each in part}
 
 

@@ -64,7 +64,7 @@ def play(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
                 message.clock.sec, message.clock.nanosec = divmod(now, SECOND)
                 clock.publish(message)
             if record.topic in outlets:
-                outlets[record.topic].publish(record.data)
+                outlets[record.topic].publish(record.message)
     time.sleep(1.0)
 
 

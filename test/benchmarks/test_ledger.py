@@ -3,8 +3,17 @@
 import numpy as np
 import pytest
 
+from benchmarks.ledger import part_powers, true_parts
 from evpinn_ros.simulation.car import STEP
-from evpinn_ros.simulation.ledger import part_powers, true_parts
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import SimulatedDrive, simulate
+from evpinn_ros.vehicle.files import load_vehicle
+
+
+@pytest.fixture(scope="module", params=DriveKind)
+def drive(request) -> SimulatedDrive:
+    """A few minutes of every kind of driving."""
+    return simulate(request.param, load_vehicle("tesla_model_3_lr"), 240.0, 1)
 
 
 def test_the_parts_are_the_power_at_every_moment(drive):

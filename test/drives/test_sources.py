@@ -15,6 +15,11 @@ from evpinn_ros.vehicle.files import load_vehicle
 
 
 @pytest.fixture(scope="module")
+def vehicle():
+    return load_vehicle("tesla_model_3_lr")
+
+
+@pytest.fixture(scope="module")
 def short_drive(vehicle):
     return simulate(DriveKind.URBAN, vehicle, 20.0, seed=3)
 
