@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.estimation.learner import CHARGING_POWER
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import known_at, longest_step
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 
 class Steps(NamedTuple):
@@ -39,10 +41,24 @@ def travelled(drive: Drive) -> Steps:
 
 
 def measured_steps(drive: Drive) -> Steps:
-    """Steps between readings of the battery over which speed is known too."""
+    """Steps between readings of the battery over which speed is known too; none that charge it."""
+    steps, charging = _battery_steps(drive)
+    return steps.those(~charging)
+
+
+def charged(drive: Drive) -> float:
+    """Energy that the car took from a charger while it stood, J."""
+    steps, charging = _battery_steps(drive)
+    return -float(steps.energy[charging].sum())
+
+
+def _battery_steps(drive: Drive) -> tuple[Steps, np.ndarray]:
+    """Steps with speed and battery, and which of them charge the standing car, shape (n,)."""
     time, power = drive.measured.T
     speed, known = known_at(rising(drive.speed), time)
-    return _steps(np.column_stack((time, speed)), power, known)
+    steps = _steps(np.column_stack((time, speed)), power, known)
+    charging = steps.energy < CHARGING_POWER * steps.seconds
+    return steps, charging & (steps.speed < STANDSTILL_SPEED)
 
 
 def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> Steps:

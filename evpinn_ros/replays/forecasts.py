@@ -13,7 +13,7 @@ from evpinn_ros.energy.power_model import PowerModel, combined_model, vehicle_mo
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.replays.history import Drive, KnownModel
-from evpinn_ros.replays.scoring import MAX_MEASURED_STEP, Span, measured_energy
+from evpinn_ros.replays.scoring import Span, longest_step, measured_energy
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 
@@ -121,4 +121,4 @@ def _inside(rows: np.ndarray, span: Span) -> np.ndarray:
 def _whole(rows: np.ndarray, span: Span) -> bool:
     """True if a series has no gap anywhere in the span."""
     times = np.concatenate(([span.begin], rows[:, 0], [span.end]))
-    return len(rows) > 1 and bool(np.diff(times).max() <= MAX_MEASURED_STEP)
+    return len(rows) > 1 and bool(np.diff(times).max() <= longest_step(rows[:, 0]))

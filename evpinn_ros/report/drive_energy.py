@@ -52,7 +52,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: Steps, units: Unit
 
 
 def running_totals(travelled: Steps, measured: Steps, duration: float, points: int) -> Chart:
-    """Distance, m, and of where power was measured distance, m, and energy, J, over time."""
+    """Running totals over time: distance, m, in s; where power was measured distance and J."""
     time = np.linspace(0.0, max(duration, 1.0), points)
 
     def total(steps: Steps, values: np.ndarray) -> dict[str, object]:
@@ -63,6 +63,7 @@ def running_totals(travelled: Steps, measured: Steps, duration: float, points: i
     return {
         "step": float(time[1]),
         "distance": total(travelled, travelled.distance),
+        "seconds": total(travelled, travelled.seconds),
         "known": total(measured, measured.distance),
         "energy": total(measured, measured.energy),
     }
