@@ -69,7 +69,10 @@ def forecast(
 def _battery(gauge: Any) -> str:
     """Words on the energy of the full battery, which the charge after a plan rests on."""
     if not gauge.capacity.known:
-        return "How much its battery holds is not known: battery_capacity of a vehicle file."
+        return (
+            "How much its battery holds is not known, so no charge: battery_capacity in its "
+            "vehicle file tells it, or a drive that takes ten percent."
+        )
     kwh, sigma = (each / JOULES_PER_KWH for each in gauge.capacity)
     how = "as its drives showed" if gauge.learned else "by its vehicle file"
     return f"Battery: {kwh:.1f} +- {sigma:.1f} kWh when full, {how}."

@@ -45,6 +45,8 @@ from evpinn_ros.replays.run import (
 from evpinn_ros.replays.tables import energy_lines
 from evpinn_ros.simulation.truth_file import read_truth
 
+WIDE = 110  # characters of the table of drives
+
 
 def replay(
     inputs: Annotated[
@@ -125,7 +127,8 @@ def replay(
             # Whatever ends a later drive, the results of those before it are kept.
             written = _write(car, (metrics, report, state), units.units)
     if len(car.done) > 1:
-        show(drives_table([(each.drive, each.metrics) for each in car.done], units.units))
+        drives = drives_table([(each.drive, each.metrics) for each in car.done], units.units)
+        show(drives, at_least=WIDE)
         show(parameter_table(car.done[-1].metrics))
         say("evpinn compare puts the breakdowns of these drives side by side.")
     if not written or any(result.problem for result in car.done):

@@ -25,7 +25,16 @@ MEANINGS: Mapping[str, str] = {
     "measured": "measured",
     REGAINED: "brought back by braking",
 }
+TOGETHER = " + "  # between the names of parts that are not separated
 LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
+SHORT = {  # in a column of a table
+    MEANINGS["air"]: "air",
+    MEANINGS["slope"]: "slopes",
+    MEANINGS["brakes"]: "braking",
+    MEANINGS["drivetrain"]: "drivetrain",
+    MEANINGS["climate"]: "heating",
+    MEANINGS["standing"]: "standing load",
+}
 # How a sentence on a part begins.
 TOOK = {
     MEANINGS["slope"]: "climbing took",
@@ -176,7 +185,7 @@ def _together(names: Iterable[str]) -> str:
 
 def name_of(parts: Iterable[Part]) -> str:
     """The name of a part, or of some that are not separated."""
-    return " + ".join(MEANINGS[part.name.lower()] for part in parts)
+    return TOGETHER.join(MEANINGS[part.name.lower()] for part in parts)
 
 
 def _row(name: str, amount: Mapping[str, float | None], units: Units) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
 from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
-from evpinn_ros.replays.breakdown_text import LEFT_OUT, known_parts
+from evpinn_ros.replays.breakdown_text import LEFT_OUT, SHORT, TOGETHER, known_parts
 from evpinn_ros.replays.driven import charged, measured_steps, travelled
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.tables import signed_percent, watts
@@ -73,4 +73,7 @@ def _most(breakdown: Mapping[str, Any]) -> str:
         return "-"
     known = [row for row in known_parts(breakdown) if row.name not in LEFT_OUT]
     most = max(known, key=lambda row: row.kwh, default=None)
-    return "-" if most is None else f"{most.name}, {100 * most.share:.0f} %"
+    if most is None:
+        return "-"
+    name = TOGETHER.join(SHORT.get(part, part) for part in most.name.split(TOGETHER))
+    return f"{name}, {100 * most.share:.0f} %"

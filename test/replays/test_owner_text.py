@@ -3,6 +3,7 @@
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+import re
 import time
 
 import numpy as np
@@ -85,3 +86,8 @@ def test_a_row_holds_what_took_most(town):
     found["breakdown"]["speed"].update(kwh=4.0)  # stops to be
     (row,) = drives_rows([("town", town.drive, found)])
     assert dict(zip(drives_columns(), row, strict=True))["took most"] == "tyres, 16 %"
+    both = {"parts": ["climate", "standing"], "kwh": 6.0, "sigma_kwh": 0.1}
+    found["breakdown"]["together"] = [both]
+    (row,) = drives_rows([("town", town.drive, found)])
+    most = dict(zip(drives_columns(), row, strict=True))["took most"]
+    assert re.fullmatch(r"heating \+ standing load, \d+ %", most)  # short, for a column
