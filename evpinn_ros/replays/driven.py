@@ -8,7 +8,7 @@ import numpy as np
 
 from evpinn_ros.estimation.learner import CHARGING_POWER
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import known_at, longest_step
+from evpinn_ros.replays.scoring import Span, known_at, longest_step
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 
@@ -46,9 +46,11 @@ def measured_steps(drive: Drive) -> Steps:
     return steps.those(~charging)
 
 
-def charged(drive: Drive) -> float:
-    """Energy that the car took from a charger while it stood, J."""
+def charged(drive: Drive, span: Span | None = None) -> float:
+    """Energy that the car took from a charger while it stood, J; of a part of the drive alone."""
     steps, charging = _battery_steps(drive)
+    if span is not None:
+        charging &= span.holds(steps.end)
     return -float(steps.energy[charging].sum())
 
 

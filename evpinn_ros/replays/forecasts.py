@@ -12,6 +12,7 @@ from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, combined_model, vehicle_model
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.replays.driven import charged
 from evpinn_ros.replays.history import Drive, KnownModel
 from evpinn_ros.replays.scoring import Span, longest_step, measured_energy
 from evpinn_ros.vehicle.files import Vehicle
@@ -52,12 +53,15 @@ def forecast_outcome(
 ) -> ForecastOutcome | None:
     """The drive up to `end`, s, as a plan that was driven to the letter.
 
-    None where it cannot be compared: it is short, or speed or battery has a gap in it.
+    None where it cannot be compared: it is short, speed or battery has a gap in it, or the car was
+    charged, which is no plan's.
     """
     span = Span(known.time, end)
     speed = _inside(drive.speed, span)
     battery = _inside(drive.measured, span)
     if end - known.time < SHORTEST or not (_whole(speed, span) and _whole(battery, span)):
+        return None
+    if charged(drive, span):
         return None
     try:
         plan = drive_plan(speed, _inside(drive.altitude, span))
