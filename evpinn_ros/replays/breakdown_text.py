@@ -157,13 +157,21 @@ def breakdown_sentence(found: Mapping[str, Any]) -> str:
     heating = [row for row in known if row.name == MEANINGS["climate"]]
     first = [row for row in heating if row.share > WORTH_SAYING]
     most, (_, whole) = max(first or known, key=lambda row: row.kwh), _whole(found)
-    begin = TOOK.get(most.name, f"{most.name} took").capitalize()
-    sentence = f"{begin} {_amount(most.kwh, most.sigma_kwh)}, {_share(most.share)} of {whole}."
+    amount, share = _amount(most.kwh, most.sigma_kwh), _share(most.share)
+    sentence = f"{_took(most.name).capitalize()} {amount}, {share} of {whole}."
     slope = dict(shown(found)).get(MEANINGS["slope"], {"kwh": 0.0, "sigma_kwh": 0.0})
     if whole != "this drive" and slope["kwh"] < -2 * slope["sigma_kwh"]:
         back = _amount(-slope["kwh"], slope["sigma_kwh"])
         sentence += f" The way down gave back {back}."
     return sentence
+
+
+def _took(name: str) -> str:
+    """Begin of a sentence on a part, or on some that are not separated."""
+    if TOGETHER not in name:
+        return TOOK.get(name, f"{name} took")
+    *some, last = (SHORT.get(part, part) for part in name.split(TOGETHER))
+    return f"{', '.join(some)} and {last} together took"
 
 
 def _amount(kwh: float, sigma_kwh: float) -> str:

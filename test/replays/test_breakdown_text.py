@@ -77,6 +77,18 @@ def test_a_drive_that_went_down_is_told_by_what_was_spent_and_what_came_back():
     assert breakdown_lines(found)[0].startswith("Braking lost 9.0 +- 1.0 kWh, 54 % of what was")
 
 
+def test_parts_that_are_not_separated_take_together():
+    found = breakdown_metrics(breakdown(), "hybrid")
+    group = {"kwh": 5.0, "sigma_kwh": 0.2, "kwh_per_100km": 10.0, "share": 0.5}
+    found["together"] = [{"parts": ["brakes", "drivetrain"], **group}]
+    found["climate"] = found["climate"] | {"kwh": 0.0}
+    begin = "Braking and drivetrain together took 5.0 +- 0.2 kWh, "
+    assert breakdown_lines(found)[0].startswith(begin)
+    found["together"] = [{"parts": ["air", "tyres", "standing"], **group}]
+    begin = "Air, tyres and standing load together took 5.0 +- 0.2 kWh, "
+    assert breakdown_lines(found)[0].startswith(begin)
+
+
 def test_what_rounds_to_nothing_has_no_sign():
     found = breakdown_metrics(breakdown(), "hybrid")
     found["speed"] = {"kwh": -4e-4, "sigma_kwh": 0.1, "kwh_per_100km": -4e-3, "share": -4e-5}
