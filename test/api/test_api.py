@@ -6,6 +6,7 @@ import doctest
 import inspect
 import json
 from pathlib import Path
+import re
 
 import numpy as np
 import pandas as pd
@@ -127,6 +128,13 @@ def test_samples_one_by_one_give_what_a_replay_gives(table, tmp_path):
     learned.save(tmp_path / "car.json")
     again = ev.Estimator(state=tmp_path / "car.json")
     assert again.parameters.loc["mass", "value"] == learned.parameters.loc["mass", "value"]
+
+
+def test_a_result_shows_itself_in_a_line(result):
+    """Typed at a prompt it is no wall of numbers."""
+    shown = repr(result)
+    assert re.fullmatch(r"<Result of \S+, \w+: \d+\.\d km in \d+ min: .+ kWh from the .+>", shown)
+    assert len(shown) < 300
 
 
 def test_a_state_that_is_not_there_is_an_error_and_no_new_car():
