@@ -13,6 +13,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
@@ -37,7 +38,8 @@ ROOT = Path(__file__).resolve().parents[1]
 VEHICLE, DRIVE = "tesla_model_3_lr", "urban"
 HEARD = (topics.IDENTIFIABLE, topics.POWER_SMOOTHED)  # what the energy node learns the car from
 PICK, IN_TIME, LATE = "tab:orange", "tab:blue", "0.5"
-STEADY = "steady"
+STEADY, HILLS = "steady", "with the hills"
+DIP = 5.7  # km, before the second hill: there speeds lie apart
 BEFORE = {"fmt": "o", "ms": 3, "elinewidth": 1, "alpha": 0.5}
 AFTER = {"fmt": "o", "ms": 5, "elinewidth": 3}
 OUTSIDE = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
@@ -45,6 +47,8 @@ SMALL = {"fontsize": "small", "annotation_clip": False}
 BESIDE = {"xycoords": ("axes fraction", "data"), "va": "center", **SMALL}
 ABOVE = {"xytext": (0, 2), "textcoords": "offset points", "ha": "right", **SMALL}
 ABOVE |= {"xycoords": ("axes fraction", "data")}
+BELOW = {"xytext": (0, -2), "textcoords": "offset points", "ha": "center", "va": "top", **SMALL}
+BELOW |= {"bbox": {"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none"}}
 TIMEOUT = 30.0  # s
 WH = 3600.0
 
@@ -101,7 +105,7 @@ def asked_twice(example: Any) -> tuple[Any, list[Any], list[Any]]:
 
 
 def draw_route(axes: Axes, planner: Any, pick: int, deadline: float) -> None:
-    """Speeds over distance, each pair named where its steady one is, and the hills below."""
+    """Speeds over distance, each named: steady ones beside, the others in a dip; and the hills."""
     road = planner.candidates[0]
     hills = axes.twinx()
     hills.fill_between(road.distance / 1000, road.elevation, color="tab:green", alpha=0.15, lw=0)
@@ -113,9 +117,12 @@ def draw_route(axes: Axes, planner: Any, pick: int, deadline: float) -> None:
         style = {"color": colour, "ls": "--" if steady else "-", "lw": 3.0 if index == pick else 1}
         distance, speed = candidate.distance / 1000, candidate.speed * 3.6
         axes.plot(distance, speed, zorder=style["lw"], **style)
+        name = candidate.name.removesuffix(STEADY if steady else HILLS)
         if steady:
-            name = candidate.name.removesuffix(STEADY)
             axes.annotate(name, (1.01, speed.max()), **BESIDE, color=colour)
+        else:
+            dip = int(np.argmin(np.where(np.abs(distance - DIP) < 1.0, speed, np.inf)))
+            axes.annotate(name.partition(" ")[0], (DIP, speed[dip]), **BELOW, color=colour)
     axes.set(ylabel="speed, km/h", xlim=(0, road.distance[-1] / 1000), ylim=(0, 100))
     axes.set_xlabel("distance, km")
     lines = [
@@ -123,7 +130,7 @@ def draw_route(axes: Axes, planner: Any, pick: int, deadline: float) -> None:
         Line2D([], [], color=IN_TIME, label="in time"),
         Line2D([], [], color=LATE, label="late"),
         Line2D([], [], color="k", ls="--", lw=1, label=STEADY),
-        Line2D([], [], color="k", lw=1, label="with the hills"),
+        Line2D([], [], color="k", lw=1, label=HILLS),
     ]
     axes.legend(handles=lines, **OUTSIDE, ncols=len(lines))
 

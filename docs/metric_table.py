@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from evpinn_ros.replays.scoring import MAX_MEASURED_STEP
+from evpinn_ros.replays.scoring import GAP_STEPS, MAX_MEASURED_STEP
 
 
 class Metric(NamedTuple):
@@ -35,7 +35,8 @@ _ENERGY = (
     (
         "measured_j",
         "J",
-        f"voltage x current, integrated where gaps are up to {MAX_MEASURED_STEP} s",
+        f"voltage x current, charging too, integrated where gaps are up to {MAX_MEASURED_STEP} s "
+        f"or {GAP_STEPS:.0f} usual steps",
     ),
     ("predicted_j", "J", "predicted power, integrated over the same stretches"),
     ("rknn_j", "J", "the same by the Runge-Kutta network"),

@@ -171,6 +171,13 @@ def test_an_index_can_show_all_of_the_description(wheel: ZipFile) -> None:
     assert f">={min(pythons, key=lambda python: int(python[2:]))}" == metadata["Requires-Python"]
 
 
+def test_the_changelog_has_a_section_of_this_version() -> None:
+    """A release's notes are that section; what comes later stands above it."""
+    first, second = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[:2]
+    assert first == "Unreleased"
+    assert re.fullmatch(rf"{re.escape(evpinn_ros.__version__)} - \d{{4}}-\d\d-\d\d", second)
+
+
 def test_a_release_is_what_its_tag_says_and_needs_its_tests() -> None:
     flow = yaml.safe_load((ROOT / ".github" / "workflows" / "release.yml").read_text())
     assert flow[True] == {"push": {"tags": ["v*"]}}  # YAML 1.1 reads `on` as true

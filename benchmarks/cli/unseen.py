@@ -94,16 +94,17 @@ def _add(found: dict[str, Any], result: TaskResult) -> None:
 
 
 def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
-    methods = {name: entry["methods"][name] for name in names}
+    # Of a file of one's own the name alone, for tables are narrow.
+    methods = {name.rpartition("/")[2]: entry["methods"][name] for name in names}
     if (recorded := recorded_core(car, entry["drives"])) is not None:
         entry["methods"][RECORDED] = methods[RECORDED] = recorded
     title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
     say()
     say(title)
-    if "carried" in methods[names[0]]:
+    if "carried" in next(iter(methods.values())):
         show(energy_table(methods), at_least=TABLE_WIDTH)
         show(age_table(methods), at_least=TABLE_WIDTH)
     if recorded is not None:
         say(f"{RECORDED}: the core before its redesign, as it was measured then.")
-    if "truth" in methods[names[0]]:
+    if "truth" in next(iter(methods.values())):
         show(truth_table(methods), at_least=TABLE_WIDTH)

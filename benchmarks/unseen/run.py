@@ -18,7 +18,7 @@ from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
 from benchmarks.unseen.truth import DRIVES, KINDS, SECONDS, errors, run_truth, truth_summary
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, known_names, near_names
 
 CORE = "core"
 METHODS: Mapping[str, Factory] = {**BASELINES, CORE: OnlineChain}
@@ -53,12 +53,16 @@ def find_method(name: str) -> Factory:
         return METHODS[name]
     path, _, attribute = name.rpartition(":")
     spec = importlib.util.spec_from_file_location("user_method", path) if path else None
-    if spec is None or spec.loader is None or not Path(path).is_file():
-        raise InputError(f"no method '{name}'; known are {', '.join(METHODS)}, or FILE.py:CLASS")
+    if spec is None or spec.loader is None:
+        raise InputError(
+            f"no method '{name}', which may be FILE.py:CLASS{known_names(name, METHODS)}"
+        )
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     if not hasattr(module, attribute):
-        raise InputError(f"{path}: holds no '{attribute}'")
+        raise InputError(f"{path}: holds no '{attribute}'{near_names(attribute, vars(module))}")
     found: Factory = getattr(module, attribute)
     return found
 

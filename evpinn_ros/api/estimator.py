@@ -80,12 +80,14 @@ class Estimator:
         Args:
             vehicle: name, file, or what `load_vehicle` gave.
             mode: `hybrid` or `paper`.
-            state: file that `save` or a replay wrote; not read where it is not there.
+            state: file that `save` or a replay wrote.
 
         Raises:
-            InputError: no such vehicle or mode, or the state is not of it.
+            InputError: no such vehicle, mode or file, or the state is not of them.
         """
         path = None if state is None else Path(state)
+        if path is not None and not path.exists():
+            raise InputError(f"{path}: no such file")
         car = CarReplay(vehicle, ReplayOptions(), mode=mode_of(mode), state=path)
         self.vehicle, self._car, self._chain = car.vehicle, car, car.chain
         self._mode = mode_of(mode)
@@ -176,5 +178,8 @@ class Estimator:
         return self._chain.account
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write what was learned: a file for `state` here and in `evpinn_ros.replay`."""
+        """Write what was learned: a file for `state` here and in `evpinn_ros.replay`.
+
+        Beside `car.json`, `car.energy.json` keeps what was learned of the battery.
+        """
         self._car.write_state(Path(path))

@@ -50,12 +50,14 @@ class PlannedEnergy(NamedTuple):
         charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
             unknown, below 0 where the battery is empty before.
         model: the car that it was found with.
+        gauge: what is known of its battery.
     """
 
     trip: Plan
     found: Forecast
     charge: np.ndarray
     model: PowerModel
+    gauge: ChargeGauge
 
 
 def forecast(
@@ -94,7 +96,7 @@ def forecast(
     Raises:
         InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is no trip.
     """
-    trip, found, charge, _ = planned_energy(plan, car, charge_pct, air_density, head_wind)
+    trip, found, charge, *_ = planned_energy(plan, car, charge_pct, air_density, head_wind)
     columns = {
         "distance_m": trip.distance,
         "speed_mps": trip.speed,
@@ -137,11 +139,11 @@ def planned_energy(
     if not abs(head_wind) <= MAX_WIND:
         raise InputError(f"head_wind is {head_wind:g}, not -{MAX_WIND:g} to {MAX_WIND:g} m/s")
     found = forecast_plan(trip, model, density, head_wind)
+    gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge
     along = None if account is None else account.battery.along(found, charge)
     if along is None:
-        gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge
         along = battery_along(found, charge, gauge.capacity)
-    return PlannedEnergy(trip, found, along, model)
+    return PlannedEnergy(trip, found, along, model, gauge)
 
 
 def _trip(plan: Any) -> Plan:

@@ -17,6 +17,7 @@ from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
 from evpinn_ros.replays.history import PowerSeries
+from evpinn_ros.replays.owner_text import owner_line
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.vehicle.files import Vehicle
@@ -26,7 +27,7 @@ TIME = "t_s"
 FORECAST_COLUMNS = ("begin_s", "end_s", "measured_j", "forecast_j", "sigma_j", "covered")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """One replayed drive: its scores, and its series as DataFrames.
 
@@ -46,6 +47,12 @@ class Result:
     options: ReplayOptions
     linear_power: LinearPower | None
     account: EnergyAccount
+
+    def __repr__(self) -> str:
+        """The drive and the car in an owner's words, for a prompt or a notebook."""
+        path = self.metrics["input"]["path"]
+        line = owner_line(self.replayed.drive, self.metrics)
+        return f"<Result of {path}, {self.vehicle.key}: {line}>"
 
     @property
     def metrics(self) -> dict[str, Any]:

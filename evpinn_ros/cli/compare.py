@@ -20,10 +20,11 @@ from evpinn_ros.cli.options import (
 from evpinn_ros.cli.table_columns import explain_columns
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives
-from evpinn_ros.replays.comparison_text import UNIT, part_rows, sentences, trip_rows
+from evpinn_ros.replays.comparison_text import part_rows, sentences, trip_rows
 from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.report.compare_page import write_comparison
 
@@ -36,6 +37,7 @@ def compare(
     vehicle: VehicleOption = "generic",
     report: Annotated[Path | None, typer.Option(help="Write a page: one HTML file.")] = None,
     state: Annotated[Path | None, typer.Option(help="Of an earlier replay.")] = None,
+    units: Annotated[UnitSystem, typer.Option(help="Of distances.")] = UnitSystem.METRIC,
     start: StartOption = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=0.0, help="Compare this much of each drive, s.")
@@ -70,23 +72,23 @@ def compare(
         sources,
         progress=lambda one: progress_bar(one.path.name, options.seconds_of(one.seconds)),
     )
-    _show(found)
+    _show(found, units.units)
     if json_file is not None:
         write_json(json_file, found.metrics())
     if report is not None:
-        write_comparison(report, found, command_line())
+        write_comparison(report, found, command_line(), units.units)
     if found.problems:
         raise typer.Exit(1)
 
 
-def _show(found: Comparison) -> None:
+def _show(found: Comparison, units: Units) -> None:
     """Tables and sentences for people."""
     for problem in found.problems:
         note(f"evpinn: {problem}")
-    rows = trip_rows(found) + part_rows(found.parts())
-    show(PlainTable(f"Where the energy went, {UNIT}", ("", *found.names), rows))
+    rows = trip_rows(found, units) + part_rows(found.parts(), units=units)
+    show(PlainTable(f"Where the energy went, {units.rate}", ("", *found.names), rows))
     less = tuple(f"{name} less {found.names[0]}" for name in found.names[1:])
-    rows = part_rows(found.differences(), signed=True)
+    rows = part_rows(found.differences(), signed=True, units=units)
     show(PlainTable("What explains the difference", ("", *less), rows))
-    for line in sentences(found):
+    for line in sentences(found, units):
         say(line)

@@ -10,7 +10,6 @@ import typer
 
 from evpinn_ros.cli.console import note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH
 
@@ -50,8 +49,6 @@ def forecast(
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import planned_energy
 
-    if state is not None and not state.exists():
-        raise InputError(f"{state}: no such file")
     car = vehicle if state is None else Estimator(vehicle, state=state)
     found = [planned_energy(path, car, charge, None, head_wind) for path in plans]
     rows = [_figures(path, each, found[0]) for path, each in zip(plans, found, strict=True)]
@@ -61,10 +58,24 @@ def forecast(
     show(table, at_least=WIDE if len(rows) > 1 else 0)
     known = "by its vehicle file alone: --state gives what was learned"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
+    if charge is not None:
+        say(_battery(found[0].gauge))
     if charge is None:
         note("evpinn: --charge PERCENT, at the start, gives the charge at the end too")
     if json_file is not None:
         write_json(json_file, rows)
+
+
+def _battery(gauge: Any) -> str:
+    """Words on the energy of the full battery, which the charge after a plan rests on."""
+    if not gauge.capacity.known:
+        return (
+            "How much its battery holds is not known, so no charge: battery_capacity in its "
+            "vehicle file tells it, or a drive that takes ten percent."
+        )
+    kwh, sigma = (each / JOULES_PER_KWH for each in gauge.capacity)
+    how = "as its drives showed" if gauge.learned else "by its vehicle file"
+    return f"Battery: {kwh:.1f} +- {sigma:.1f} kWh when full, {how}."
 
 
 def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:

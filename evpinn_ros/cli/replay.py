@@ -43,6 +43,8 @@ from evpinn_ros.replays.run import (
 from evpinn_ros.replays.tables import energy_lines
 from evpinn_ros.simulation.truth_file import read_truth
 
+WIDE = 110  # characters of the table of drives
+
 
 def replay(
     inputs: Annotated[
@@ -61,7 +63,9 @@ def replay(
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a report, one HTML file.")] = None,
     metrics: MetricsOption = None,
-    units: Annotated[UnitSystem, typer.Option(help="Of the report.")] = UnitSystem.METRIC,
+    units: Annotated[
+        UnitSystem, typer.Option(help="Of distances, here and in the report.")
+    ] = UnitSystem.METRIC,
     withhold_battery_after: Annotated[
         float | None,
         typer.Option(min=0.0, help="Hide the battery from here on, s: what is speed worth alone?"),
@@ -100,6 +104,8 @@ def replay(
         params=params,
         state=state,
     )
+    if state is not None and not state.exists():
+        note(f"evpinn: {state} is not there yet: the car begins as its vehicle file says")
     open_input = partial(
         car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()
     )
@@ -114,12 +120,13 @@ def replay(
                 if interruption.asked:
                     break
                 found = _one(car, source, folder, lambda: interruption.asked)
-                _show(found, source, warm_up, len(folders) > 1)
+                _show(found, source, warm_up, len(folders) > 1, units.units)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
             written = _write(car, (metrics, report, state), units.units)
     if len(car.done) > 1:
-        show(drives_table([(each.drive, each.metrics) for each in car.done]))
+        drives = drives_table([(each.drive, each.metrics) for each in car.done], units.units)
+        show(drives, at_least=WIDE)
         show(parameter_table(car.done[-1].metrics))
         say("evpinn compare puts the breakdowns of these drives side by side.")
     if not written or any(result.problem for result in car.done):
@@ -140,7 +147,7 @@ def _one(
         return car.replay(source, writer=writer, progress=progress, stopped=stopped)
 
 
-def _show(result: Replayed, source: Source, warm_up: float, briefly: bool) -> None:
+def _show(result: Replayed, source: Source, warm_up: float, briefly: bool, units: Units) -> None:
     """Tables for people, of one of many drives a line, and one for each thing that was missing."""
     found = result.metrics
     if result.problem:
@@ -155,12 +162,12 @@ def _show(result: Replayed, source: Source, warm_up: float, briefly: bool) -> No
     dropped = ", ".join(f"{n} {reason}" for reason, n in found["input"]["dropped"].items())
     if dropped:
         say(f"Dropped readings: {dropped}")
-    say(owner_line(result.drive, found))
+    say(owner_line(result.drive, found, units))
     if briefly:
         return
     if found["breakdown"]["unknown"] is None:
-        show(breakdown_table(found["breakdown"]))
-    for line in breakdown_lines(found["breakdown"]):
+        show(breakdown_table(found["breakdown"], units))
+    for line in breakdown_lines(found["breakdown"], units):
         say(line)
     show(score_table(result.drive, found, warm_up))
     for line in energy_lines(found):

@@ -26,6 +26,7 @@ from evpinn_ros.cli.options import (
     elm327_bus,
 )
 from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.estimation.state_file import account_path
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -41,7 +42,7 @@ def learned_before(state: Path | None, params: Path | None) -> Path | None:
     return state_path(str(state or ""))
 
 
-def _say_what_is_kept(begun: float, record: Path | None, state: Path | None) -> None:
+def _say_what_is_kept(begun: float, vehicle: str, record: Path | None, state: Path | None) -> None:
     """After a drive: what was saved, and what to do next."""
     files = {"the drive": record, "what was learned": state}
     kept = {what: f for what, f in files.items() if f and f.exists() and f.stat().st_mtime > begun}
@@ -52,7 +53,8 @@ def _say_what_is_kept(begun: float, record: Path | None, state: Path | None) -> 
             "evpinn: nothing was saved; --record FOLDER keeps a drive, --state FILE what it taught"
         )
     if record in kept.values():
-        note(f"evpinn: next: evpinn replay {shlex.quote(str(record))} --report drive.html")
+        of = shlex.join([str(record), "--vehicle", vehicle])
+        note(f"evpinn: next: evpinn replay {of} --report drive.html")
 
 
 def run(
@@ -134,7 +136,7 @@ def run(
         "poll": poll or None,
         "mode": mode.value if mode is not None else None,
         "state_file": str(state) if state is not None else None,
-        "energy_file": str(state.with_suffix(".energy.json")) if state is not None else None,
+        "energy_file": str(account_path(state)) if state is not None else None,
     }
     if record is None and (split_size or split_time):
         raise typer.BadParameter("--split-size and --split-time need --record")
@@ -142,7 +144,8 @@ def run(
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
     with ExitStack() as beside:  # left when the nodes have ended, before this process is
-        beside.callback(_say_what_is_kept, time.time(), record, learned_before(state, params))
+        kept = record, learned_before(state, params)
+        beside.callback(_say_what_is_kept, time.time(), vehicle, *kept)
         if report is not None:
             learning = {"--vehicle": vehicle, "--mode": mode and mode.value, "--params": params}
             options = [str(word) for pair in learning.items() if pair[1] for word in pair]

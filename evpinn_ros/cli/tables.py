@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.replays.breakdown_text import COLUMNS, breakdown_rows
+from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.replays.breakdown_text import breakdown_columns, breakdown_rows
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.owner_text import DRIVES_COLUMNS, drives_rows
+from evpinn_ros.replays.owner_text import drives_columns, drives_rows
 from evpinn_ros.replays.parameter_text import MEANINGS, number
 from evpinn_ros.replays.run import WARM_UP
 from evpinn_ros.replays.tables import (
@@ -47,9 +48,10 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
     return table
 
 
-def breakdown_table(found: Mapping[str, Any]) -> PlainTable:
-    """Breakdown of the energy: kWh, 1-sigma, kWh/100 km and share of each part."""
-    return PlainTable("Where the energy went", COLUMNS, breakdown_rows(found))
+def breakdown_table(found: Mapping[str, Any], units: Units = METRIC) -> PlainTable:
+    """Breakdown of the energy: kWh, 1-sigma, energy over distance and share of each part."""
+    rows = breakdown_rows(found, units)
+    return PlainTable("Where the energy went", breakdown_columns(units), rows)
 
 
 def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
@@ -58,8 +60,10 @@ def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP
     return PlainTable(title, SCORE_COLUMNS, score_rows(drive, found, warm_up))
 
 
-def drives_table(drives: Sequence[tuple[Drive, Mapping[str, Any]]]) -> PlainTable:
+def drives_table(
+    drives: Sequence[tuple[Drive, Mapping[str, Any]]], units: Units = METRIC
+) -> PlainTable:
     """Drives of one car with their metrics, a row each."""
     names = short_names([Path(found["input"]["path"]) for _, found in drives])
-    rows = drives_rows([(name, *each) for name, each in zip(names, drives, strict=True)])
-    return PlainTable("Drives", DRIVES_COLUMNS, rows, words=("took most",))
+    rows = drives_rows([(name, *each) for name, each in zip(names, drives, strict=True)], units)
+    return PlainTable("Drives", drives_columns(units), rows, words=("took most",))

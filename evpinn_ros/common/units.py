@@ -63,12 +63,16 @@ class Units(NamedTuple):
         """Speeds in one m/s."""
         return 3600.0 / self.metres
 
-    def consumption(self, joules: float, metres: float) -> tuple[str, str]:
-        """Energy over distance as people state it: number and unit."""
+    @property
+    def economy(self) -> str:
+        """Name of what `consumption` states."""
+        return self.rate if self is METRIC else f"{self.distance}/kWh"
+
+    def consumption(self, joules: float, metres: float) -> str:
+        """Energy over distance as people state it, in units of `economy`."""
         if self is METRIC:
-            return f"{joules / metres / self.rate_joules:.1f}", self.rate
-        far = metres / self.metres * JOULES_PER_KWH
-        return (f"{far / joules:.1f}" if joules > 0 else "-"), f"{self.distance}/kWh"
+            return f"{joules / metres / self.rate_joules:.1f}"
+        return f"{metres / self.metres * JOULES_PER_KWH / joules:.1f}" if joules > 0 else "-"
 
 
 METRIC = Units("km", 1000.0, "km/h", 10.0, "m", 1.0, "°C", 1.0, 0.0, "kWh/100 km", 36.0)

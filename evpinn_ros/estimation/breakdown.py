@@ -246,9 +246,9 @@ class PartSums:
         Args:
             kept: share of each state that is kept between drives, shape (SIZE,).
         """
-        cross = self.cross * kept
         if not self.drives[-1].seconds:
-            return replace(self, cross=cross)
+            return self.offset(kept)
+        cross = self.cross * kept
         all_, more = (0, 0), (0, COUNT)
         return PartSums(
             np.pad(self.mean, (all_, more)),
@@ -256,6 +256,10 @@ class PartSums:
             np.pad(cross, (all_, more, all_)),
             (*self.drives, Totals()),
         )
+
+    def offset(self, kept: np.ndarray) -> PartSums:
+        """With states of which a share, shape (SIZE,), is as it was: the drive goes on."""
+        return replace(self, cross=self.cross * kept)
 
     def passed(self, transition: np.ndarray) -> PartSums:
         """After a step of the states, of which all but `FAST` stay."""

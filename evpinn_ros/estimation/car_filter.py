@@ -147,10 +147,11 @@ class CarFilter(Saveable[SavedFilter]):
         self._height_known = self._load_known = False
         self.forget_road()
 
-    def begin_drive(self, keep: bool = False) -> None:
+    def begin_drive(self, keep: bool = False, *, goes_on: bool = False) -> None:
         """Another drive: another road, and other offsets, of which some is as it was.
 
         With `keep` the sums of the drives before stay, to compare, and no offset is as it was.
+        Where the breakdown `goes_on`, as over a long stop in a recording, its sums do too.
 
         The variance of what is of a drive is learned from the drive that was (expectation
         maximisation with a prior of `PRIOR_DRIVES` drives).
@@ -168,8 +169,10 @@ class CarFilter(Saveable[SavedFilter]):
                 fresh[state] = (1.0 - share**2) * variance + more.get(state, 0.0) ** 2
             self.state = predict(self.state, np.diag(kept), np.diag(fresh))
         self.intervals, self._seconds = 0, 0.0
-        earlier = self.parts if keep else None
-        self.parts = earlier.next_drive(kept) if earlier else PartSums.none(len(self._scale))
+        if self.parts is not None and (keep or goes_on):
+            self.parts = self.parts.next_drive(kept) if keep else self.parts.offset(kept)
+        else:
+            self.parts = PartSums.none(len(self._scale))
         self.forget_road()
 
     def forget_road(self) -> None:

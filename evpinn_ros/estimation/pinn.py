@@ -148,12 +148,12 @@ class LearnedCar:
         self.filter.forget_road()
         self.known_ns = self.end_ns
 
-    def begin_drive(self, keep: bool = False) -> None:
-        """Another drive of this car; the breakdowns of those before are kept, or not."""
+    def begin_drive(self, keep: bool = False, *, goes_on: bool = False) -> None:
+        """Another drive of this car; `keep` and `goes_on` as in `CarFilter.begin_drive`."""
         self.stretches += 1
         self.loads.end_drive()
         self.rehearsal.end()
-        self.filter.begin_drive(keep)
+        self.filter.begin_drive(keep, goes_on=goes_on)
         self.sums.begin_drive()
         self.payload.forget_time()
 
@@ -206,7 +206,7 @@ class PinnLearner(Saveable[SavedPinn]):
         seen_ns, self._seen_ns = self._seen_ns, sample.stamp_ns
         passed = 0.0 if seen_ns is None else (sample.stamp_ns - seen_ns) / NANOSECONDS
         if abs(passed) > PARKED:
-            self.end_drive()
+            self._begin_drive(goes_on=True)
         elif passed < 0.0:
             self._car.forget_road()
         self._network.advance(min(max(passed, 0.0), PARKED))
@@ -302,8 +302,12 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def end_drive(self) -> None:
         """Begin another drive."""
+        self._begin_drive(goes_on=False)
+
+    def _begin_drive(self, *, goes_on: bool) -> None:
+        """Likewise; the breakdown goes on, or begins with it."""
         self.forget_window()
-        self._car.begin_drive(self._keep_drives)
+        self._car.begin_drive(self._keep_drives, goes_on=goes_on)
         self._use(self._car)
 
     def saved(self) -> SavedPinn:

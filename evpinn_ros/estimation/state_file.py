@@ -16,6 +16,11 @@ from evpinn_ros.common.plain_file import open_file
 MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
 
 
+def account_path(state: Path) -> Path:
+    """File beside a state that keeps the energy account of the car: `car.energy.json`."""
+    return state.with_suffix(".energy.json")
+
+
 def write_state(path: Path, state: Mapping[str, Any]) -> None:
     """Write a state so that a crash at any instant leaves the old file or the new one whole.
 

@@ -290,7 +290,9 @@ def _sigma(watts: float) -> str:
 def _number(value: float, decimals: int) -> str:
     if not math.isfinite(value):
         return UNKNOWN
-    return f"{value:.{decimals}f}" if abs(value) < GREATEST else f"{value:.1e}"
+    if abs(value) >= GREATEST:
+        return f"{value:.1e}"
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # no -0
 
 
 def _cell(text: str, width: int, *, right: bool = False) -> str:

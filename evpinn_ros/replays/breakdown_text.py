@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
@@ -25,11 +25,36 @@ MEANINGS: Mapping[str, str] = {
     "measured": "measured",
     REGAINED: "brought back by braking",
 }
+TOGETHER = " + "  # between the names of parts that are not separated
 LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
-COLUMNS = ("where it went", "kWh", "1-sigma", METRIC.rate, "share")
+SHORT = {  # in a column of a table
+    MEANINGS["air"]: "air",
+    MEANINGS["slope"]: "slopes",
+    MEANINGS["brakes"]: "braking",
+    MEANINGS["drivetrain"]: "drivetrain",
+    MEANINGS["climate"]: "heating",
+    MEANINGS["standing"]: "standing load",
+}
+# How a sentence on a part begins.
+TOOK = {
+    MEANINGS["slope"]: "climbing took",
+    MEANINGS["brakes"]: "braking lost",
+}
 WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can be turned down
+# From here on what took energy is told as shares of all that did: a drive that went down takes
+# little in sum, and each part of it is a multiple of that.
+GAVE_BACK = 1.1  # of what was measured
 PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
 NOTHING = "the battery was measured over no interval that could be learned from"
+
+
+class KnownPart(NamedTuple):
+    """A part that took energy, known to two sigmas: kWh, and its share of the drive or of all."""
+
+    name: str
+    kwh: float
+    sigma_kwh: float
+    share: float
 
 
 def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
@@ -71,19 +96,24 @@ def shown(found: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     return rows
 
 
+def breakdown_columns(units: Units = METRIC) -> tuple[str, ...]:
+    """Titles of `breakdown_rows`."""
+    return ("where it went", "kWh", "1-sigma", units.rate, "share")
+
+
 def breakdown_rows(found: Mapping[str, Any], units: Units = METRIC) -> list[tuple[str, ...]]:
-    """Rows of text under `COLUMNS`: what is `shown`, what was measured, what was brought back."""
+    """Rows of text under `breakdown_columns`: what is `shown`, was measured, was brought back."""
     if found["unknown"] is not None:
         return []
     beside = [(MEANINGS[name], found[name]) for name in ("measured", REGAINED)]
     return [_row(name, amount, units) for name, amount in (*shown(found), *beside)]
 
 
-def breakdown_lines(found: Mapping[str, Any]) -> list[str]:
+def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
     """Sentences for people: what is worth saying, if anything is, and what the figures are of."""
     if found["unknown"] is not None:
         return [f"Where the energy went: {found['unknown']}."]
-    return [line for line in (breakdown_sentence(found), *breakdown_notes(found)) if line]
+    return [line for line in (breakdown_sentence(found), *breakdown_notes(found, units)) if line]
 
 
 def breakdown_notes(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
@@ -94,28 +124,59 @@ def breakdown_notes(found: Mapping[str, Any], units: Units = METRIC) -> list[str
     ]
     minutes, far = found["duration_s"] / 60, found["distance_m"] / units.metres
     driven = f"{far:.1f} {units.distance} and {minutes:.0f} min"
-    return [*lines, f"Of the {driven} whose battery was measured."]
+    return [*lines, f"Of the {driven} with the battery measured that were learned from."]
+
+
+def known_parts(found: Mapping[str, Any]) -> list[KnownPart]:
+    """Parts that took energy and are known to two sigmas; shares are of `_whole`."""
+    whole, _ = _whole(found)
+    return [
+        KnownPart(name, part["kwh"], part["sigma_kwh"], part["kwh"] / whole)
+        for name, part in shown(found)
+        if part["kwh"] > 2 * part["sigma_kwh"]
+    ]
+
+
+def _whole(found: Mapping[str, Any]) -> tuple[float, str]:
+    """Whole that shares are of, kWh, and its name: the drive, where little of it came back."""
+    spent = sum(max(part["kwh"], 0.0) for _, part in shown(found))
+    measured = found["measured"]["kwh"]
+    return (measured, "this drive") if spent < GAVE_BACK * measured else (spent, "what was spent")
 
 
 def breakdown_sentence(found: Mapping[str, Any]) -> str:
     """Sentence on what is worth saying: of the rows known to two sigmas the largest.
 
     Heating comes first where it took `WORTH_SAYING`; speed, which stops to be, and what is
-    unexplained are left out. Empty where nothing is known so well.
+    unexplained are left out. Empty where nothing is known so well. Another tells what descents
+    gave back, where shares are of what was spent.
     """
-    known = [
-        (name, part)
-        for name, part in shown(found)
-        if name not in LEFT_OUT and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
-    ]
+    known = [row for row in known_parts(found) if row.name not in LEFT_OUT]
     if not known:
         return ""
-    heating = [row for row in known if row[0] == MEANINGS["climate"]]
-    first = [row for row in heating if row[1]["share"] > WORTH_SAYING]
-    name, most = max(first or known, key=lambda row: row[1]["kwh"])
-    digits = 1 if most["sigma_kwh"] >= 0.095 else 2 if most["sigma_kwh"] >= 0.0095 else 3
-    amount = f"{most['kwh']:.{digits}f} +- {most['sigma_kwh']:.{digits}f} kWh"
-    return f"{name.capitalize()} took {amount}, {_share(most['share'])} of this drive."
+    heating = [row for row in known if row.name == MEANINGS["climate"]]
+    first = [row for row in heating if row.share > WORTH_SAYING]
+    most, (_, whole) = max(first or known, key=lambda row: row.kwh), _whole(found)
+    amount, share = _amount(most.kwh, most.sigma_kwh), _share(most.share)
+    sentence = f"{_took(most.name).capitalize()} {amount}, {share} of {whole}."
+    slope = dict(shown(found)).get(MEANINGS["slope"], {"kwh": 0.0, "sigma_kwh": 0.0})
+    if whole != "this drive" and slope["kwh"] < -2 * slope["sigma_kwh"]:
+        back = _amount(-slope["kwh"], slope["sigma_kwh"])
+        sentence += f" The way down gave back {back}."
+    return sentence
+
+
+def _took(name: str) -> str:
+    """Begin of a sentence on a part, or on some that are not separated."""
+    if TOGETHER not in name:
+        return TOOK.get(name, f"{name} took")
+    *some, last = (SHORT.get(part, part) for part in name.split(TOGETHER))
+    return f"{', '.join(some)} and {last} together took"
+
+
+def _amount(kwh: float, sigma_kwh: float) -> str:
+    digits = 1 if sigma_kwh >= 0.095 else 2 if sigma_kwh >= 0.0095 else 3
+    return f"{kwh:.{digits}f} +- {sigma_kwh:.{digits}f} kWh"
 
 
 def _share(share: float) -> str:
@@ -132,19 +193,20 @@ def _together(names: Iterable[str]) -> str:
 
 def name_of(parts: Iterable[Part]) -> str:
     """The name of a part, or of some that are not separated."""
-    return " + ".join(MEANINGS[part.name.lower()] for part in parts)
+    return TOGETHER.join(MEANINGS[part.name.lower()] for part in parts)
 
 
 def _row(name: str, amount: Mapping[str, float | None], units: Units) -> tuple[str, ...]:
-    def text(value: float | None, form: str) -> str:
-        return "-" if value is None else format(round(value, 6) + 0.0, form)
+    def text(value: float | None, digits: int) -> str:
+        """To so many digits; of what rounds to nothing no sign."""
+        return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
 
     share, rate = amount["share"], amount["kwh_per_100km"]
     rate = None if rate is None else rate * METRIC.rate_joules / units.rate_joules
     return (
         name,
-        text(amount["kwh"], ".3f"),
-        text(amount["sigma_kwh"], ".3f"),
-        text(rate, ".2f" if units is METRIC else ".1f"),
-        text(None if share is None else 100 * share, ".1f") + (" %" if share is not None else ""),
+        text(amount["kwh"], 3),
+        text(amount["sigma_kwh"], 3),
+        text(rate, 2 if units is METRIC else 1),
+        text(None if share is None else 100 * share, 1) + (" %" if share is not None else ""),
     )

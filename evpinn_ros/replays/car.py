@@ -11,8 +11,11 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.state_file import read_state, write_state
+from evpinn_ros.estimation.state_file import account_path, read_state, write_state
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.chain import Chain
@@ -112,8 +115,17 @@ class CarReplay:
         return found
 
     def write_state(self, path: Path) -> None:
-        """Write what was learned, as `state_file.write_state` does."""
+        """Write what was learned, as `state_file.write_state` does, and beside it of the battery.
+
+        That is the energy account as it begins the next trip: capacity, voltage, consumption.
+        """
         write_state(path, self.chain.estimator.export())
+        account = EnergyAccount(
+            EnergyMeter(load_rknn()), self.vehicle.key, self.vehicle.battery_capacity
+        )
+        account.take(self.chain.account.saved())
+        account.begin_next_trip()
+        write_state(account_path(path), account.export())
 
 
 def mode_of(name: str) -> Mode:
@@ -135,10 +147,14 @@ def _restore(chain: Chain, state: Path | None) -> None:
         InputError: it cannot be used, with the reason.
     """
     saved = read_state(state) if state is not None else None
-    if saved is None:
+    if state is None or saved is None:
         return
+    counted = read_state(account_path(state))
     with as_input_error(state, ValueError):
         chain.estimator.restore(saved)
+    with as_input_error(account_path(state), ValueError):
+        if counted is not None:
+            chain.account.restore(counted)
     chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
 from evpinn_ros.estimation.breakdown import (
     DISTANCE,
     REGAINED,
@@ -16,13 +17,12 @@ from evpinn_ros.replays.breakdown_text import MEANINGS, name_of
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.driven import travelled
 
-UNIT = "kWh/100 km"
 SURE = 2.0  # sigmas of a difference that is more than chance
 Rows = list[tuple[str, ...]]
 
 
-def part_rows(found: Sequence[Breakdown], *, signed: bool = False) -> Rows:
-    """Parts and what they add up to, a column for each breakdown: `UNIT` +- 1-sigma.
+def part_rows(found: Sequence[Breakdown], *, signed: bool = False, units: Units = METRIC) -> Rows:
+    """Parts and what they add up to, a column for each breakdown: `units.rate` +- 1-sigma.
 
     Parts that one of the breakdowns does not separate stand in one row.
     """
@@ -35,7 +35,13 @@ def part_rows(found: Sequence[Breakdown], *, signed: bool = False) -> Rows:
     known.append((MEANINGS["measured"], [each.total() for each in found]))
     known.append((MEANINGS[REGAINED], [each[REGAINED] for each in amounts]))
     return [
-        (name, *(per_100_km(e, one.distance, signed) for e, one in zip(cells, found, strict=True)))
+        (
+            name,
+            *(
+                rate_text(each, one.distance, signed, units)
+                for each, one in zip(cells, found, strict=True)
+            ),
+        )
         for name, cells in known
     ]
 
@@ -49,39 +55,41 @@ def common_groups(found: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
     return sorted(tuple(sorted(row)) for row in rows)
 
 
-def trip_rows(found: Comparison) -> Rows:
+def trip_rows(found: Comparison, units: Units = METRIC) -> Rows:
     """Length, time and mean speed of each drive, and how much of it is compared."""
     columns = []
     for drive, parts in zip(found.drives, found.parts(), strict=True):
         steps = travelled(drive)
-        km, hours = float(steps.distance.sum()) / 1000, float(steps.seconds.sum()) / 3600
+        far, hours = float(steps.distance.sum()) / units.metres, float(steps.seconds.sum()) / 3600
         columns.append(
             (
-                f"{km:.1f} km",
+                f"{far:.1f} {units.distance}",
                 f"{drive.duration / 60:.0f} min",
-                f"{km / hours:.0f} km/h" if hours else "-",
-                f"{parts.distance / 1000:.1f} km",
+                f"{far / hours:.0f} {units.speed}" if hours else "-",
+                f"{parts.distance / units.metres:.1f} {units.distance}",
             )
         )
     names = ("length", "time", "mean speed", "with battery measured")
     return [(name, *cells) for name, *cells in zip(names, *columns, strict=True)]
 
 
-def sentences(found: Comparison) -> Iterator[str]:
+def sentences(found: Comparison, units: Units = METRIC) -> Iterator[str]:
     """Sentences on what explains the difference of each drive to the first."""
     base = found.parts()[0].total().kwh_per_100km or 0.0
     for name, difference in zip(found.names[1:], found.differences(), strict=True):
         total = difference.total().kwh
         share = f" ({100 * total / base:+.0f} %)" if base > 0.0 else ""
         if round(total, 2) == 0.0:
-            yield f"{name} took as much per 100 km as {found.names[0]}."
+            yield f"{name} took as much over distance as {found.names[0]}."
             continue
         more = "more" if total > 0.0 else "less"
-        yield f"{name} took {abs(total):.2f} {UNIT} {more} than {found.names[0]}{share}."
-        yield _explained(difference)
+        much = abs(total) * METRIC.rate_joules / units.rate_joules
+        text = f"{much:.{_digits(units)}f} {units.rate}"
+        yield f"{name} took {text} {more} than {found.names[0]}{share}."
+        yield _explained(difference, units)
 
 
-def _explained(difference: Breakdown) -> str:
+def _explained(difference: Breakdown, units: Units) -> str:
     """The parts whose difference is more than chance, the largest first."""
     parts = {group: difference.of(*group) for group in common_groups([difference])}
     sure = {g: each for g, each in parts.items() if abs(each.kwh) > SURE * each.sigma_kwh > 0.0}
@@ -91,13 +99,18 @@ def _explained(difference: Breakdown) -> str:
         )
     largest = sorted(sure, key=lambda group: -abs(sure[group].kwh))
     listed = "; ".join(
-        f"{name_of(group)} {per_100_km(sure[group], DISTANCE, signed=True)}" for group in largest
+        f"{name_of(group)} {rate_text(sure[group], DISTANCE, True, units)}" for group in largest
     )
     return f"More than chance: {listed}."
 
 
-def per_100_km(amount: Amount, distance: float, signed: bool = False) -> str:
-    """Consumption of a part over a distance, m, with its 1-sigma."""
-    scale = DISTANCE / distance
-    value = round(amount.kwh * scale, 2) + 0.0  # no -0.00
-    return f"{value:{'+' if signed else ''}.2f} +- {amount.sigma_kwh * scale:.2f}"
+def rate_text(amount: Amount, distance: float, signed: bool = False, units: Units = METRIC) -> str:
+    """Consumption of a part over a distance, m, with its 1-sigma, in `units.rate`."""
+    digits, sign = _digits(units), "+" if signed else ""
+    scale = JOULES_PER_KWH / distance / units.rate_joules
+    value = round(amount.kwh * scale, digits) + 0.0  # no -0.00
+    return f"{value:{sign}.{digits}f} +- {amount.sigma_kwh * scale:.{digits}f}"
+
+
+def _digits(units: Units) -> int:
+    return 2 if units is METRIC else 1

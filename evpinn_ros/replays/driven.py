@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
+from evpinn_ros.estimation.learner import CHARGING_POWER
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import known_at, longest_step
+from evpinn_ros.replays.scoring import Span, known_at, longest_step
+from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 
 class DrivenSteps(NamedTuple):
@@ -36,10 +38,26 @@ def travelled(drive: Drive) -> DrivenSteps:
 
 
 def measured_steps(drive: Drive) -> DrivenSteps:
-    """Steps between readings of the battery over which speed is known too."""
+    """Steps between readings of the battery over which speed is known too; none that charge it."""
+    steps, charging = _battery_steps(drive)
+    return chosen_rows(steps, ~charging)
+
+
+def charged(drive: Drive, span: Span | None = None) -> float:
+    """Energy that the car took from a charger while it stood, J; of a part of the drive alone."""
+    steps, charging = _battery_steps(drive)
+    if span is not None:
+        charging &= span.holds(steps.end)
+    return -float(steps.energy[charging].sum())
+
+
+def _battery_steps(drive: Drive) -> tuple[DrivenSteps, np.ndarray]:
+    """Steps with speed and battery, and which of them charge the standing car, shape (n,)."""
     time, power = drive.measured.T
     speed, known = known_at(rising(drive.speed), time)
-    return _steps(np.column_stack((time, speed)), power, known)
+    steps = _steps(np.column_stack((time, speed)), power, known)
+    charging = steps.energy < CHARGING_POWER * steps.seconds
+    return steps, charging & (steps.speed < STANDSTILL_SPEED)
 
 
 def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> DrivenSteps:

@@ -10,7 +10,7 @@ import numpy as np
 
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN
 from evpinn_ros.replays.history import Detection, Drive
-from evpinn_ros.replays.scoring import MAX_MEASURED_STEP
+from evpinn_ros.replays.scoring import longest_step
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 from evpinn_ros.signals.time_jump import DEFAULT_RULE
@@ -51,13 +51,14 @@ def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event
 
 
 def _gaps(drive: Drive) -> Iterator[Event]:
-    """Dropouts inside of the drive and at its ends."""
+    """Dropouts inside of the drive and at its ends, by the usual step of each signal."""
     for kind, rows, lost in (
         (EventKind.SPEED_DROPOUT, drive.speed, "nothing was predicted or learned across it"),
         (EventKind.BATTERY_DROPOUT, drive.measured, "power went on from speed alone"),
     ):
-        times = np.concatenate(([0.0], np.sort(rows[:, 0]), [drive.duration]))
-        for index in np.flatnonzero(np.diff(times) > MAX_MEASURED_STEP):
+        known = np.sort(rows[:, 0])
+        times = np.concatenate(([0.0], known, [drive.duration]))
+        for index in np.flatnonzero(np.diff(times) > longest_step(known)):
             seconds = times[index + 1] - times[index]
             yield Event(float(times[index]), kind, f"For {seconds:.1f} s; {lost}.")
 

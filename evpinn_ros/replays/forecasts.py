@@ -12,8 +12,9 @@ from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, combined_model, vehicle_model
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.replays.driven import charged
 from evpinn_ros.replays.history import Drive, KnownModel
-from evpinn_ros.replays.scoring import MAX_MEASURED_STEP, Span, measured_energy
+from evpinn_ros.replays.scoring import Span, longest_step, measured_energy
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.linear_power import LinearPower
 
@@ -52,12 +53,15 @@ def forecast_outcome(
 ) -> ForecastOutcome | None:
     """The drive up to `end`, s, as a plan that was driven to the letter.
 
-    None where it cannot be compared: it is short, or speed or battery has a gap in it.
+    None where it cannot be compared: it is short, speed or battery has a gap in it, or the car was
+    charged, which is no plan's.
     """
     span = Span(known.time, end)
     speed = _inside(drive.speed, span)
     battery = _inside(drive.measured, span)
     if end - known.time < SHORTEST or not (_whole(speed, span) and _whole(battery, span)):
+        return None
+    if charged(drive, span):
         return None
     try:
         plan = drive_plan(speed, _inside(drive.altitude, span))
@@ -121,4 +125,4 @@ def _inside(rows: np.ndarray, span: Span) -> np.ndarray:
 def _whole(rows: np.ndarray, span: Span) -> bool:
     """True if a series has no gap anywhere in the span."""
     times = np.concatenate(([span.begin], rows[:, 0], [span.end]))
-    return len(rows) > 1 and bool(np.diff(times).max() <= MAX_MEASURED_STEP)
+    return len(rows) > 1 and bool(np.diff(times).max() <= longest_step(rows[:, 0]))

@@ -6,22 +6,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.replays.driven import rising
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.replays.driven import measured_steps, rising
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import running_total
-
-KMH, KM = 3.6, 1000.0
 
 
 class Course(NamedTuple):
     """Values at even distances; shape (n,) each, NaN where unknown.
 
     Attributes:
-        distance: km.
-        energy: measured since the start, kWh; none is counted while the battery is not measured.
-        speed: mean since the point before, km/h.
-        height: m, where altitude was recorded.
+        distance: km or miles.
+        energy: measured since the start, kWh; none is counted while the battery is not measured,
+            or is charged.
+        speed: mean since the point before, of as many an hour.
+        height: m or feet, where altitude was recorded.
     """
 
     distance: np.ndarray
@@ -36,17 +35,17 @@ def distance_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     return time, running_total(time, np.abs(speed))
 
 
-def over_distance(drive: Drive, points: int) -> Course:
+def over_distance(drive: Drive, points: int, units: Units = METRIC) -> Course:
     """The course of a drive at `points` even distances."""
     time, metres = distance_until(drive)
     at = np.linspace(0.0, metres[-1], points)
     moments = np.interp(at, metres, time)
     speed = np.full(points, np.nan)
-    speed[1:] = np.diff(at) / np.maximum(np.diff(moments), 1e-3) * KMH
-    joules = running_total(*drive.measured.T)
-    energy = _at(moments, drive.measured[:, 0], joules) / JOULES_PER_KWH
-    height = _at(moments, *drive.altitude.T, left=np.nan, right=np.nan)
-    return Course(at / KM, energy, speed, height)
+    speed[1:] = np.diff(at) / np.maximum(np.diff(moments), 1e-3) * units.speeds
+    steps = measured_steps(drive)
+    energy = _at(moments, steps.end, np.cumsum(steps.energy), left=0.0) / JOULES_PER_KWH
+    height = _at(moments, *drive.altitude.T, left=np.nan, right=np.nan) / units.height_metres
+    return Course(at / units.metres, energy, speed, height)
 
 
 def _at(moments: np.ndarray, time: np.ndarray, values: np.ndarray, **ends: float) -> np.ndarray:

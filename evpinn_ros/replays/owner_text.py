@@ -5,33 +5,45 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, UNEXPLAINED
-from evpinn_ros.replays.breakdown_text import shown
-from evpinn_ros.replays.driven import travelled
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
+from evpinn_ros.replays.breakdown_text import LEFT_OUT, SHORT, TOGETHER, known_parts
+from evpinn_ros.replays.driven import charged, measured_steps, travelled
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.tables import signed_percent, watts
 
-DRIVES_COLUMNS = (
-    *("drive", "km", "min", "kWh", "kWh/100 km"),
-    *("took most", "RMSE", "energy predicted"),
-)
+NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along
+LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying
 
 
-def owner_line(drive: Drive, found: Mapping[str, Any]) -> str:
+def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
+    """Titles of `drives_rows`."""
+    trip = ("drive", units.distance, "min", "kWh", units.economy)
+    return (*trip, "took most", "RMSE", "energy predicted")
+
+
+def owner_line(drive: Drive, found: Mapping[str, Any], units: Units = METRIC) -> str:
     """Length, time and energy of a drive, measured or, where it was not, predicted."""
-    km, minutes, kwh, consumption = _figures(drive, found)
+    far, minutes, kwh, consumption = _figures(drive, found, units)
     how = "predicted" if found["energy"]["measured_j"] is None else "from the battery"
-    per_distance = f", {consumption} kWh/100 km" if consumption != "-" else ""
-    return f"{km} km in {minutes} min: {kwh} kWh {how}{per_distance}."
+    per_distance = f", {consumption} {units.economy}" if consumption != "-" else ""
+    known, whole = measured_steps(drive).distance.sum(), travelled(drive).distance.sum()
+    if per_distance and 0.0 < known < NEARLY_WHOLE * whole:
+        per_distance += f" over the {known / units.metres:.1f} {units.distance} measured"
+    taken = charged(drive)
+    plugged = f" Charged while it stood: {taken / JOULES_PER_KWH:.2f} kWh, in no other figure."
+    line = f"{far} {units.distance} in {minutes} min: {kwh} kWh {how}{per_distance}."
+    return line + (plugged if taken >= LEAST_CHARGED else "")
 
 
-def drives_rows(drives: Sequence[tuple[str, Drive, Mapping[str, Any]]]) -> list[tuple[str, ...]]:
-    """A row under `DRIVES_COLUMNS` for each name, drive and its metrics."""
+def drives_rows(
+    drives: Sequence[tuple[str, Drive, Mapping[str, Any]]], units: Units = METRIC
+) -> list[tuple[str, ...]]:
+    """A row under `drives_columns` for each name, drive and its metrics."""
     return [
         (
             name,
-            *_figures(drive, found),
+            *_figures(drive, found, units),
             _most(found["breakdown"]),
             watts(found["power"]["rmse_w"]),
             signed_percent(found["energy"]["error_percent"]),
@@ -40,27 +52,28 @@ def drives_rows(drives: Sequence[tuple[str, Drive, Mapping[str, Any]]]) -> list[
     ]
 
 
-def _figures(drive: Drive, found: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Kilometres, minutes, kWh, and kWh/100 km: of what was measured, where that is known."""
-    metres = float(travelled(drive).distance.sum())
-    energy, parts = found["energy"], found["breakdown"]["measured"]
-    joules = energy["predicted_j"] if energy["measured_j"] is None else energy["measured_j"]
-    consumption = parts["kwh_per_100km"]
-    if energy["measured_j"] is None and joules is not None and metres >= LEAST_DISTANCE:
-        consumption = joules / JOULES_PER_KWH / metres * 1e5
+def _figures(drive: Drive, found: Mapping[str, Any], units: Units) -> tuple[str, str, str, str]:
+    """Distance, minutes, kWh, and energy over distance: of what was measured, where it was."""
+    metres, steps = float(travelled(drive).distance.sum()), measured_steps(drive)
+    known, joules = float(steps.distance.sum()), float(steps.energy.sum())
+    predicted = found["energy"]["predicted_j"]
+    if found["energy"]["measured_j"] is None:
+        known, joules = metres, predicted
     return (
-        f"{metres / 1000:.1f}",
+        f"{metres / units.metres:.1f}",
         f"{drive.duration / 60:.0f}",
         "-" if joules is None else f"{joules / JOULES_PER_KWH:.2f}",
-        "-" if consumption is None else f"{consumption:.1f}",
+        "-" if joules is None or known < LEAST_DISTANCE else units.consumption(joules, known),
     )
 
 
 def _most(breakdown: Mapping[str, Any]) -> str:
     """Name and share of what took most, of what is known to two sigmas."""
-    known = [
-        (part["kwh"], f"{name}, {100 * part['share']:.0f} %")
-        for name, part in ([] if breakdown["unknown"] else shown(breakdown))
-        if name != UNEXPLAINED and part["kwh"] > 2 * part["sigma_kwh"] and part["share"]
-    ]
-    return max(known)[1] if known else "-"
+    if breakdown["unknown"]:
+        return "-"
+    known = [row for row in known_parts(breakdown) if row.name not in LEFT_OUT]
+    most = max(known, key=lambda row: row.kwh, default=None)
+    if most is None:
+        return "-"
+    name = TOGETHER.join(SHORT.get(part, part) for part in most.name.split(TOGETHER))
+    return f"{name}, {100 * most.share:.0f} %"

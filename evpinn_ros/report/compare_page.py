@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.replays.breakdown_text import name_of
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison_text import (
-    UNIT,
     common_groups,
     part_rows,
-    per_100_km,
+    rate_text,
     sentences,
     trip_rows,
 )
@@ -27,18 +27,19 @@ POINTS = 400  # of a curve: more than a narrow page has pixels
 MOST_TICKS = 6
 CURVES = {
     "energy": "Energy measured since the start, kWh",
-    "speed": "Speed, km/h",
-    "height": "Height, m",
+    "speed": "Speed, {units.speed}",
+    "height": "Height, {units.height}",
 }
 
 
-def write_comparison(path: Path, found: Comparison, command: str) -> None:
+def write_comparison(path: Path, found: Comparison, command: str, units: Units = METRIC) -> None:
     """Write the page.
 
     Args:
         path: of the new file.
         found: what to show.
         command: that made it, text.
+        units: of distances.
 
     Raises:
         OSError: it cannot be written.
@@ -49,21 +50,26 @@ def write_comparison(path: Path, found: Comparison, command: str) -> None:
         "compare.html.j2",
         title=f"{' and '.join(found.names)} compared",
         command=command,
-        unit=UNIT,
+        unit=units.rate,
         names=found.names,
         vehicle=found.vehicle.name,
-        sentences=list(sentences(found)),
-        rows=trip_rows(found) + part_rows(parts),
-        bars=_bars(found.names, parts),
+        sentences=list(sentences(found, units)),
+        rows=trip_rows(found, units) + part_rows(parts, units=units),
+        bars=_bars(found.names, parts, units),
         differences=[
-            (name, _whiskers(difference), part_rows([difference], signed=True))
+            (
+                name,
+                _whiskers(difference, units),
+                part_rows([difference], signed=True, units=units),
+            )
             for name, difference in zip(found.names[1:], found.differences(), strict=True)
         ],
-        curves=_curves(found),
+        distance=units.distance,
+        curves=_curves(found, units),
     )
 
 
-def _bars(names: Sequence[str], parts: Sequence[Breakdown]) -> list[dict[str, Any]]:
+def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> list[dict[str, Any]]:
     """Parts that took energy of each drive, side by side: widths in percent of the longest bar."""
     groups = common_groups(parts)
     sizes = [[one.of(*group) for group in groups] for one in parts]
@@ -78,7 +84,7 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown]) -> list[dict[str, An
                 {
                     "colour": int(group[0]),
                     "width": round(100.0 * each.kwh / one.distance / longest, 2),
-                    "words": f"{name_of(group)} {per_100_km(each, one.distance)}",
+                    "words": f"{name_of(group)} {rate_text(each, one.distance, units=units)}",
                 }
                 for group, each in zip(groups, amounts, strict=True)
                 if each.kwh > 0.0
@@ -88,7 +94,7 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown]) -> list[dict[str, An
     ]
 
 
-def _whiskers(difference: Breakdown) -> list[dict[str, Any]]:
+def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
     """A bar with its 1-sigma for each part, in percent of the width; zero is at `zero`."""
     rows = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
     rows = [row for row in rows if row[1].kwh or row[1].sigma_kwh]
@@ -101,7 +107,7 @@ def _whiskers(difference: Breakdown) -> list[dict[str, Any]]:
     return [
         {
             "name": name,
-            "text": per_100_km(each, difference.distance, signed=True),
+            "text": rate_text(each, difference.distance, True, units),
             "zero": at(0.0),
             "left": min(at(each.kwh), at(0.0)),
             "width": abs(at(each.kwh) - at(0.0)),
@@ -112,9 +118,9 @@ def _whiskers(difference: Breakdown) -> list[dict[str, Any]]:
     ]
 
 
-def _curves(found: Comparison) -> list[dict[str, Any]]:
+def _curves(found: Comparison, units: Units) -> list[dict[str, Any]]:
     """Lines over distance in a box of 1000 by 1000, with the ticks of both axes in percent."""
-    courses = [over_distance(drive, POINTS) for drive in found.drives]
+    courses = [over_distance(drive, POINTS, units) for drive in found.drives]
     across = ticks(0.0, max(float(course.distance[-1]) for course in courses))
     curves = []
     for key, title in CURVES.items():
@@ -134,7 +140,7 @@ def _curves(found: Comparison) -> list[dict[str, Any]]:
         ]
         curves.append(
             {
-                "title": title,
+                "title": title.format(units=units),
                 "lines": points,
                 "across": [(f"{each:g}", round(100 * _share(each, across), 2)) for each in across],
                 "up": [(f"{each:g}", round(100 * _share(each, up), 2)) for each in up],

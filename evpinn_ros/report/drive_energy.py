@@ -54,7 +54,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units
 def running_totals(
     travelled: DrivenSteps, measured: DrivenSteps, duration: float, points: int
 ) -> Chart:
-    """Distance, m, and of where power was measured distance, m, and energy, J, over time."""
+    """Running totals over time: distance, m, in s; where power was measured distance and J."""
     time = np.linspace(0.0, max(duration, 1.0), points)
 
     def total(steps: DrivenSteps, values: np.ndarray) -> dict[str, object]:
@@ -65,6 +65,7 @@ def running_totals(
     return {
         "step": float(time[1]),
         "distance": total(travelled, travelled.distance),
+        "seconds": total(travelled, travelled.seconds),
         "known": total(measured, measured.distance),
         "energy": total(measured, measured.energy),
     }

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from datetime import timedelta
 
 from evpinn_ros.common.units import JOULES_PER_KWH, Units
-from evpinn_ros.replays.driven import DrivenSteps
+from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
+from evpinn_ros.replays.driven import DrivenSteps, charged
 from evpinn_ros.replays.history import Drive
-
-LEAST_DISTANCE = 500.0  # m before energy over distance says something
-NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along
+from evpinn_ros.replays.owner_text import LEAST_CHARGED, NEARLY_WHOLE
 
 
 def drive_tiles(
@@ -21,13 +20,18 @@ def drive_tiles(
     known = float(measured.distance.sum())
     if known >= LEAST_DISTANCE:
         part = "" if known > NEARLY_WHOLE * far else f", over {_distance(known, units)} measured"
-        value, unit = units.consumption(energy, known)
-        yield value, f"{unit}{part}"
+        yield units.consumption(energy, known), f"{units.economy}{part}"
     if len(measured.energy):
         yield f"{energy / JOULES_PER_KWH:.3g} kWh", "from the battery"
+    taken = charged(drive)
+    if taken >= LEAST_CHARGED:
+        yield f"{taken / JOULES_PER_KWH:.3g} kWh", "charged while it stood, in no other figure"
     seconds = float(travelled.seconds.sum())
     mean = far / seconds * units.speeds if seconds else 0.0
-    yield _distance(far, units), f"in {clock(drive.duration)}, {mean:.0f} {units.speed} on average"
+    time = clock(drive.duration)
+    if seconds < NEARLY_WHOLE * drive.duration:
+        time = f"{clock(seconds)} recorded of {time}"
+    yield _distance(far, units), f"in {time}, {mean:.0f} {units.speed} on average"
     if len(drive.charge):
         begin, end = 100 * drive.charge[0, 1], 100 * drive.charge[-1, 1]
         yield f"{begin:.0f} to {end:.0f} %", "state of charge"

@@ -222,9 +222,9 @@ POWER_SMOOTHED = Topic(
 ENERGY_BREAKDOWN = Topic(
     "energy/breakdown",
     "estimator",
-    "1 Hz: where the energy of this drive went: `air, tyres, slope, speed, brakes, drivetrain, "
-    "climate, standing, unexplained`, which add up to `measured`; beside them `regained`. effort "
-    "1-sigma; not published in `mode: paper`",
+    "1 Hz: where the energy since the start went, over long stops too: `air, tyres, slope, speed, "
+    "brakes, drivetrain, climate, standing, unexplained`, which add up to `measured`; beside them "
+    "`regained`. effort 1-sigma; not published in `mode: paper`",
     "J",
 )
 ENERGY_STATE = Topic(

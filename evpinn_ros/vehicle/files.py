@@ -163,7 +163,7 @@ def _names() -> Iterator[tuple[str, str]]:
 def _key_of(text: str) -> str:
     words = words_of(text)
     found = find_vehicles(text) if words else {}
-    close = [key for key, name in found.items() if len(words_of(name)) <= len(words) + 1]
+    close = [key for key, name in found.items() if {*words_of(name)[1:]} <= {*words}]
     for keys in (list(found), close):
         if len(keys) == 1:
             return keys[0]

@@ -6,6 +6,7 @@ import doctest
 import inspect
 import json
 from pathlib import Path
+import re
 
 import numpy as np
 import pandas as pd
@@ -111,7 +112,7 @@ def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
 
 
 def test_samples_one_by_one_give_what_a_replay_gives(table, tmp_path):
-    learned = ev.Estimator(state=tmp_path / "car.json")
+    learned = ev.Estimator()
     with table.open() as file:
         found = [
             learned.add(**{k: float(v) for k, v in row.items()}) for row in csv.DictReader(file)
@@ -127,6 +128,48 @@ def test_samples_one_by_one_give_what_a_replay_gives(table, tmp_path):
     learned.save(tmp_path / "car.json")
     again = ev.Estimator(state=tmp_path / "car.json")
     assert again.parameters.loc["mass", "value"] == learned.parameters.loc["mass", "value"]
+
+
+def test_a_result_shows_itself_in_a_line(result):
+    """Typed at a prompt it is no wall of numbers."""
+    shown = repr(result)
+    assert re.fullmatch(r"<Result of \S+, \w+: \d+\.\d km in \d+ min: .+ kWh from the .+>", shown)
+    assert len(shown) < 300
+
+
+def test_a_state_that_is_not_there_is_an_error_and_no_new_car():
+    """A name with a slip of the pen would begin at the vehicle's priors, and say nothing."""
+    with pytest.raises(ev.InputError, match=r"typo\.json: no such file"):
+        ev.Estimator(state="typo.json")
+
+
+def test_a_state_keeps_what_was_learned_of_the_battery(tmp_path):
+    """Capacity and voltage: the charge after a plan is that of before the file, to rounding."""
+    car = ev.Estimator(CAR)
+    charge = 90.0
+    for second in range(1800):  # full at 40 kWh, half of the vehicle file
+        speed, current = 25.0, 60.0
+        charge -= 100 * 360.0 * current / (40 * 3.6e6)
+        car.add(second, speed, 360.0, current, soc_pct=round(2 * charge) / 2)
+    assert car.account.gauge.capacity.value < 55 * 3.6e6
+    car.save(tmp_path / "car.json")
+    again = ev.Estimator(CAR, state=tmp_path / "car.json")
+    assert again.account.gauge.capacity == car.account.gauge.capacity
+    plan = {"t_s": [0.0, 20.0, 600.0], "speed_mps": [0.0, 25.0, 25.0]}
+    ends = [ev.forecast(plan, each, charge_pct=80.0).iloc[-1] for each in (car, again, CAR)]
+    drops = [80.0 - end["charge_pct"] for end in ends]
+    assert drops[1] == pytest.approx(drops[0], rel=0.02) and drops[1] > 1.3 * drops[2]
+    assert again.account.since_reset().distance == 0.0  # another trip
+    assert again.account.lifetime().distance == pytest.approx(car.account.lifetime().distance)
+
+
+def test_an_account_of_another_car_is_refused_by_its_name(table, tmp_path):
+    ev.replay(table, state=tmp_path / "car.json")
+    other = tmp_path / "other.json"
+    ev.Estimator(CAR).save(other)
+    (tmp_path / "other.energy.json").replace(tmp_path / "car.energy.json")
+    with pytest.raises(ev.InputError, match=r"car\.energy\.json: saved"):
+        ev.Estimator(state=tmp_path / "car.json")
 
 
 def test_a_sample_without_speed_predicts_nothing():

@@ -45,7 +45,23 @@ def test_the_command_is_the_call_to_the_bit(evpinn, folder):
 def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
     done = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
     assert "empty at 7.8" in done.stdout and "by its vehicle file alone" in done.stdout
+    assert "Battery: 75.0 +- 15.0 kWh when full, by its vehicle file." in done.stdout
     assert "--charge PERCENT" in evpinn("forecast", "slow.csv", cwd=folder).stderr
+
+
+def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_path):
+    car = ev.Estimator(CAR)
+    for second in range(1200):
+        car.add(second, 25.0, 360.0, 80.0, soc_pct=round(90.0 - second / 50.0, 1))
+    car.save(tmp_path / "car.json")
+    (tmp_path / "slow.csv").write_text(SLOW)
+    given = ("--vehicle", CAR, "--state", "car.json", "--charge", 80)
+    done = evpinn("forecast", "slow.csv", *given, cwd=tmp_path)
+    held = car.account.gauge.capacity.value / 3.6e6  # 40 kWh, and some of the file's 75
+    assert held < 50.0
+    assert f"Battery: {held:.1f} +- " in done.stdout and "as its drives showed" in done.stdout
+    unknown = evpinn("forecast", "slow.csv", "--vehicle", "generic", "--charge", 80, cwd=tmp_path)
+    assert "How much its battery holds is not known" in unknown.stdout
 
 
 @pytest.mark.parametrize(

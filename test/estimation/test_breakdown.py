@@ -151,6 +151,24 @@ def test_another_drive_begins_with_nothing():
     assert filter_.parts.breakdowns(filter_.weights, 2e4, 0.0).of(-1) is None
 
 
+def test_sums_that_go_on_over_a_long_stop_hold_both_sides_of_it():
+    """The car is the same, so what comes later still teaches what was before."""
+    filter_ = driven(CarFilter(MODEL_3), 4, 20)
+    before = breakdown_of(filter_)
+    filter_.begin_drive(goes_on=True)
+    assert breakdown_of(filter_).energy == pytest.approx(before.energy)
+    whole = breakdown_of(driven(filter_, 5, 60))
+    assert whole.seconds > before.seconds and whole.measured > before.measured
+    other = driven(CarFilter(MODEL_3), 4, 20)
+    other.begin_drive(keep=True)
+    driven(other, 5, 60)
+    pieces = other.parts.breakdowns(other.weights, 2e4, other.hilliness).joined([0, 0]).of(0)
+    assert whole.measured == pytest.approx(pieces.measured, rel=1e-3)
+    sigmas = np.sqrt(np.diag(whole.covariance))
+    assert np.all(np.abs(whole.energy - pieces.energy) <= 0.01 * sigmas)
+    assert np.linalg.eigvalsh(whole.covariance).min() > -1e-6 * np.abs(whole.covariance).max()
+
+
 def test_an_interval_without_battery_is_not_counted():
     filter_ = driven(CarFilter(MODEL_3), 5, 10)
     before = breakdown_of(filter_)

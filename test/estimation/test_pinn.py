@@ -114,6 +114,17 @@ def test_a_clock_that_is_set_right_ends_no_drive(learner, seconds, same, jumped)
     assert after.mass_over_eta == pytest.approx(before.mass_over_eta, rel=1e-9)
 
 
+def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(learner):
+    """A log of some trips, with hours between them: its breakdown is of all of them."""
+    learner.advance(sample(0))
+    before = learner.breakdowns().of(-1)
+    learner.advance(sample(10 * round(PARKED) + 10))
+    assert learner._car.filter.intervals == 0
+    assert learner.breakdowns().of(-1).energy == pytest.approx(before.energy)
+    learner.end_drive()
+    assert learner.breakdowns().of(-1) is None
+
+
 def test_reverse_and_charging_teach_nothing(learner, town):
     before = json.dumps(learner.export()["filter"])
     steps = town[5].steps

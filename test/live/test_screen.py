@@ -163,6 +163,13 @@ def test_a_plain_line_says_the_same(well):
     )
 
 
+def test_what_rounds_to_nothing_has_no_sign(well):
+    state = well(110.0)
+    parts = ["air", "slope"], [-700.0, -7200.0], [3600.0, 3600.0]
+    state.take(topics.ENERGY_BREAKDOWN, named_vector(new_message, 110 * 10**9, *parts), 110.0)
+    assert "Wh went to slope -2+-1, air 0+-1" in plain_line(state, 110.0)
+
+
 def test_a_plain_line_knows_what_is_not_known():
     assert plain_line(LiveState(), 0.0) == NOTHING
     state = LiveState()

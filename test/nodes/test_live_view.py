@@ -172,7 +172,7 @@ def test_the_end_of_a_run_names_what_was_saved_and_what_is_next(drive, tmp_path)
     assert running.returncode == 0
     assert said[-2:] == [
         f"evpinn: saved the drive: {bag}, what was learned: {state}",
-        f"evpinn: next: evpinn replay '{bag}' --report drive.html",
+        f"evpinn: next: evpinn replay '{bag}' --vehicle tesla_model_3_lr --report drive.html",
     ]
 
 

@@ -1,5 +1,7 @@
 """Where the energy went, for people: rows that add up, parts given together, plain sentences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,11 +54,46 @@ def test_a_sentence_tells_of_heating_where_it_took_much_else_of_the_largest_part
     found = breakdown_metrics(breakdown(), "hybrid")
     sentence = "Heating and cooling took 2.00 +- 0.02 kWh, a fifth of this drive."
     assert breakdown_lines(found)[0] == sentence
-    found["speed"] = found["speed"] | {"kwh": 4.0, "sigma_kwh": 0.1, "share": 0.4}
-    for less in ({"share": 0.05}, {"sigma_kwh": 1.5}):
+    found["speed"] = found["speed"] | {"kwh": 4.0, "sigma_kwh": 0.1}
+    found["measured"] = found["measured"] | {"kwh": 14.0}
+    for less in ({"kwh": 0.9}, {"sigma_kwh": 1.5}):
         found["climate"] = found["climate"] | less
-        sentence = "Air and wind took 3.0 +- 0.5 kWh, 30 % of this drive."
+        sentence = "Air and wind took 3.0 +- 0.5 kWh, a fifth of this drive."
         assert breakdown_lines(found)[0] == sentence
+
+
+def test_a_drive_that_went_down_is_told_by_what_was_spent_and_what_came_back():
+    """Ten kWh spent and eight given back: heating took a fifth of what was spent, not all."""
+    down = breakdown()
+    energy = down.energy.copy()
+    energy[Part.SLOPE] -= 8.0 * JOULES_PER_KWH
+    found = breakdown_metrics(replace(down, energy=energy, measured=2 * JOULES_PER_KWH), "hybrid")
+    assert breakdown_lines(found)[0] == (
+        "Heating and cooling took 2.00 +- 0.02 kWh, a fifth of what was spent. "
+        "The way down gave back 8.50 +- 0.02 kWh."
+    )
+    found["brakes"] = found["brakes"] | {"kwh": 9.0, "sigma_kwh": 1.0}
+    found["climate"] = found["climate"] | {"kwh": 0.1}
+    assert breakdown_lines(found)[0].startswith("Braking lost 9.0 +- 1.0 kWh, 54 % of what was")
+
+
+def test_parts_that_are_not_separated_take_together():
+    found = breakdown_metrics(breakdown(), "hybrid")
+    group = {"kwh": 5.0, "sigma_kwh": 0.2, "kwh_per_100km": 10.0, "share": 0.5}
+    found["together"] = [{"parts": ["brakes", "drivetrain"], **group}]
+    found["climate"] = found["climate"] | {"kwh": 0.0}
+    begin = "Braking and drivetrain together took 5.0 +- 0.2 kWh, "
+    assert breakdown_lines(found)[0].startswith(begin)
+    found["together"] = [{"parts": ["air", "tyres", "standing"], **group}]
+    begin = "Air, tyres and standing load together took 5.0 +- 0.2 kWh, "
+    assert breakdown_lines(found)[0].startswith(begin)
+
+
+def test_what_rounds_to_nothing_has_no_sign():
+    found = breakdown_metrics(breakdown(), "hybrid")
+    found["speed"] = {"kwh": -4e-4, "sigma_kwh": 0.1, "kwh_per_100km": -4e-3, "share": -4e-5}
+    (row,) = [row for row in breakdown_rows(found) if row[0].startswith("speed")]
+    assert row[1:] == ("0.000", "0.100", "0.00", "0.0 %")
 
 
 def test_rows_in_other_units_are_the_same_energy():

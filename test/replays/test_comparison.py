@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison, compare
 from evpinn_ros.replays.comparison_text import part_rows, sentences, trip_rows
@@ -66,6 +67,41 @@ def test_rows_are_per_100_km_and_of_every_drive(winter):
     assert rows["measured"][1].startswith(f"{total:.2f} +- ")
     assert trip_rows(winter)[0][0] == "length"
     assert all(len(cells) == 2 for cells in rows.values())
+
+
+def test_miles_are_the_same_roads(winter, tmp_path):
+    """Each figure is the metric one in other units; no kilometre is left on the page."""
+    metric, us = (
+        {name: cells for name, *cells in trip_rows(winter, u) + part_rows(winter.parts(), units=u)}
+        for u in (METRIC, US)
+    )
+    far, miles = (float(rows["length"][1].split()[0]) for rows in (metric, us))
+    assert miles == pytest.approx(far / 1.609344, abs=0.1) and us["length"][1].endswith(" mi")
+    kwh, wh = (float(rows["measured"][1].split()[0]) for rows in (metric, us))
+    assert wh == pytest.approx(16.09344 * kwh, abs=0.2)
+    more = re.search(r"took (\S+) Wh/mi more", next(iter(sentences(winter, US))))[1]
+    total = winter.differences()[0].total().kwh
+    assert float(more) == pytest.approx(16.09344 * total, abs=0.06)
+    course = over_distance(winter.drives[0], 50, US)
+    assert course.distance[-1] == pytest.approx(distance_until(winter.drives[0])[1][-1] / 1609.344)
+    write_comparison(tmp_path / "us.html", winter, "evpinn compare a b", US)
+    words = re.sub(
+        r"<style.*?</style>|<[^>]+>", " ", (tmp_path / "us.html").read_text(), flags=re.S
+    )
+    assert "Wh/mi" in words and "mph" in words and not re.search(r"\bkm\b|km/h|100 km", words)
+
+
+def test_a_charge_on_the_way_is_no_energy_of_the_road(winter):
+    drive = winter.drives[0]
+    end = drive.speed[-1, 0]
+    time = end + np.arange(1.0, 601.0)
+    plugged = replace(
+        drive,
+        speed=np.vstack([drive.speed, np.column_stack([time, 0 * time])]),
+        measured=np.vstack([drive.measured, np.column_stack([time, 0 * time - 7000.0])]),
+    )
+    before, after = (over_distance(each, 50).energy[-1] for each in (drive, plugged))
+    assert after == pytest.approx(before, abs=0.002)
 
 
 def test_what_was_read_first_is_known_as_in_a_replay_of_its_own(vehicle, readings, winter):

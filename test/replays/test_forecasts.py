@@ -58,6 +58,16 @@ def test_a_part_with_a_gap_is_not_compared(drive, vehicle, series):
     assert forecast_outcomes(gappy, vehicle.air_density) == []
 
 
+def test_slow_readings_have_no_gap_and_a_charger_is_in_no_plan(drive, vehicle):
+    """A row every four seconds, as an app logs; then the same with the car plugged in."""
+    slow = replace(drive, speed=drive.speed[::40], measured=drive.measured[::40])
+    (part,) = forecast_outcomes(slow, vehicle.air_density)
+    assert part.covered
+    speed, power = slow.speed.copy(), slow.measured.copy()
+    speed[-5:, 1], power[-5:, 1] = 0.0, -7000.0
+    assert forecast_outcomes(replace(slow, speed=speed, measured=power), vehicle.air_density) == []
+
+
 def test_a_short_drive_and_one_without_models_are_not_compared(drive, vehicle):
     assert forecast_outcomes(replace(drive, duration=20.0), vehicle.air_density) == []
     assert forecast_outcomes(replace(drive, models=()), vehicle.air_density) == []

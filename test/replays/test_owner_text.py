@@ -1,16 +1,21 @@
 """What an owner asks first: kilometres, kilowatt hours, and what took most."""
 
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
+import re
 import time
 
+import numpy as np
 import pytest
 
+from evpinn_ros.common.units import US
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.driven import charged, measured_steps
 from evpinn_ros.replays.over_distance import distance_until
-from evpinn_ros.replays.owner_text import DRIVES_COLUMNS, drives_rows, owner_line
+from evpinn_ros.replays.owner_text import drives_columns, drives_rows, owner_line
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.signals.readings import SpeedReading
 from test.replays.test_replay import Recorded
@@ -29,11 +34,36 @@ def town(vehicle, readings) -> Replayed:
 
 def test_the_line_holds_what_was_measured(town):
     km = distance_until(town.drive)[1][-1] / 1000
-    kwh = town.metrics["energy"]["measured_j"] / 3.6e6
+    kwh = measured_steps(town.drive).energy.sum() / 3.6e6
     line = owner_line(town.drive, town.metrics)
     assert line.startswith(f"{km:.1f} km in 2 min: {kwh:.2f} kWh from the battery, ")
     consumption = float(line.split(", ")[1].split()[0])
-    assert consumption == pytest.approx(kwh / km * 100, rel=0.15)  # of what was learned from
+    assert consumption == pytest.approx(kwh / km * 100, rel=0.01)  # as anybody computes it
+    miles = owner_line(town.drive, town.metrics, US)
+    assert miles.startswith(f"{km / 1.609344:.1f} mi in 2 min: {kwh:.2f} kWh from the battery, ")
+    per_kwh = float(miles.split(", ")[1].removesuffix(" mi/kWh."))
+    assert per_kwh == pytest.approx(km / 1.609344 / kwh, rel=0.03)
+
+
+def test_where_the_battery_was_silent_the_line_says_of_how_much_it_is(town):
+    half = replace(town.drive, measured=town.drive.measured[town.drive.measured[:, 0] < 105.0])
+    line, km = owner_line(half, town.metrics), measured_steps(half).distance.sum() / 1000
+    assert line.endswith(f"kWh/100 km over the {km:.1f} km measured.")
+
+
+def test_what_a_charger_gave_is_told_apart(town):
+    """An hour at 7 kW after the drive, in the same log: the drive took what it took."""
+    end = town.drive.duration
+    time = end + np.arange(1.0, 3601.0)
+    plugged = replace(
+        town.drive,
+        speed=np.vstack([town.drive.speed, np.column_stack([time, 0 * time])]),
+        measured=np.vstack([town.drive.measured, np.column_stack([time, 0 * time - 7000.0])]),
+    )
+    before, after = (owner_line(drive, town.metrics) for drive in (town.drive, plugged))
+    assert after.startswith(before)
+    assert after.endswith("Charged while it stood: 7.00 kWh, in no other figure.")
+    assert charged(town.drive) == 0.0
 
 
 def test_without_a_battery_the_energy_is_predicted(vehicle, readings):
@@ -49,8 +79,15 @@ def test_a_row_holds_what_took_most(town):
     found["breakdown"]["together"] = []
     for part in found["breakdown"].values():
         if isinstance(part, dict) and "kwh" in part:
-            part.update(kwh=1.0, sigma_kwh=0.1, share=0.1)
-    found["breakdown"]["tyres"].update(kwh=3.0, share=0.3)
-    found["breakdown"]["air"].update(kwh=9.0, sigma_kwh=9.0, share=0.9)  # not known
+            part.update(kwh=0.5, sigma_kwh=0.1)
+    found["breakdown"]["measured"]["kwh"] = 15.0
+    found["breakdown"]["tyres"].update(kwh=3.0)
+    found["breakdown"]["air"].update(kwh=9.0, sigma_kwh=9.0)  # not known
+    found["breakdown"]["speed"].update(kwh=4.0)  # stops to be
     (row,) = drives_rows([("town", town.drive, found)])
-    assert dict(zip(DRIVES_COLUMNS, row, strict=True))["took most"] == "tyres, 30 %"
+    assert dict(zip(drives_columns(), row, strict=True))["took most"] == "tyres, 16 %"
+    both = {"parts": ["climate", "standing"], "kwh": 6.0, "sigma_kwh": 0.1}
+    found["breakdown"]["together"] = [both]
+    (row,) = drives_rows([("town", town.drive, found)])
+    most = dict(zip(drives_columns(), row, strict=True))["took most"]
+    assert re.fullmatch(r"heating \+ standing load, \d+ %", most)  # short, for a column

@@ -1,6 +1,7 @@
 """The report of a drive as text: whole, self-contained, and safe whatever a bag holds."""
 
 import base64
+from copy import deepcopy
 from dataclasses import replace
 from html.parser import HTMLParser
 import json
@@ -109,8 +110,9 @@ def test_what_the_drive_took_comes_before_how_sure_that_is(reported, tmp_path):
     sentence = re.search(r"[A-Z][a-z ]+ took (\S+) ± (\S+) kWh, .+ of this drive\.", words)
     assert float(sentence[1]) > 2 * float(sentence[2])
     consumption = float(re.search(r"(\S+)kWh/100 km", words)[1])
-    expected = reported.found["breakdown"]["measured"]["kwh_per_100km"]
-    assert consumption == pytest.approx(expected, rel=0.1)  # of the intervals learned from
+    steps = measured_steps(reported.drive)
+    expected = steps.energy.sum() / steps.distance.sum() / 36.0
+    assert consumption == pytest.approx(expected, abs=0.051)
 
 
 def test_a_steady_speed_takes_what_the_true_car_would(reported, tmp_path):
@@ -291,6 +293,24 @@ def test_the_bar_is_as_long_as_what_took_energy(reported, tmp_path):
     breakdown = reported.found["breakdown"]
     took = [part["kwh"] for _, part in shown(breakdown) if part["kwh"] > 0.0]
     assert widths / widths.sum() == pytest.approx(np.array(took) / sum(took), abs=1e-3)
+
+
+def test_what_lies_beyond_the_measured_is_named(reported, tmp_path):
+    """A way down, say: the bar is longer than what was measured, and the page says by what."""
+    breakdown = deepcopy(reported.found["breakdown"])
+    breakdown["slope"] |= {"kwh": -0.5, "sigma_kwh": 0.054}
+    breakdown["measured"]["kwh"] = 0.05
+    found = dict(reported.found) | {"breakdown": breakdown}
+    words = page(tmp_path / "down", replace(reported, found=found)).words
+    assert "Beyond it is what lies below zero: " in words
+    assert "slopes, up less down -0.500 ± 0.054 kWh" in words
+    assert "The way down gave back 0.50 ± 0.05 kWh." in words
+
+
+def test_a_log_with_hours_between_its_trips_says_what_was_recorded(reported, tmp_path):
+    long = replace(reported, drive=replace(reported.drive, duration=36_000.0))
+    words = page(tmp_path, long).words
+    assert re.search(r"in 0:02:\d\d recorded of 10:00:00, \d+ km/h on average", words)
 
 
 def test_a_drive_without_a_breakdown_says_why(reported, tmp_path):

@@ -361,7 +361,8 @@
   // What is shown of a drive in figures: of the whole, or of the stretch that was zoomed to.
   const teller = (section, drive) => {
     const { step, ...totals } = drive.totals, { units } = drive;
-    const [distance, known, energy] = ["distance", "known", "energy"].map((k) => unpack(totals[k]));
+    const [distance, recorded, known, energy] = ["distance", "seconds", "known", "energy"]
+      .map((k) => unpack(totals[k]));
     const part = (values, begin, end) => {
       const at = (s) => {
         const place = Math.min(Math.max(s / step, 0), values.length - 1), i = Math.floor(place);
@@ -384,7 +385,7 @@
     const place = section.querySelector(".stretch");
     return (begin, end) => {
       const far = part(distance, begin, end), measured = part(known, begin, end);
-      const joules = part(energy, begin, end), seconds = Math.max(end - begin, 1e-9);
+      const joules = part(energy, begin, end), seconds = Math.max(part(recorded, begin, end), 1e-9);
       const [low, high] = ends("height", begin, end), [from, to] = ends("charge", begin, end);
       const texts = [
         `${clock(begin)} to ${clock(end)}`, `${number(far / units.metres, 2)} ${units.distance}`,

@@ -16,6 +16,7 @@ from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.physics import GRAVITY
 
 ROOT = Path(__file__).parents[3]
+EXAMPLE = ROOT / "examples" / "methods" / "least_squares.py"
 MINE = '''
 """A method of somebody else."""
 from benchmarks.unseen.method import Prediction
@@ -71,15 +72,23 @@ def test_a_method_may_give_plain_tuples_and_nothing_at_all(folder):
 
 def test_the_example_of_a_method_beats_the_prior():
     bags = f"{ROOT / 'bags'}=tesla_model_3_lr"
-    example = f"{ROOT / 'examples' / 'methods' / 'least_squares.py'}:LeastSquares"
-    prior, mine = (run.run_task(run.Task(bags, bags, name)).scores for name in ("prior", example))
+    names = "prior", f"{EXAMPLE}:LeastSquares"
+    prior, mine = (run.run_task(run.Task(bags, bags, name)).scores for name in names)
     for part in ("carried", "withheld"):
         assert mine[part]["gross_mean_percent"] < prior[part]["gross_mean_percent"] / 2
 
 
-@pytest.mark.parametrize("name", ["nobody", "nobody.py:Flat"])
-def test_a_method_that_is_not_there_is_refused(name):
-    with pytest.raises(InputError, match="nobody"):
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("nobody", "no method 'nobody', .+known are prior, "),
+        ("nobody.py:Flat", r"^nobody\.py: no such file$"),
+        ("priar", "did you mean prior"),
+        (f"{EXAMPLE}:LeastSquare", "holds no 'LeastSquare'; did you mean LeastSquares"),
+    ],
+)
+def test_a_method_that_is_not_there_is_refused(name, reason):
+    with pytest.raises(InputError, match=reason):
         run.find_method(name)
 
 
