@@ -15,7 +15,7 @@ import time
 from typing import Any, TextIO
 
 import rclpy
-from rclpy.exceptions import NameValidationException
+from rclpy.exceptions import NameValidationException, NotInitializedException
 from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
@@ -92,10 +92,14 @@ def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool 
     os.nice(YIELDS)
     # As in `running.run`: rclpy shuts down at SIGINT by itself.
     signal.signal(signal.SIGINT, lambda *_: None)
+    started = False
     try:
         rclpy.init(args=[])
+        started = True
         listener = LiveListener(namespace)
-    except (NameValidationException, RuntimeError) as error:
+    except (NameValidationException, NotInitializedException, RuntimeError) as error:
+        if started and not rclpy.ok():
+            return  # a signal came while the view began
         rclpy.try_shutdown()
         raise InputError(" ".join(str(error).split())) from error
     if isinstance(sys.stdout, TextIOWrapper):

@@ -140,6 +140,30 @@ def test_a_mistake_is_told_on_the_terminal_and_not_on_the_view():
     assert b"no vehicle named 'nope'" in said and b"Traceback" not in screen.written
 
 
+ENDED_AT_ITS_START = """
+import os, signal, time
+import rclpy
+from evpinn_ros.live import view
+
+class Ended(view.LiveListener):
+    def __init__(self, namespace):
+        os.kill(os.getpid(), signal.SIGTERM)
+        while rclpy.ok():
+            time.sleep(0.01)
+        super().__init__(namespace)
+
+view.LiveListener = Ended
+view.watch(plain=True)
+"""
+
+
+def test_a_view_that_is_ended_while_it_begins_ends_quietly():
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED_AT_ITS_START], cwd=ROOT, capture_output=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
     running = subprocess.Popen(
         [*EVPINN, *drive], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
