@@ -41,7 +41,7 @@ TOOK = {
     MEANINGS["brakes"]: "braking lost",
 }
 WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can be turned down
-# From here on what took energy is told as shares of all that did: a drive that went down takes
+# From here on what took energy is given as shares of all that did: a drive that went down takes
 # little in sum, and each part of it is a multiple of that.
 GAVE_BACK = 1.1  # of what was measured
 PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"

@@ -9,7 +9,7 @@ from zipfile import ZipFile
 import numpy as np
 import torch
 
-from evpinn_ros.common.errors import as_input_error
+from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.fsync import replaced
 
 MOST_BYTES = (
@@ -56,17 +56,24 @@ def load_adam_state(
 
 
 def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None:
-    """The state saved for these settings; None when there is none, or it cannot be read."""
+    """The state saved for these settings; None when there is none.
+
+    Raises:
+        InputError: the file is damaged: hours of training are not begun anew without a word.
+    """
+    if not path.exists():
+        return None
     try:
         with ZipFile(path) as archive:
             # The sizes in the directory bind: zipfile unpacks no more of a member than that.
             if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
-                return None
+                raise ValueError("its arrays are too large")
         with np.load(path, allow_pickle=False) as arrays:
             if str(arrays["settings"]) != settings:
                 return None
             names = set(arrays.files) - {"settings"}
             return {name: torch.from_numpy(arrays[name]) for name in names}
-    except Exception:
+    except Exception as error:
         # A header that lies makes zipfile, zlib, ast and numpy fail in as many ways.
-        return None
+        reason = f"{one_line(error)}; delete it to train anew"
+        raise InputError(f"{path}: the training kept here cannot be read: {reason}") from error

@@ -292,4 +292,5 @@ def test_a_training_that_unpacks_to_too_much(tmp_path, monkeypatch):
     np.savez_compressed(path, settings=np.array("x"), weights=np.zeros(1 << 20))
     assert len(checkpoint.load_checkpoint(path, "x")["weights"]) == 1 << 20
     monkeypatch.setattr(checkpoint, "MOST_BYTES", 1 << 20)
-    assert checkpoint.load_checkpoint(path, "x") is None
+    with pytest.raises(InputError, match="too large"):
+        checkpoint.load_checkpoint(path, "x")

@@ -61,7 +61,7 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
         cwd=folder,
     )
     assert done.returncode == 0, done.stderr
-    # No progress bar in a pipe; what a slip of the pen in its name would be is told.
+    # No progress bar in a pipe; a slip of the pen in its name is answered with the right one.
     anew = "evpinn: state.json is not there yet: the car begins as its vehicle file says\n"
     assert done.stderr == anew
     assert "true value" in done.stdout and "baseline" in done.stdout

@@ -41,7 +41,7 @@ def vector(stamp_ns: int, **values: float) -> Any:
 
 
 def heard(now: float) -> list[tuple[Topic, Any]]:
-    """What a running system says in one moment."""
+    """All that a running system publishes in one moment."""
     stamp = int(now * NANOSECONDS)
     sigmas = [value / 20 for value in VALUES]
     bounds = {f"{name}_lower": 0.5 * v for name, v in zip(PARAMETER_NAMES, VALUES, strict=True)}

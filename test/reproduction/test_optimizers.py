@@ -102,20 +102,25 @@ def test_divergence_is_said(begin: Callable[..., PowerTraining]) -> None:
         training.run_to(5)
 
 
-def test_checkpoint_of_other_settings_or_broken_is_none(tmp_path) -> None:
+def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_path) -> None:
     path = tmp_path / "a.npz"
     assert load_checkpoint(path, "x") is None
     save_checkpoint(path, "x", {"weights": torch.arange(4.0)})
     assert load_checkpoint(path, "y") is None
     kept = load_checkpoint(path, "x")
     assert kept is not None and torch.equal(kept["weights"], torch.arange(4.0))
+
+    def is_refused() -> None:
+        with pytest.raises(InputError, match=r"a\.npz: the training .*delete it to train"):
+            load_checkpoint(path, "x")
+
     np.savez(path, settings=np.array("x"), weights=np.array(["no number"]))
-    assert load_checkpoint(path, "x") is None
+    is_refused()
     with path.open("wb") as file:
         np.save(file, np.arange(3))
-    assert load_checkpoint(path, "x") is None
+    is_refused()
     path.write_bytes(path.read_bytes()[:10])
-    assert load_checkpoint(path, "x") is None
+    is_refused()
 
 
 def test_a_folder_that_is_a_file_is_said(tmp_path) -> None:
