@@ -108,6 +108,7 @@ FOLDERS = {
     "i3_speed": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=ALL_BUT_SPEED),
     "i3_torque": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=()),
     "e208": Folder("peugeot_e208_car_scanner/*.csv.gz", "generic"),
+    "changchun": Folder("changchun_sedan/trip_*.csv.gz", "generic"),
     "leaf2013": Folder("nissan_leaf_2013_leafspy/*.csv.gz", "nissan_leaf"),
     "can_model3": Folder("can/tesla_model3_2019/decoded*.csv", "tesla_model_3_lr"),
     "can_model_s": Folder("can/tesla_model_s_2017/decoded*.csv", "tesla_model_s"),

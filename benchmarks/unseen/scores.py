@@ -19,6 +19,7 @@ from benchmarks.unseen.method import Prediction
 
 QUANTILE_90 = 1.6448536269514722  # sigmas to either side that hold 90 % of a normal deviate
 LEAST_COVERED = 0.9  # of the stretches
+MOST_SIGMAS = 4.0  # away, in the log score
 MEANS = (1.0, 10.0, 60.0)  # s, over which power is averaged
 AGES = (1.0, 10.0, 60.0, 600.0)  # s since the last battery sample
 AGE_BAND = 2.0  # RMSE at an age: from half of it up to `AGE_BAND` times it, up to the end
@@ -96,6 +97,29 @@ class PartScore:
     def inside_90(self) -> bool:
         """True if the 90 % interval of energy holds the measured one."""
         return abs(self.error) <= QUANTILE_90 * self.sigma
+
+    @property
+    def crps(self) -> float:
+        """Continuous ranked probability score of the energy, J: error and width judged together.
+
+        Of a normal prediction (Gneiting and Raftery, 2007, eq. 21); a sure one (sigma 0) is its
+        absolute error.
+        """
+        if self.sigma == 0:
+            return abs(self.error)
+        away = self.error / self.sigma
+        density = math.exp(-(away**2) / 2) / math.sqrt(2 * math.pi)
+        spread = away * math.erf(away / math.sqrt(2)) + 2 * density - 1 / math.sqrt(math.pi)
+        return self.sigma * spread
+
+    @property
+    def log_score(self) -> float:
+        """Logarithm of the density predicted for the measured share of gross energy.
+
+        The error is cut off at `MOST_SIGMAS`, so that one drive does not decide.
+        """
+        away = min(abs(self.error) / max(self.sigma, 1e-9), MOST_SIGMAS)
+        return -(away**2) / 2 - math.log(max(self.sigma, 1e-9) / self.gross)
 
 
 def score_part(drive: UnseenDrive, track: Track, span: DrivePart) -> PartScore:

@@ -61,6 +61,8 @@ def _energies(parts: Sequence[ScoredPart]) -> dict[str, Any] | None:
         "bias_percent": _number(100 * sum(o.error for o in scores) / sum(o.gross for o in scores)),
         "inside_90_percent": _number(inside),
         "width_90_percent": _number(np.median(widths)),
+        "crps_percent": _mean([100 * one.crps / one.gross for one in bounded]),
+        "log_score": _mean([one.log_score for one in bounded]),
         "rmse_w": _number(np.mean([one.rmse for one in scores])),
         "rmse_pooled_w": _pooled([one.squares for one in scores]),
         "means_w": {
@@ -142,6 +144,10 @@ def _one(each: ScoredPart) -> dict[str, Any]:
 def _pooled(sums: Sequence[tuple[float, int]]) -> float | None:
     squares, count = (sum(column) for column in zip(*sums, strict=True))
     return _number(math.sqrt(squares / count)) if count else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return _number(np.mean(values)) if values else None
 
 
 def _number(value: float | np.floating[Any]) -> float | None:

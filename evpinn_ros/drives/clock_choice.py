@@ -70,10 +70,12 @@ def _merit(clock: Clock, survey: Survey, header: Sequence[str]) -> tuple[float, 
     stamps = clock.running().add(stamps)
     known = stamps[stamps != NONE]
     steps = np.diff(known)
+    rising = float((steps > 0).mean()) if steps.size else 0.0
     return (
         round(known.size / max(1, stamps.size), 1),
         -float((steps < 0).sum()),
+        float(rising > 0.5),  # a date that comes in bursts tells no rows apart
         float(clock.dated),
-        round(float((steps > 0).mean()) if steps.size else 0.0, 1),
+        round(rising, 1),
         score("time", header[clock.columns[0]]),
     )

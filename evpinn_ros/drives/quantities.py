@@ -4,7 +4,8 @@ A name is matched by its words: `Battery DC Current (A)`, `pack_current_a`, `v.b
 `Batteriestrom [A]` are all the battery's current. Sources of the names: exports of Car Scanner and
 LeafSpy; Torque's header lines as read by torque-visualizer and torque2influx; OBD Fusion's
 `# StartTime` preamble; OVMS' metrics (docs.openvehicles.com, "Standard Metrics"); the telemetry
-fields of ABRP (documenter.getpostman.com, "Iternio Telemetry API"); TeslaMate's table `positions`.
+fields of ABRP (documenter.getpostman.com, "Iternio Telemetry API"); TeslaMate's table `positions`;
+UN GTR 15 (REESSCurrent, DAActualSpeed); the Vehicle Energy Dataset (OAT).
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "t_s",
         "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,elapsed,stamp,utc,epoch",
         _TIME,
-        better="time,timestamp,elapsed,epoch",
+        better="time,timestamp,elapsed,epoch,phase",
         worse="since,trip",
         never="charging,remaining,left,to full,charge,max,min,parking",
     ),
@@ -86,18 +87,19 @@ QUANTITIES: Mapping[str, Quantity] = {
         _SPEED,
         better="vehicle,car,obd,v p",
         worse="gps,gnss,ground",
-        never=_OTHERS + ",wheel,shaft,rpm,angular,air",
+        never=_OTHERS + ",wheel,shaft,rpm,angular,air,daschedule",
     ),
     "voltage": Quantity(
         "voltage_v",
-        "voltage,volt,volts,spannung,batteriespannung,tension,tensión,tensione,spänning",
+        "voltage,volt,volts,spannung,batteriespannung,tension,tensión,tensione,spänning,"
+        "reessvoltage",
         _units(v=1.0, volts=1.0, mv=1e-3),
         better=_BATTERY,
         never=_OTHERS + ",12,control",
     ),
     "current": Quantity(
         "current_a",
-        "current,amps,ampere,amperage,strom,batteriestrom,courant,corriente,corrente",
+        "current,amps,ampere,amperage,strom,batteriestrom,courant,corriente,corrente,reesscurrent",
         _units(a=1.0, amps=1.0, ma=1e-3),
         better=_BATTERY,
         never=_OTHERS,
@@ -116,7 +118,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "longitude": Quantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
     "ambient": Quantity(
         "ambient_c",
-        "ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp",
+        "ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp,temp amb,oat",
         _TEMPERATURE,
         better="temperature,temp,air",
         never="pressure,humidity,light",
