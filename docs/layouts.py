@@ -101,7 +101,7 @@ def record(out: Path) -> None:
                 found.append((DIAGNOSTICS, diagnostics(new_message, now_ns, [status], hardware)))
                 if now_ns - asked_ns >= PLAN_PERIOD_NS:
                     asked_ns = now_ns
-                    model = known_model(chain.estimator.linear_power(), output, vehicle)
+                    model = known_model(chain.estimator.model(), output, vehicle)
                     answer = forecast_plan(plan, model, vehicle.air_density)
                     columns = (answer.time, answer.energy, answer.power, answer.sigma)
                     data = forecast_bytes(header(new_message, now_ns), *columns)

@@ -19,7 +19,8 @@ LAYERS = [
     {"common"},
     {"vehicle"},
     {"signals"},
-    {"can", "energy", "estimation"},
+    {"can", "estimation"},
+    {"energy"},  # plans and dropouts by the one equation
     {"paper"},  # a mode of the estimator that it does not know
     {"topics"},  # the contract and its messages, without ROS: bags share it
     {"bags"},

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Mapping
 import math
 from typing import NamedTuple, Protocol, TypeAlias
 
-from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
@@ -29,8 +28,8 @@ class Prediction(NamedTuple):
     stamp_ns: int  # the moment
     power: float  # battery power, W, positive when drawn
     sigma: float = math.nan  # its 1-sigma, W, NaN if unknown
-    # integral of the predicted power since the start of the drive, J; NaN: take the trapezoid of
-    # `power`
+    # integral of the predicted power since the last battery reading or any other moment before,
+    # J; NaN: take the trapezoid of `power`
     energy: float = math.nan
     # 1-sigma, J, of the energy predicted since the last battery reading
     energy_sigma: float = math.nan
@@ -57,30 +56,23 @@ class OnlineChain:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-        self._variance_measured = 0.0  # J^2, of the energy up to the last battery reading
+        self._battery_ns = 0
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
-        """The `power/smoothed` that the reading completes, each with the energy up to it."""
-        smoothed: PowerEstimate | None = None
+        """The `power/smoothed` that the reading completes, with the energy since the battery."""
+        if isinstance(reading, BatteryReading):
+            self._battery_ns = reading.stamp_ns
         for output in self._chain.add_reading(reading):
             if isinstance(output, PowerEstimate) and output.kind is PowerKind.SMOOTHED:
-                smoothed = output
-            elif isinstance(output, EnergyState) and smoothed is not None:
-                variance = max(output.consumed_sigma**2 - self._variance_measured, 0.0)
-                yield Prediction(
-                    smoothed.stamp_ns,
-                    smoothed.power,
-                    smoothed.sigma,
-                    output.predicted.energy,
-                    math.sqrt(variance),
-                )
-        if isinstance(reading, BatteryReading):
-            self._variance_measured = self._chain.account.state.consumed_sigma**2
+                energy = output.energy, output.energy_sigma
+                if output.stamp_ns <= self._battery_ns:
+                    energy = 0.0, 0.0
+                yield Prediction(output.stamp_ns, output.power, output.sigma, *energy)
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car."""
         self._chain.begin_next_drive()
-        self._variance_measured = 0.0
+        self._battery_ns = 0
 
     def combinations(self) -> Mapping[str, Estimate]:
         """The published combinations.

@@ -170,7 +170,7 @@ class Estimator:
     def model(self) -> PowerModel:
         """The car as known now, for `evpinn_ros.forecast`."""
         estimator = self._chain.estimator
-        return known_model(estimator.linear_power(), estimator.parameters(), self.vehicle)
+        return known_model(estimator.model(), estimator.parameters(), self.vehicle)
 
     @property
     def account(self) -> EnergyAccount:

@@ -14,9 +14,9 @@ import pandas as pd
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
-from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_along, forecast_plan
+from evpinn_ros.energy.forecast import Forecast, battery_along, forecast_plan
 from evpinn_ros.energy.plan import MAX_POINTS, Plan, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, vehicle_model
+from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.signals.road import MAX_WIND
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
@@ -126,7 +126,7 @@ def planned_energy(
     account = None
     if isinstance(car, str | Path | Vehicle):
         vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
-        model = vehicle_model(vehicle, FIRST_RESIDUAL)
+        model = vehicle_model(vehicle)
     elif hasattr(car, "account"):
         vehicle, model, account = car.vehicle, car.model, car.account
         charge = charge if charge.known else account.charge()
@@ -138,7 +138,7 @@ def planned_energy(
         raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
     if not abs(head_wind) <= MAX_WIND:
         raise InputError(f"head_wind is {head_wind:g}, not -{MAX_WIND:g} to {MAX_WIND:g} m/s")
-    found = forecast_plan(trip, model, density, head_wind)
+    found = forecast_plan(trip, model, Weather(density), head_wind)
     gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge
     along = None if account is None else account.battery.along(found, charge)
     if along is None:

@@ -63,5 +63,5 @@ def replay(
     found = car.replay(source)
     if state is not None:
         car.write_state(Path(state))
-    learned = car.chain.estimator.linear_power()
+    learned = car.chain.estimator.model()
     return Result(found, car.vehicle, car.options, learned, car.chain.account)

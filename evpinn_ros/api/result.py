@@ -14,6 +14,7 @@ import pandas as pd
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
 from evpinn_ros.replays.history import PowerSeries
@@ -21,7 +22,6 @@ from evpinn_ros.replays.owner_text import owner_line
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.linear_power import LinearPower
 
 TIME = "t_s"
 FORECAST_COLUMNS = ("begin_s", "end_s", "measured_j", "forecast_j", "sigma_j", "covered")
@@ -38,14 +38,14 @@ class Result:
         replayed: the series and scores that all below is made from.
         vehicle: whose drive it is.
         options: of the replay.
-        linear_power: the car as known at the end; None in mode paper.
+        car: the car as known at the end; None in mode paper.
         account: energy counted up to the end, with what is known of the battery.
     """
 
     replayed: Replayed
     vehicle: Vehicle
     options: ReplayOptions
-    linear_power: LinearPower | None
+    car: CarModel | None
     account: EnergyAccount
 
     def __repr__(self) -> str:
@@ -138,7 +138,7 @@ class Result:
     @property
     def model(self) -> PowerModel:
         """The car as known at the end, for `evpinn_ros.forecast`."""
-        return known_model(self.linear_power, self.replayed.drive.final, self.vehicle)
+        return known_model(self.car, self.replayed.drive.final, self.vehicle)
 
     def write_report(self, path: str | os.PathLike[str]) -> None:
         """Write the report that `evpinn replay --report` writes: one HTML file, for a browser."""

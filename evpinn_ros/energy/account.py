@@ -195,14 +195,19 @@ class EnergyAccount(Saveable[SavedAccount]):
             self._awaits_charge = (ended, self._charge_before)
 
     def add_predicted(
-        self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
+        self,
+        stamp_ns: int,
+        power: float,
+        sigma: float,
+        energy_sigma: float = math.nan,
+        energy: float = math.nan,
     ) -> bool:
         """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
         if not power_is_possible(power, sigma):
             self.refused["power_out_of_range"] += 1
             return False
         self._see(stamp_ns)
-        self.meter.add_predicted(stamp_ns, power, sigma, energy_sigma)
+        self.meter.add_predicted(stamp_ns, power, sigma, energy_sigma, energy)
         return True
 
     def add_speed(self, stamp_ns: int, speed: float) -> None:

@@ -1,7 +1,11 @@
 """The energy that plans will take, and how sure that is.
 
 `forecast` is for optimisers: many speed profiles at once, whole trips, numpy or torch.
-`forecast_plan` is for one plan, or a few, with energy and power at every point.
+`forecast_plan` is for one plan, or a few, with energy and power at every point. Both take each leg
+as one step of the one equation (`energy.power_model`): kinetic and potential energy are exact
+whatever the leg. The variance of the energy of a trip adds up what is not known of the car and of
+this drive, off in the same sense for the whole trip; loads that wander; what no state explains;
+and the hills of a plan that has none.
 """
 
 from __future__ import annotations
@@ -15,14 +19,13 @@ import numpy as np
 from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Plan, PlanError
-from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, vehicle_model
+from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
+from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.vehicle.files import Vehicle
 
-SIMPSON = np.array([1.0, 4.0, 1.0]) / 6
-FIRST_RESIDUAL = 3000.0  # W, 1-sigma of power around the physics before any was seen
 DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
-UNKNOWN_END = PlanEnd(np.full(1, math.nan), *(np.array(math.nan) for _ in range(3)))
-CHUNK = 32  # profiles computed together, so that what they need stays in the cache
+UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 4)
+CHUNK = 64  # profiles computed together, so that what they need stays in the cache
 
 
 class Profiles(NamedTuple):
@@ -75,10 +78,8 @@ def forecast(
 ) -> Energies:
     """Energy of many speed profiles, and its 1-sigma.
 
-    Each leg counts with its mean speed, so legs should last a few seconds at most: kinetic and
-    potential energy are exact whatever the legs. With torch the results have gradients by all
-    three. Power bends where the car turns from driving to braking, and a learned model jumps a
-    little there; the gradient is that of the pieces.
+    With torch the results have gradients by all three. Power bends where the car turns from
+    driving to braking; the gradient is that of the pieces.
 
     Args:
         profiles: what might be driven.
@@ -95,7 +96,7 @@ def forecast(
             f"speed {tuple(speed.shape)} and time {tuple(time.shape)} must be (batch, n) and (n,) "
             "or (batch, n), with n of 2 or more"
         )
-    model = vehicle_model(vehicle, FIRST_RESIDUAL) if model is None else model
+    model = vehicle_model(vehicle) if model is None else model
     density = vehicle.air_density if air_density is None else air_density
     if namespace(speed) is not np:
         return _checked(_energies(profiles, model, density))
@@ -110,55 +111,75 @@ def forecast(
 
 
 def forecast_plan(
-    plan: Plan, model: PowerModel, air_density: float, head_wind: float = 0.0
+    plan: Plan, model: PowerModel, weather: Weather, head_wind: float = 0.0
 ) -> Forecast:
     """Energy, power and 1-sigma along a plan.
 
     Args:
         plan: one trip, or many.
         model: of the car.
-        air_density: kg/m^3.
+        weather: on the way.
         head_wind: against the car at the start, m/s over ground. Few plans say where they lead,
-            so less and less of it is expected along the way; what else the wind may do is in the
-            sigma of slopes and winds.
+            so less and less of it is expected along the way.
 
     Raises:
         PlanError: the model gives no finite energy.
     """
-    legs = _Legs.of(plan)
-    along = plan.distance[..., :-1, None] - plan.distance[..., :1, None]
+    along = plan.distance - plan.distance[..., :1]
     wind = head_wind * np.exp(-along / DIRECTION_LENGTH)
-    powers = model.powers(Motion(legs.speed, legs.acceleration, legs.climb, air_density, wind))
-    steps = np.einsum("...lsk,s,...l->...lk", powers, SIMPSON, legs.duration)
+    motion = motion_of(plan, wind)
+    rows = _accumulated(model.rows(motion, weather), axis=-2)
     elapsed = plan.time - plan.time[..., :1]
-    energies = model.with_present_drift(_accumulated(steps, axis=-2), elapsed)
-    squares = _accumulated((legs.speed**2) @ SIMPSON * legs.duration, axis=-1)
-    square_speed = squares / np.where(elapsed > 0, elapsed, 1.0)
-    length = plan.distance - plan.distance[..., :1]
-    beside = model.variance_beside(elapsed, length, square_speed)
-    power = np.concatenate((powers[..., 0, 0], powers[..., -1:, 2, 0]), axis=-1)
-    sigma = np.sqrt((energies[..., 1:] ** 2).sum(axis=-1) + beside)
-    if not np.isfinite(energies[..., 0] + power + sigma).all():
+    square = _accumulated(motion.distance**2 / motion.duration, axis=-1)
+    flat = np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0
+    unseen = along * flat
+    energy, sigma = model.predicted(rows, elapsed, square, unseen)
+    power = np.diff(energy) / motion.duration
+    power = np.concatenate((power, power[..., -1:]), axis=-1)
+    if not np.isfinite(energy + power + sigma).all():
         raise PlanError("by the model of the car its energy is not finite")
-    end = PlanEnd(energies[..., -1, :], elapsed[..., -1], length[..., -1], square_speed[..., -1])
-    return Forecast(time=plan.time, energy=energies[..., 0], power=power, sigma=sigma, end=end)
+    end = UNKNOWN_END
+    if energy.ndim == 1:
+        noise = float(model.noise(elapsed[-1], square[-1]))
+        end = PlanEnd(rows[-1], float(elapsed[-1]), float(along[-1]), noise, float(unseen[-1]))
+    return Forecast(time=plan.time, energy=energy, power=power, sigma=sigma, end=end)
+
+
+def motion_of(plan: Plan, head_wind: Any = 0.0) -> Motion:
+    """Legs of a plan as steps; shape (..., n - 1).
+
+    Distance is cubic in time between two points, so speed is the parabola with the given ends and
+    the leg's length as its integral.
+
+    Args:
+        plan: one trip, or many.
+        head_wind: against the car at each point, m/s, a number or of the plan's shape.
+    """
+    duration, length = np.diff(plan.time), np.diff(plan.distance)
+    start, end = plan.speed[..., :-1], plan.speed[..., 1:]
+    # A profile whose speeds contradict its distances could call for reversing in the middle.
+    middle = np.maximum(1.5 * length / duration - (start + end) / 4, 0.0)
+    wind = np.broadcast_to(head_wind, plan.time.shape)
+    first, last = wind[..., :-1], wind[..., 1:]
+
+    def drag(speed: np.ndarray, wind: np.ndarray) -> np.ndarray:
+        flow = speed + wind
+        return np.asarray(flow * np.abs(flow) * speed)
+
+    air = drag(start, first) + 4.0 * drag(middle, (first + last) / 2.0) + drag(end, last)
+    kinetic = (end**2 - start**2) / 2.0
+    return Motion(duration, length, air * duration / 6.0, kinetic, np.diff(plan.elevation))
 
 
 def difference(model: PowerModel, one: PlanEnd, other: PlanEnd) -> Uncertain:
     """Energy that one plan takes more than another, J, with the 1-sigma of that.
-
-    What both share cancels: the car is off by the same coefficients in both, auxiliary power
-    drifts alike while both last, and plans of one length lead along the same unknown slopes. The
-    residual of the model counts in each.
 
     Args:
         model: of the car, with which both were forecast.
         one: of a single plan.
         other: likewise, beginning at the same moment and place.
     """
-    apart = one.energies - other.energies
-    variance = (apart[1:] ** 2).sum() + model.variance_between(one, other)
-    return Uncertain(float(apart[0]), math.sqrt(variance))
+    return Uncertain(*model.difference(one, other))
 
 
 def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> Uncertain:
@@ -192,18 +213,20 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     if not bool((xp.isfinite(speed) & (speed >= 0)).all()):
         raise PlanError("speed is negative or not finite")
     duration = xp.broadcast_to(duration, (speed.shape[0], speed.shape[1] - 1))
-    middle = 0.5 * (speed[:, 1:] + speed[:, :-1])
-    climb = xp.zeros_like(middle) if elevation is None else xp.diff(elevation) / duration
-    motion = Motion(middle, xp.diff(speed) / duration, climb, density)
-    energies = model.energies(motion, duration)
-    elapsed = duration.sum(-1)
-    energies = model.with_present_drift(energies, elapsed)
-    length = middle * duration
-    square = (middle * length).sum(-1) / elapsed
-    variance = (energies[:, 1:] ** 2).sum(-1) + model.variance_beside(
-        elapsed, length.sum(-1), square
-    )
-    return Energies(energies[:, 0], xp.sqrt(variance))
+    start, end = speed[:, :-1], speed[:, 1:]
+    length = 0.5 * (start + end) * duration
+    climb = xp.zeros_like(length)
+    if elevation is not None:
+        climb = climb + xp.diff(elevation)
+    # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
+    air = 0.25 * (start + end) * (start**2 + end**2) * duration
+    motion = Motion(duration, length, air, 0.5 * (end**2 - start**2), climb)
+    weather = Weather(density)
+    numpy = xp is np  # a table serves many trips, and has no gradient
+    rows = model.summed_rows(motion, weather) if numpy else model.rows(motion, weather).sum(-2)
+    unseen = length.sum(-1) * (elevation is None)
+    square = (length**2 / duration).sum(-1)
+    return Energies(*model.predicted(rows, duration.sum(-1), square, unseen))
 
 
 def _rows(array: Any, rows: slice) -> Any:
@@ -220,36 +243,3 @@ def _accumulated(steps: np.ndarray, axis: int) -> np.ndarray:
     """Sum up to each point along an axis, which becomes one longer."""
     start = np.zeros_like(steps.take([0], axis=axis))
     return np.concatenate((start, np.cumsum(steps, axis=axis)), axis=axis)
-
-
-@dataclass(frozen=True, slots=True)
-class _Legs:
-    """Start, middle and end of every leg: shape (..., n - 1, 3); duration (..., n - 1), s.
-
-    Distance is cubic in time, so speed is the parabola with the given ends and the leg's length
-    as its integral. Power then is smooth but for the kink, and Simpson's rule gives kinetic and
-    potential energy exactly.
-    """
-
-    duration: np.ndarray
-    speed: np.ndarray
-    acceleration: np.ndarray
-    climb: np.ndarray
-
-    @classmethod
-    def of(cls, plan: Plan) -> _Legs:
-        dt, length = np.diff(plan.time), np.diff(plan.distance)
-        start, end = plan.speed[..., :-1], plan.speed[..., 1:]
-        # A profile whose speeds contradict its distances could call for reversing in the middle.
-        middle = np.maximum(1.5 * length / dt - (start + end) / 4, 0.0)
-        bend = 4 * middle
-        slope = [-3 * start + bend - end, end - start, start - bend + 3 * end]
-        speed = np.stack([start, middle, end], axis=-1)
-        moving = np.where(length > 0, length, np.inf)
-        grade = np.clip(np.diff(plan.elevation) / moving, -1.0, 1.0)  # its sine
-        return cls(
-            duration=dt,
-            speed=speed,
-            acceleration=np.stack(slope, axis=-1) / dt[..., None],
-            climb=speed * grade[..., None],
-        )

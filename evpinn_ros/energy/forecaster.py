@@ -13,7 +13,6 @@ import numpy as np
 from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecast import (
-    FIRST_RESIDUAL,
     Forecast,
     battery_after,
     difference,
@@ -21,7 +20,14 @@ from evpinn_ros.energy.forecast import (
 )
 from evpinn_ros.energy.plan import UNNAMED, Plan, Question
 from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.energy.power_model import PlanEnd, PowerModel, combined_model, prior_identifiable
+from evpinn_ros.energy.power_model import (
+    PlanEnd,
+    PowerModel,
+    Weather,
+    combined_model,
+    vehicle_model,
+)
+from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     PressureReading,
@@ -31,10 +37,8 @@ from evpinn_ros.signals.readings import (
 from evpinn_ros.signals.road import WIND_STALE_AFTER, density_of_air
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
-from evpinn_ros.vehicle.linear_power import LinearPower
 
 MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
-RESIDUAL_MEMORY = 300.0  # samples of power/smoothed over which that is averaged
 
 
 class Air(NamedTuple):
@@ -116,9 +120,7 @@ class Forecaster:
     def reset(self) -> None:
         """Forget all that was received."""
         self.basis = Basis.VEHICLE_FILE
-        self._combined, self._sigmas = prior_identifiable(self._vehicle)
-        self._model: PowerModel | None = None
-        self._residual_variance = FIRST_RESIDUAL**2
+        self._model = vehicle_model(self._vehicle)
         self._air: dict[str, tuple[float, int]] = {}  # values, and when they were received, ns
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
@@ -131,16 +133,16 @@ class Forecaster:
             ValueError: there is no such car; what was received before stays.
         """
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not possible
-            given = combined_model(combined, sigmas, self._vehicle, 0.0).linear
-        if not car_is_possible(given):
+            given = combined_model(combined, sigmas, self._vehicle)
+            possible = car_is_possible(given.car)
+        if not possible:
             raise ValueError("out_of_range")
-        self._combined, self._sigmas = combined, sigmas
-        if self._model is None:
-            self.basis = Basis.COMBINATIONS
+        if self.basis is not Basis.MODEL:
+            self._model, self.basis = given, Basis.COMBINATIONS
 
-    def set_model(self, model: LinearPower) -> None:
+    def set_model(self, car: CarModel) -> None:
         """Take all that is known of the car's power."""
-        self._model, self.basis = PowerModel(model), Basis.MODEL
+        self._model, self.basis = PowerModel(car), Basis.MODEL
 
     def set_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
@@ -149,11 +151,6 @@ class Forecaster:
         for name in Air._fields:
             if hasattr(reading, name):
                 self._air[name] = getattr(reading, name), now_ns
-
-    def set_sigma(self, sigma: float) -> None:
-        """Take the 1-sigma of one prediction of power, W; its mean square is what plans get."""
-        if math.isfinite(sigma):
-            self._residual_variance += (sigma**2 - self._residual_variance) / RESIDUAL_MEMORY
 
     def air(self, now_ns: int) -> Air:
         """Air at this moment; a clock that went back makes nothing younger."""
@@ -188,10 +185,9 @@ class Forecaster:
         """
         air = self.air(now_ns)
         density = density_of_air(self._vehicle.air_density, air.celsius, air.pascal)
-        model = self._model or self._simple()
-        wind = air.head or 0.0
-        result = forecast_plan(plan, model, density, wind)
-        differences = self._compare(asked, plan, result.end, model, (density, wind))
+        weather, wind = Weather(density, air.celsius), air.head or 0.0
+        result = forecast_plan(plan, self._model, weather, wind)
+        differences = self._compare(asked, plan, result.end, (weather, wind))
         end = battery.after(result, charge)
         if end is None:
             end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
@@ -202,19 +198,18 @@ class Forecaster:
         asked: Question,
         plan: Plan,
         end: PlanEnd,
-        model: PowerModel,
-        air: tuple[float, float],
+        air: tuple[Weather, float],
     ) -> dict[str, Uncertain]:
         """Energy of a plan beyond those asked together with it, by their names, J."""
         if asked.together is None or asked.together != self._together:
             self._together, self._others = asked.together, {}
-        basis = self._model, self._combined, self._sigmas, air
+        basis = self._model, air
         if basis != self._compared_with:  # the others were answered with the car of before
             self._compared_with = basis
             for name, (other, _) in self._others.items():
-                self._others[name] = other, forecast_plan(other, model, *air).end
+                self._others[name] = other, forecast_plan(other, self._model, *air).end
         differences = {
-            name: difference(model, end, other)
+            name: difference(self._model, end, other)
             for name, (_, other) in self._others.items()
             if name != asked.name
         }
@@ -222,7 +217,3 @@ class Forecaster:
         if asked.together is not None and points + plan.time.size <= MOST_POINTS_TOGETHER:
             self._others[asked.name] = plan, end
         return differences
-
-    def _simple(self) -> PowerModel:
-        residual = math.sqrt(self._residual_variance)
-        return combined_model(self._combined, self._sigmas, self._vehicle, residual)

@@ -172,11 +172,16 @@ class EnergyMeter(Saveable[SavedMeter]):
             self._max_gap, self._network if by_network else None
         )
         self._dropout_error = CorrelatedError()
-        self._energy_sigma = math.nan
+        self._energy = self._energy_sigma = math.nan
         self._anchor = self._predicted_parts()
 
     def add_predicted(
-        self, stamp_ns: int, power: float, sigma: float, energy_sigma: float = math.nan
+        self,
+        stamp_ns: int,
+        power: float,
+        sigma: float,
+        energy_sigma: float = math.nan,
+        energy: float = math.nan,
     ) -> None:
         """Take one prediction of power.
 
@@ -186,8 +191,9 @@ class EnergyMeter(Saveable[SavedMeter]):
             sigma: its 1-sigma, W.
             energy_sigma: 1-sigma of the energy predicted since the battery was last measured, J,
                 where the estimator knows it; NaN where it is to be guessed from `sigma`.
+            energy: that energy, J; NaN where it is the integral of `power`.
         """
-        self._energy_sigma = energy_sigma
+        self._energy, self._energy_sigma = energy, energy_sigma
         dropped = self._predicted.dropped
         step = self._predicted.append(stamp_ns, power)
         self._newest_ns = max(self._newest_ns, stamp_ns)
@@ -242,6 +248,8 @@ class EnergyMeter(Saveable[SavedMeter]):
     def _dropout_until(self, stamp_ns: int) -> Dropout:
         """The dropout since the last sample of the battery, as if it ended at this stamp."""
         bridge = self._predicted_parts().less(self._anchor)
+        if math.isfinite(self._energy):
+            bridge = bridge._replace(energy=self._energy)
         if math.isfinite(self._energy_sigma):
             short = sigma = self._energy_sigma
         else:

@@ -12,9 +12,10 @@ from typing import Annotated, TypeAlias
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.estimation.posterior import FORCE_NOISE, CarModel
+from evpinn_ros.estimation.states import State
 from evpinn_ros.signals.stream import MAX_SPEED
-from evpinn_ros.vehicle.linear_power import LinearPower
-from evpinn_ros.vehicle.physics import GRAVITY
 
 # More than any road vehicle is charged with, and so than any draws: CharIN's Megawatt Charging
 # System ends at 1250 V and 3000 A; the strongest cars drive with 1.6 MW.
@@ -28,25 +29,9 @@ Joules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY)]
 UnknownJoules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY, unknown=True)]
 Metres: TypeAlias = Annotated[float, Range(0.0, MOST_DISTANCE)]
 Seconds: TypeAlias = Annotated[float, Range(-MOST_SECONDS, MOST_SECONDS)]
-# Of a car that is given, from a model of one to a train; time and way in which errors forget
-# themselves are not zero.
-CAR_RANGES = {
-    "drag_area": (0.0, 100.0),
-    "rolling_mass": (-1e5, 1e5),
-    "mass": (1.0, 1e6),
-    "rotating_mass_factor": (1.0, 10.0),
-    "standing_noise": (0.0, MAX_POWER),
-    "moving_noise": (0.0, MAX_POWER),
-    "drift_std": (0.0, MAX_POWER),
-    "drift_time": (1e-3, 1e6),
-    "slope_force": (0.0, MAX_POWER),
-    "slope_length": (1e-3, 1e6),
-}
-# Features of a fast ride, 30 m/s at 0.5 m/s^2, in the order of `FEATURES`: no coefficient alone
-# may take more than `MAX_POWER` there.
-_FORCES = 0.5 * 1.2 * 30.0**3, GRAVITY * 30.0, 0.5 * 30.0
-FAST_RIDE = np.array([*_FORCES, *_FORCES, 1.0, 1.0, 0.5**2, 1.0])
 ROUNDING = 1.0 + 1e-6  # of sums
+MOST_MASS = 1e6  # kg over eta, of a train
+MOST_TRUST = 1e4  # factor of a variance
 
 
 def speed_is_possible(speed: float) -> bool:
@@ -59,11 +44,23 @@ def power_is_possible(power: float, sigma: float) -> bool:
     return abs(power) <= MAX_POWER and (math.isnan(sigma) or 0.0 <= sigma <= MAX_POWER)
 
 
-def car_is_possible(car: LinearPower) -> bool:
-    """True if a given car is plausible, so that no sum of its powers leaves all bounds."""
-    named = ((getattr(car, name), *bounds) for name, bounds in CAR_RANGES.items())
-    unsure = np.sqrt((np.clip(car.directions, -1e100, 1e100) ** 2).sum(axis=0))
-    most = MAX_POWER / FAST_RIDE
-    return all(least <= value <= greatest for value, least, greatest in named) and bool(
-        (np.abs(car.mean) <= most).all() and (unsure <= most).all()
-    )
+def car_is_possible(car: CarModel) -> bool:
+    """True if a given car is plausible, so that no sum of its powers leaves all bounds.
+
+    Judged by a fast ride and by a stand in the cold: neither mean nor 1-sigma is beyond
+    `MAX_POWER`, and no mass is.
+    """
+    numbers = np.concatenate((car.mean, car.covariance.ravel(), car.noise))
+    numbers = np.append(numbers, (car.load_variance, car.growth, car.trust, car.seconds))
+    if not (np.isfinite(numbers).all() and 0.0 < car.mean[State.MASS] <= MOST_MASS):
+        return False
+    least = min(float(np.diag(car.covariance).min()), float(car.noise.min()), car.load_variance)
+    if min(least, car.growth, car.trust, car.seconds) < 0.0 or car.trust > MOST_TRUST:
+        return False
+    speed, one = np.array([30.0, 10.0, 0.0]), np.ones(3)
+    motion = Motion(one, speed, speed**3, 0.5 * speed, 0.0 * speed)
+    rows = PowerModel(car).rows(motion, Weather(1.2, -30.0))
+    power = rows @ car.mean
+    variance = ((rows @ car.covariance) * rows).sum(-1) + car.load_variance
+    noise = car.noise.max() * FORCE_NOISE**2 * speed**2
+    return bool((np.abs(power) <= MAX_POWER).all() and (variance + noise <= MAX_POWER**2).all())

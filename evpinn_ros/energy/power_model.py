@@ -1,227 +1,257 @@
-"""Energy of a plan by a linear model of the car (`vehicle.linear_power`), with its variance.
+"""A car as plans take it: the one equation (`estimation.terms`) over steps of a plan.
 
-The variance of the energy of a trip adds up
-
-- the coefficients, off by the same amount for the whole trip;
-- what the model leaves of power, an error that forgets itself within seconds;
-- auxiliary power, which drifts around its mean within minutes;
-- slopes and winds that no plan holds, which change within some hundred metres.
+A plan is a row of steps, and its energy is the same terms times the same states that learned from
+intervals of driving. So the forecast of a driven speed is the replay of it without its battery.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.arrays import like, namespace
-from evpinn_ros.energy.uncertainty import CORRELATION_TIME, relaxed, walked
-from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import Identifiable, identifiable
-from evpinn_ros.vehicle.linear_power import (
-    CREEPING,
-    FADE_END,
-    FADE_SPEED,
-    MOST_FORCE,
-    LinearPower,
-    turning,
+from evpinn_ros.common.arrays import like, namespace, within
+from evpinn_ros.estimation.posterior import (
+    FORCE_NOISE,
+    LOAD_TIME,
+    NOISE_TIME,
+    STANDING_NOISE,
+    CarModel,
+    initial_state,
+    wandered,
 )
-from evpinn_ros.vehicle.physics import GRAVITY
+from evpinn_ros.estimation.states import PHYSICS, WEIGHTS, State
+from evpinn_ros.estimation.terms import (
+    STANDING,
+    Equation,
+    Warmth,
+    Wheels,
+    climate_powers,
+    coldness,
+)
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.identifiable import Identifiable
 
-TINY = 1e-6  # m/s
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
-LEAST_SPEED = 0.5  # m/s, below it no force follows from power
+# Where the network is looked up for many trips, m/s and m/s^2; between them it is linear.
+GRID_SPEED, GRID_FORCE = np.arange(0.0, 101.0, 1.0), np.linspace(-4.0, 4.0, 33)
 
 
 class Motion(NamedTuple):
-    """Moments of driving, numpy arrays or torch tensors of one shape.
+    """Steps of a plan, in order, numpy arrays or torch tensors of one shape (..., n).
 
     Attributes:
-        speed: m/s, not negative.
-        acceleration: m/s^2.
-        climb: m/s, rate of ascent.
-        air_density: kg/m^3, a number or of the same shape.
-        head_wind: wind against the car, m/s over ground, likewise.
+        duration: s.
+        distance: m.
+        air: integral of the flow's |u| u v, m^3/s^2.
+        kinetic: difference of v^2 / 2, J/kg.
+        climb: difference of height, m.
     """
 
-    speed: Any
-    acceleration: Any
+    duration: Any
+    distance: Any
+    air: Any
+    kinetic: Any
     climb: Any
-    air_density: Any
-    head_wind: Any = 0.0
+
+
+class Weather(NamedTuple):
+    """Surroundings of a plan.
+
+    Attributes:
+        air_density: kg/m^3.
+        celsius: temperature outside; None: the last that the car knew.
+        heating: power of heating and air conditioning, W; None: what the temperature makes
+            likely, and of this drive so far.
+        start_s: s since the start of the drive when the plan begins: tyres and cabin are cold at
+            first. None: as the car is now.
+    """
+
+    air_density: float
+    celsius: float | None = None
+    heating: float | None = None
+    start_s: float | None = None
 
 
 class PlanEnd(NamedTuple):
-    """A plan at its end.
+    """A plan at its end, to be compared with others.
 
     Attributes:
-        energies: of the mean and of each direction of the coefficients, J, shape (..., 1 + k).
-        elapsed: s, shape (...), likewise below.
+        row: energy by each state, J per unit, shape (SIZE,).
+        elapsed: s.
         distance: m.
-        square_speed: mean square of speed, m^2/s^2.
+        noise: variance of what no state explains, J^2.
+        unseen: m of road whose height is not known.
     """
 
-    energies: np.ndarray
-    elapsed: np.ndarray
-    distance: np.ndarray
-    square_speed: np.ndarray
+    row: np.ndarray
+    elapsed: float
+    distance: float
+    noise: float
+    unseen: float
 
 
+@dataclass(frozen=True, eq=False)
 class PowerModel:
     """A car, ready for forecasts.
 
     Attributes:
-        linear: what it was made from.
+        car: what is known of it.
     """
 
-    def __init__(self, linear: LinearPower) -> None:
-        """Take a car."""
-        self.linear = linear
-        self._coefficients = np.concatenate((linear.mean[None], linear.directions))
+    car: CarModel
 
-    def powers(self, motion: Motion) -> np.ndarray:
-        """Power of the mean and each direction, W, shape (..., 1 + k), without present drift."""
-        columns = np.stack(self._features(motion, np), axis=-1)
-        return np.asarray(columns @ self._coefficients[:, :-1].T)
+    def rows(self, motion: Motion, weather: Weather) -> Any:
+        """Energy of each step by each state, J per unit, shape (..., n, SIZE)."""
+        equation, duration = self.car.equation, motion.duration
+        wheels = equation.wheels(*motion, weather.air_density)
+        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
+        rows = equation.moving_rows(wheels, duration, coldness(celsius), warmth.tyres)
+        for state, power in self._loads(weather.heating, celsius, warmth).items():
+            rows[..., state] = power * duration
+        return rows
 
-    def energies(self, motion: Motion, duration: Any) -> Any:
-        """Energy of the mean and of each direction, J, shape (batch, 1 + k), of whole trips.
+    def summed_rows(self, motion: Motion, weather: Weather) -> np.ndarray:
+        """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
+        equation, duration = self.car.equation, motion.duration
+        wheels = equation.wheels(*motion, weather.air_density)
+        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
+        rows = equation.moving_sums(wheels, duration, coldness(celsius), warmth.tyres)
+        rows[:, WEIGHTS] += _looked_up(wheels, motion.distance, self._table)
+        for state, power in self._loads(weather.heating, celsius, warmth).items():
+            rows[:, state] = (power * duration).sum(-1)
+        return rows
 
-        Args:
-            motion: shape (batch, n), in the middle of each leg.
-            duration: of each leg, s, shape (batch, n).
-        """
-        xp = namespace(motion.speed)
-        columns = [xp.sum(column * duration, -1) for column in self._features(motion, xp)]
-        return xp.stack(columns, -1) @ like(self._coefficients[:, :-1].T, columns[0])
-
-    def with_present_drift(self, energies: Any, elapsed: Any) -> Any:
-        """`energies` with what is left of the present drift after `elapsed` s."""
-        integral = relaxed(elapsed, self.linear.drift_time)
-        return energies + integral[..., None] * like(self._coefficients[:, -1], elapsed)
-
-    def variance_beside(self, elapsed: Any, distance: Any, square_speed: Any) -> Any:
-        """Variance of energy, J^2, from all but the coefficients.
+    def predicted(self, rows: Any, elapsed: Any, square: Any, unseen: Any) -> tuple[Any, Any]:
+        """Energy, J, and its 1-sigma, J, of journeys of any shape (...).
 
         Args:
-            elapsed: s since the start, any shape.
-            distance: m since the start, of the same shape.
-            square_speed: mean square of speed since the start, m^2/s^2, of the same shape.
+            rows: summed, shape (..., SIZE); changed here.
+            elapsed: s since the start.
+            square: integral of speed squared, m^2/s.
+            unseen: m of road whose height is not known.
         """
-        car = self.linear
-        noise = car.standing_noise**2 + car.moving_noise**2 * square_speed
-        # What the drift is at the start, the directions hold.
-        drift = walked(elapsed, car.drift_time) - relaxed(elapsed, car.drift_time) ** 2
-        variance = (
-            noise * walked(elapsed, CORRELATION_TIME)
-            + car.drift_std**2 * drift
-            + car.slope_force**2 * walked(distance, car.slope_length)
-        )
-        return namespace(variance).clip(variance, 0.0, None)  # rounding, of the first moments
+        car, xp = self.car, namespace(rows)
+        _, rows[..., State.LOAD], rest = wandered(elapsed)
+        mean, covariance = like(car.mean, rows), like(car.covariance, rows)
+        variance = ((rows @ covariance) * rows).sum(-1) + car.load_variance * rest
+        variance = variance + self.noise(elapsed, square)
+        variance = variance + car.growth * car.weight_over_eta**2 * unseen
+        return rows @ mean, xp.sqrt(within(car.trust * variance, 0.0, math.inf))
 
-    def variance_between(self, one: PlanEnd, other: PlanEnd) -> float:
-        """Variance of the difference of two plans' energies, J^2, from all but the coefficients.
+    def noise(self, elapsed: Any, square: Any) -> Any:
+        """Variance of energy that no state explains, J^2; arguments as in `predicted`."""
+        standing, moving = self.car.noise[0], self.car.noise[1]
+        own = standing * STANDING_NOISE**2 * elapsed + moving * FORCE_NOISE**2 * square
+        return NOISE_TIME * own
 
-        Both begin at one moment; of one length they are taken to lead along one road.
+    def difference(self, one: PlanEnd, other: PlanEnd) -> tuple[float, float]:
+        """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
+
+        Both begin at one moment, with one car: what they share cancels. Of one length they are
+        taken to lead along one road.
         """
-        car = self.linear
-        # As floats: numpy takes ten times as long for one number.
-        elapsed = [float(plan.elapsed) for plan in (one, other)]
-        lengths = [float(plan.distance) for plan in (one, other)]
-        squares = [float(plan.square_speed) for plan in (one, other)]
-        variance = sum(
-            (car.standing_noise**2 + car.moving_noise**2 * square)
-            * walked(seconds, CORRELATION_TIME)
-            for seconds, square in zip(elapsed, squares, strict=True)
-        )
-        common, memory = min(elapsed), car.drift_time
-        alone = max(elapsed) - common
-        # The drift where the first of them ends, and what it does from there on.
-        begun = relaxed(alone, memory)
-        there = -math.expm1(-2 * common / memory) * begun**2
-        variance += car.drift_std**2 * (there + walked(alone, memory) - begun**2)
-        if abs(lengths[0] - lengths[1]) > SAME_LENGTH:
-            slopes = (walked(length, car.slope_length) for length in lengths)
-            variance += car.slope_force**2 * sum(slopes)
-        return max(float(variance), 0.0)
+        car, row = self.car, one.row - other.row
+        _, integral, _ = wandered(np.array([one.elapsed, other.elapsed]))
+        row[State.LOAD] = integral[0] - integral[1]
+        _, alone, rest = wandered(abs(one.elapsed - other.elapsed))
+        shorter = min(one.elapsed, other.elapsed)
+        begun = -math.expm1(-2.0 * shorter / LOAD_TIME) * alone**2
+        variance = float(row @ car.covariance @ row) + car.load_variance * (begun + rest)
+        variance += one.noise + other.noise
+        if abs(one.distance - other.distance) > SAME_LENGTH:
+            variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
+        return float(row @ car.mean), math.sqrt(max(car.trust * variance, 0.0))
 
-    def _features(self, motion: Motion, xp: Any) -> list[Any]:
-        """The features but the last, each of the motion's shape."""
-        car, v = self.linear, motion.speed
-        flow = v + motion.head_wind
-        drag = 0.5 * motion.air_density * flow * abs(flow) * v
-        # v cos(grade), as a root that has a slope at standstill too
-        level = xp.clip(v * v - motion.climb * motion.climb, 0.0, None)
-        rolling = GRAVITY * (xp.sqrt(level + TINY**2) - TINY)
-        force = GRAVITY * motion.climb + car.rotating_mass_factor * motion.acceleration * v
-        wheel = car.drag_area * drag + car.rolling_mass * rolling + car.mass * force
-        driving = (wheel > 0) * 1.0
-        driven = [driving * part for part in (drag, rolling, force)]
-        fade = xp.clip((v - FADE_END) / (FADE_SPEED - FADE_END), 0.0, 1.0)
-        whole = (drag, rolling, force)
-        braked = [(all_ - part) * fade for all_, part in zip(whole, driven, strict=True)]
-        pull = xp.clip(wheel / car.mass / xp.clip(v, LEAST_SPEED, None), -MOST_FORCE, MOST_FORCE)
-        return [*driven, *braked, xp.ones_like(v), turning(v), pull * pull * (v > CREEPING)]
+    def with_payload(self, payload: float) -> PowerModel:
+        """The car with so many kg more than it has; its tyres carry them too."""
+        if not payload:
+            return self
+        mean, eta = self.car.mean.copy(), self.car.equation.eta + self.car.mean[State.ETA]
+        c_rr = mean[State.ROLLING] / mean[State.MASS]
+        mean[State.MASS] += payload / eta
+        mean[State.ROLLING] += c_rr * payload / eta
+        return PowerModel(replace(self.car, mean=mean))
+
+    @cached_property
+    def _table(self) -> np.ndarray:
+        """Force of the network on the grid, N per weight, shape (speeds, forces, NETWORK)."""
+        speed, force = np.meshgrid(GRID_SPEED, GRID_FORCE, indexing="ij")
+        found = self.car.equation.network.force(speed.ravel(), force.ravel())
+        return np.asarray(found.reshape(*speed.shape, -1))
+
+    def _celsius(self, weather: Weather) -> float | None:
+        return self.car.celsius if weather.celsius is None else weather.celsius
+
+    def _warmth(self, duration: Any, weather: Weather) -> Warmth:
+        """Coldness of tyres and cabin in the middle of each step."""
+        start = self.car.seconds if weather.start_s is None else weather.start_s
+        return Warmth.after(start + namespace(duration).cumsum(duration, -1) - duration / 2)
+
+    def _loads(
+        self, heating: float | None, celsius: float | None, warmth: Warmth
+    ) -> dict[State, Any]:
+        """Standing power by state, W per unit, numbers or of the steps' shape."""
+        found: dict[State, Any] = dict.fromkeys(STANDING, 1.0)
+        if heating is not None:
+            return found | {State.REPORTED: heating}
+        if self.car.reports:
+            found[State.CLIMATE_DRIVE] = 1.0
+        return found | climate_powers(celsius, warmth)
 
 
-def vehicle_model(vehicle: Vehicle, residual_sigma: float) -> PowerModel:
-    """The model of a vehicle file: its priors, and 1-sigma of power around the physics, W."""
-    return combined_model(*prior_identifiable(vehicle), vehicle, residual_sigma)
+def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:
+    """The car of a vehicle file, of which nothing was learned yet."""
+    equation = Equation(vehicle, seed)
+    return PowerModel(initial_state(equation).model(equation))
 
 
-def combined_model(
-    combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle, residual_sigma: float
-) -> PowerModel:
-    """The model that the identifiable combinations make, their errors taken as independent.
+def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:
+    """The car that the identifiable combinations make, their errors taken as independent.
 
     Args:
         combined: floats.
         sigmas: their 1-sigma.
-        vehicle: for the inertia of rotating parts.
-        residual_sigma: 1-sigma of power around the physics, W.
+        vehicle: for everything that they do not hold.
     """
+    car = vehicle_model(vehicle).car
     mass, area, c_rr, regeneration, p_aux = combined
-    driving = np.array([area, mass * c_rr, mass])
-    by_name = np.array([[0.0, c_rr, 1.0], [1.0, 0.0, 0.0], [0.0, mass, 0.0]])  # mass, area, c_rr
-    zero = np.zeros(3)
-    rows = [[*row, *(regeneration * row), 0.0] for row in by_name]
-    rows += [[*zero, *driving, 0.0], [*zero, *zero, 1.0]]
-    directions = np.array(sigmas)[:, None] * np.pad(np.array(rows), ((0, 0), (0, 3)))
-    return PowerModel(
-        LinearPower(
-            drag_area=area,
-            rolling_mass=mass * c_rr,
-            mass=mass,
-            rotating_mass_factor=vehicle.rotating_mass_factor,
-            standing_noise=residual_sigma,
-            moving_noise=0.0,
-            drift_std=0.0,
-            drift_time=1.0,
-            slope_force=0.0,
-            slope_length=1.0,
-            mean=np.array([*driving, *(regeneration * driving), p_aux, 0.0, 0.0, 0.0]),
-            directions=directions,
-        )
+    mean, covariance = car.mean.copy(), car.covariance.copy()
+    index = [*PHYSICS, State.P_AUX]
+    mean[index] = area, c_rr * mass, mass, regeneration - car.equation.back, p_aux
+    covariance[index] = covariance[:, index] = 0.0
+    std = (
+        sigmas.drag_area_over_eta,
+        math.hypot(sigmas.c_rr * mass, c_rr * sigmas.mass_over_eta),
+        sigmas.mass_over_eta,
+        sigmas.regeneration,
+        sigmas.p_aux,
     )
+    covariance[index, index] = np.square(std)
+    return PowerModel(replace(car, mean=mean, covariance=covariance))
 
 
-def prior_identifiable(vehicle: Vehicle) -> tuple[Identifiable, Identifiable]:
-    """The combinations of the vehicle's priors, and their 1-sigma to first order.
+def _looked_up(wheels: Wheels, distance: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Energy of the network before its share of the terms is taken away, (batch, NETWORK).
 
-    Relative variances of products and quotients of independent quantities add up.
+    Steps are spread over the four nodes around them by weights, so a trip is one row of weights.
     """
-    combined = identifiable(vehicle.initial, vehicle.frontal_area)
-    relative = {
-        name: prior.std / prior.value if prior.value else 0.0
-        for name, prior in vehicle.priors.items()
-    }
-    sigmas = Identifiable(
-        mass_over_eta=combined.mass_over_eta * math.hypot(relative["mass"], relative["eta"]),
-        drag_area_over_eta=combined.drag_area_over_eta
-        * math.hypot(relative["c_d"], relative["eta"]),
-        c_rr=vehicle.priors["c_rr"].std,
-        regeneration=combined.regeneration * math.hypot(relative["eta"], relative["mu"]),
-        p_aux=vehicle.priors["p_aux"].std,
-    )
-    return combined, sigmas
+    batch, forces = len(distance), table.shape[1]
+    x = np.minimum(wheels.speed * (1.0 / GRID_SPEED[1]), len(table) - 1.001)
+    y = (wheels.force - GRID_FORCE[0]) * (1.0 / (GRID_FORCE[1] - GRID_FORCE[0]))
+    i, j = x.astype(np.int32), np.minimum(y, forces - 1.001).astype(np.int32)
+    x, y, way = x - i, y - j, np.abs(distance)
+    most = int(i.max()) + 2
+    cell = (np.arange(batch, dtype=np.int32)[:, None] * most + i) * forces + j
+    weights = np.zeros(batch * most * forces)
+    for shift, share in (
+        (0, (1 - x) * (1 - y)),
+        (1, (1 - x) * y),
+        (forces, x * (1 - y)),
+        (forces + 1, x * y),
+    ):
+        weights += np.bincount((cell + shift).ravel(), (share * way).ravel(), len(weights))
+    return np.asarray(weights.reshape(batch, -1) @ table[:most].reshape(-1, table.shape[2]))

@@ -1,9 +1,10 @@
 """Breakdown of the energy of a drive by where it went, with what is not known of it.
 
-Sums of the parts (`energy_parts`) over the intervals so far are linear in the states, so they are
-smoothed with them: each sum keeps its covariance with the states of every hypothesis, and what
-later intervals teach of a car or of the slope of a road moves the sums of before. That is exact
-for a linear model, and no interval is kept.
+The parts of a drive (`Equation.parts`, summed over its intervals) are linear in the states, so
+what later intervals teach of the car, of this drive or of the height of its road moves the parts
+of before, and nothing is added up twice. When a drive ends, what is of it alone (its offsets, the
+loads that wandered, the unseen climb) is kept as what the states of the car say of it, so that
+drives can be compared by all that was learned (a smoother of Rauch, Tung and Striebel).
 
 The parts need not add up to what was measured: what is left is shown as unexplained. Parts that
 the data tell apart worse than they tell their sum are to be read together (`together`).
@@ -12,33 +13,28 @@ the data tell apart worse than they tell their sum are to be read together (`tog
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 import math
 
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.estimation.car_state import SIZE, State
-from evpinn_ros.estimation.energy_parts import COUNT, WHOLE, Part, parts
-from evpinn_ros.estimation.gaussian import Gaussian, Innovation, mixture
-from evpinn_ros.estimation.weak_form import Constants, Spent, Warmth
+from evpinn_ros.estimation.posterior import CarState
+from evpinn_ros.estimation.states import LASTING, SIZE, State
+from evpinn_ros.estimation.terms import COUNT, WHOLE, Equation, Part
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.physics import GRAVITY
 
-FAST = slice(State.AUX, State.ENERGY)  # states that pass
-NOW = slice(-COUNT, None)  # the sums of the drive that goes on
-LOST = [Part.BRAKES, Part.DRIVETRAIN, Part.REGAINED]  # what noise of losses is of
 UNEXPLAINED, REGAINED = "unexplained", "regained"
-# Hills longer than the filter's own look like tyres. A road whose slope wanders gains height by
-# the root of its length; this much of it, for long hills are less steep.
-LONG_HILLS, HILL_LENGTH = 0.15, 600.0
-# A measured height strays too, and over more than the 100 m of the filter's error: wind and doors
-# move a barometer by half a metre, for a minute. Of a whole drive it counts at both ends.
+OWN = [State.ROLLING_DRIVE, State.LOAD_DRIVE, State.DOUBTED, State.WANDERED, State.LOAD_ENERGY]
+OWN += [State.CLIMBED, State.CLIMB]  # states that are of a drive alone
+# A measured height strays: wind and doors move a barometer by half a metre, for a minute. Of a
+# whole drive it counts at both ends.
 HEIGHT_STRAYS = 0.5  # m, 1-sigma
 REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold driving and braking
 DISTANCE = 1e5  # m that a difference of drives is of
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
-LONG_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
+STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 # Between drives: efficiency changes by this much for each e-fold of power, and a constant one
 # has air, the part that grows with speed most, account for it.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
@@ -215,155 +211,92 @@ class Breakdowns:
         return Breakdowns(which @ self.energy, covariance, tuple(Totals(*row) for row in whole))
 
 
-@dataclass(frozen=True, slots=True)
-class PartSums:
-    """Sums of the parts over intervals, for each of K hypotheses; a value that is replaced.
-
-    Of the drive that goes on, and where they are kept (`next_drive`) of those before it: D drives,
-    COUNT sums each, N in all, those of the drive that goes on last.
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveParts:
+    """The parts of a drive that goes on.
 
     Attributes:
-        mean: J, shape (K, N).
-        covariance: J^2, shape (K, N, N).
-        cross: covariance with the states, shape (K, N, SIZE).
-        drives: what the sums of each drive are of.
+        rows: energy by part and state, J per unit, shape (COUNT, SIZE).
+        totals: what it is of.
     """
 
-    mean: np.ndarray
-    covariance: np.ndarray
-    cross: np.ndarray
-    drives: tuple[Totals, ...] = (Totals(),)
+    rows: np.ndarray
+    totals: Totals = Totals()
 
     @classmethod
-    def none(cls, hypotheses: int) -> PartSums:
-        """Of no interval."""
-        count = hypotheses, COUNT
-        return cls(np.zeros(count), np.zeros((*count, COUNT)), np.zeros((*count, SIZE)))
+    def none(cls) -> DriveParts:
+        """No interval."""
+        rows = np.zeros((COUNT, SIZE))
+        rows[Part.STANDING, [State.WANDERED, State.LOAD_ENERGY]] = 1.0
+        rows[Part.SLOPE, [State.CLIMBED, State.CLIMB]] = 1.0
+        return cls(rows)
 
-    def next_drive(self, kept: np.ndarray) -> PartSums:
-        """With another drive, of no interval yet.
+    def plus(self, interval: Interval, parts: np.ndarray) -> DriveParts:
+        """With one more interval and its `Equation.parts`, shape (COUNT, SIZE)."""
+        own = parts.copy()
+        own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY have what it gave
+        return DriveParts(self.rows + own, self.totals.plus(interval))
 
-        Args:
-            kept: share of each state that is kept between drives, shape (SIZE,).
-        """
-        if not self.drives[-1].seconds:
-            return self.offset(kept)
-        cross = self.cross * kept
-        all_, more = (0, 0), (0, COUNT)
-        return PartSums(
-            np.pad(self.mean, (all_, more)),
-            np.pad(self.covariance, (all_, more, more)),
-            np.pad(cross, (all_, more, all_)),
-            (*self.drives, Totals()),
+    def ended(self, state: CarState) -> EndedDrive:
+        """The same as a function of the states of the car alone."""
+        mean, covariance = state.mixture()
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))
+        within = np.ix_(LASTING, LASTING)
+        car = covariance[within] / np.outer(scale[LASTING], scale[LASTING])
+        shared = covariance[np.ix_(LASTING, OWN)] / scale[LASTING][:, None]
+        gain = (np.linalg.lstsq(car, shared, rcond=1e-9)[0] / scale[LASTING][:, None]).T
+        rows = self.rows[:, LASTING] + self.rows[:, OWN] @ gain
+        own = covariance[np.ix_(OWN, OWN)] - gain @ covariance[np.ix_(LASTING, OWN)]
+        return EndedDrive(
+            rows,
+            self.rows[:, OWN] @ (mean[OWN] - gain @ mean[LASTING]),
+            self.rows[:, OWN] @ own @ self.rows[:, OWN].T,
+            self.totals,
         )
 
-    def offset(self, kept: np.ndarray) -> PartSums:
-        """With states of which a share, shape (SIZE,), is as it was: the drive goes on."""
-        return replace(self, cross=self.cross * kept)
 
-    def passed(self, transition: np.ndarray) -> PartSums:
-        """After a step of the states, of which all but `FAST` stay."""
-        cross = self.cross.copy()
-        cross[:, :, FAST] = cross[:, :, FAST] @ transition[FAST, FAST].T
-        return replace(self, cross=cross)
+@dataclass(frozen=True, slots=True, eq=False)
+class EndedDrive:
+    """The parts of a drive as a function of the states of the car.
 
-    def without(self, states: slice) -> PartSums:
-        """After these states were forgotten."""
-        cross = self.cross.copy()
-        cross[:, :, states] = 0.0
-        return replace(self, cross=cross)
-
-    def given(
-        self, seen: Innovation, gradient: np.ndarray, extra: np.ndarray, lost: np.ndarray
-    ) -> PartSums:
-        """After the states were conditioned on a measured energy.
-
-        Args:
-            seen: the innovation.
-            gradient: of the energy by the states, shape (K, SIZE).
-            extra: variance added to the measurement's, shape (K,).
-            lost: how much of the noise is of each part, J^2, shape (K, COUNT).
-        """
-        variance = (seen.variance + extra)[:, None]
-        along = np.matmul(self.cross, gradient[:, :, None])[:, :, 0]
-        along[:, NOW] += lost
-        gain = along / variance
-        covariance = self.covariance - gain[:, :, None] * along[:, None, :]
-        own = covariance[:, NOW, NOW]
-        own[:, LOST, LOST] += np.abs(lost[:, LOST])
-        own[:, Part.BRAKES, Part.REGAINED] -= lost[:, Part.BRAKES]
-        own[:, Part.REGAINED, Part.BRAKES] -= lost[:, Part.BRAKES]
-        return replace(
-            self,
-            mean=self.mean + gain * seen.residual[:, None],
-            covariance=covariance,
-            cross=self.cross - gain[:, :, None] * seen.along[:, None, :],
-        )
-
-    def moved(self, state: int, share: np.ndarray) -> PartSums:
-        """After a state was moved by `share` of its variance, shape (K,)."""
-        return replace(self, mean=self.mean + share[:, None] * self.cross[:, :, state])
-
-    def plus(
-        self,
-        interval: Interval,
-        state: Gaussian,
-        weights: np.ndarray,
-        warmth: Warmth,
-        car: Constants,
-    ) -> PartSums:
-        """With one more interval, whose battery was measured and learned from.
-
-        Args:
-            interval: to add.
-            state: given this interval.
-            weights: of the hypotheses; the parts are linear about their mean.
-            warmth: of tyres and cabin.
-            car: constants.
-        """
-        about = weights @ state.mean
-        energy, gradient = parts(about, interval.steps, interval.conditions, warmth, car)
-        mean, covariance, cross = self.mean.copy(), self.covariance.copy(), self.cross.copy()
-        own = gradient @ state.covariance
-        shared = self.cross @ gradient.T
-        mean[:, NOW] += energy + (state.mean - about) @ gradient.T
-        covariance[:, NOW, NOW] += own @ gradient.T
-        covariance[:, :, NOW] += shared
-        covariance[:, NOW, :] += np.swapaxes(shared, 1, 2)
-        cross[:, NOW] += own
-        drives = *self.drives[:-1], self.drives[-1].plus(interval)
-        return PartSums(mean, covariance, cross, drives)
-
-    def breakdowns(self, weights: np.ndarray, weight: float, hilliness: float) -> Breakdowns:
-        """The sums over all hypotheses, of every drive.
-
-        Args:
-            weights: of the hypotheses, shape (K,).
-            weight: of the car, N.
-            hilliness: 1-sigma of the unseen slope.
-        """
-        mean, covariance = mixture(weights, Gaussian(self.mean, self.covariance))
-        for drive, totals in enumerate(self.drives):
-            span = slice(drive * COUNT, (drive + 1) * COUNT)
-            own, energy = covariance[span, span], mean[span]
-            height = (LONG_HILLS * hilliness) ** 2 * HILL_LENGTH * totals.unseen
-            if totals.unseen < totals.distance:
-                height += 2.0 * HEIGHT_STRAYS**2
-            own += weight**2 * height * np.outer(LONG_HILL, LONG_HILL)
-            own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
-            edges = 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])  # (m v dv)^2
-            own[Part.SPEED, Part.SPEED] += edges
-        shape = len(self.drives), COUNT
-        return Breakdowns(mean.reshape(shape), covariance.reshape(shape + shape), self.drives)
-
-
-def loss_shares(found: Spent) -> np.ndarray:
-    """Share of an interval's losses by part, those of `LOST`, shape (K, COUNT).
-
-    What braking loses it does not bring back.
+    Attributes:
+        rows: energy by part and state of `LASTING`, J per unit, shape (COUNT, len(LASTING)).
+        offset: J, shape (COUNT,).
+        own: covariance of what is of the drive alone, J^2, shape (COUNT, COUNT).
+        totals: what it is of.
     """
-    shares = np.zeros((len(found.energy), COUNT))
-    braked = found.wheel_brake / np.maximum(found.wheel_drive + found.wheel_brake, 1.0)
-    shares[:, Part.BRAKES], shares[:, Part.REGAINED] = braked, -braked
-    shares[:, Part.DRIVETRAIN] = 1.0 - braked
-    return shares
+
+    rows: np.ndarray
+    offset: np.ndarray
+    own: np.ndarray
+    totals: Totals
+
+
+def breakdowns(
+    ended: Sequence[EndedDrive], now: DriveParts, state: CarState, equation: Equation
+) -> Breakdowns:
+    """Breakdowns of drives that ended and of the one that goes on, by all that was learned."""
+    drives = (*ended, now.ended(state))
+    mean, covariance = state.mixture()
+    rows = np.concatenate([each.rows for each in drives])
+    energy = rows @ mean[LASTING] + np.concatenate([each.offset for each in drives])
+    whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
+    weight = GRAVITY * equation.eta * float(mean[State.MASS])
+    for number, each in enumerate(drives):
+        span = slice(number * COUNT, (number + 1) * COUNT)
+        own = each.own + _beside(energy[span], each.totals, weight)
+        whole[span, span] += own
+    shape = len(drives), COUNT
+    totals = tuple(each.totals for each in drives)
+    return Breakdowns(energy.reshape(shape), whole.reshape(shape + shape), totals)
+
+
+def _beside(energy: np.ndarray, totals: Totals, weight: float) -> np.ndarray:
+    """Covariance that no state holds, J^2: heights that stray, edges, and maps of losses."""
+    own = np.zeros((COUNT, COUNT))
+    if totals.unseen < totals.distance:
+        own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
+    own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
+    # (m v dv)^2 at both ends
+    own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
+    return own

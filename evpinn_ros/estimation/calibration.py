@@ -27,18 +27,17 @@ PRIOR_CASES = 8.0  # that its prior, true sigmas, weighs
 MOST_SUM = 1e15  # of squares and products over a car's life
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Chance:
     """Scatter of normalised errors: `count` cases seen, sum of `squares` of sigmas."""
 
     count: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
     squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
 
-    def learn(self, deviate: float) -> None:
-        """Take a case: how far it strayed over its 1-sigma."""
+    def after(self, deviate: float) -> Chance:
+        """With one more case: how far it strayed over its 1-sigma."""
         keep = min(1.0, (KEPT - 1.0) / max(self.count, 1.0))
-        self.count = keep * self.count + 1.0
-        self.squares = keep * self.squares + deviate**2
+        return Chance(keep * self.count + 1.0, keep * self.squares + deviate**2)
 
     @property
     def scale(self) -> float:

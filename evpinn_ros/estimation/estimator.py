@@ -29,6 +29,7 @@ from evpinn_ros.estimation.learner import (
 )
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.pinn import PinnLearner
+from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.estimation.worker import InlineWorker, Worker
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -43,7 +44,6 @@ from evpinn_ros.signals.sample import (
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckSuspicion
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.linear_power import LinearPower
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
 BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
@@ -216,9 +216,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         found = self._learner.parameters()
         return found.stale() if self._silent_for(STALE_AFTER_NS) else found
 
-    def linear_power(self) -> LinearPower | None:
-        """Linear power model for forecasts of plans; None in the paper's mode."""
-        return self._learner.linear_power(self._stream.celsius)
+    def model(self) -> CarModel | None:
+        """The car as forecasts of plans take it; None in the paper's mode."""
+        return self._learner.model()
 
     def breakdown(self) -> Breakdown | None:
         """Energy of this drive by where it went; None in the paper's mode, and before any."""

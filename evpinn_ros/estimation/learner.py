@@ -11,15 +11,15 @@ from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.payload import PayloadChange
+from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 REVERSE_STEP = -0.1  # m, the same for a step of an interval
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
-STATE_VERSION = 9
+STATE_VERSION = 10
 
 
 class PowerPrediction(NamedTuple):
@@ -93,11 +93,8 @@ class Learner(Protocol):
         """
         return None
 
-    def linear_power(self, celsius: float | None) -> LinearPower | None:
-        """Linear power model for forecasts at an ambient temperature, None where unknown.
-
-        None when it is no linear model.
-        """
+    def model(self) -> CarModel | None:
+        """The car as forecasts take it; None in the paper's mode."""
         return None
 
     def report(self) -> LearnerReport:

@@ -10,9 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
-from evpinn_ros.estimation.published import LOGARITHMIC, Published
+from evpinn_ros.estimation.published import (
+    C_D,
+    C_RR,
+    ETA,
+    LOGARITHMIC,
+    MASS,
+    MU,
+    P_AUX,
+    Published,
+)
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
 
@@ -22,11 +30,11 @@ OWN_VALID_BELOW = 0.5  # of the parameter's own prior variance: more is mostly p
 UNOBSERVABLE_ABOVE = 0.9  # then the data cannot determine the parameter
 # The identifiable combination on which each parameter rests, as weights of the logarithms.
 COMBINATIONS: Mapping[str, Mapping[int, float]] = {
-    "mass_over_eta": {State.MASS: 1.0, State.ETA: -1.0},
-    "drag_area_over_eta": {State.C_D: 1.0, State.ETA: -1.0},
-    "c_rr": {State.C_RR: 1.0},
-    "regeneration": {State.ETA: 1.0, State.MU: 1.0},
-    "p_aux": {State.P_AUX: 1.0},
+    "mass_over_eta": {MASS: 1.0, ETA: -1.0},
+    "drag_area_over_eta": {C_D: 1.0, ETA: -1.0},
+    "c_rr": {C_RR: 1.0},
+    "regeneration": {ETA: 1.0, MU: 1.0},
+    "p_aux": {P_AUX: 1.0},
 }
 RESTS_ON = {
     "eta": "mass_over_eta",

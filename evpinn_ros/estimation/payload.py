@@ -2,10 +2,10 @@
 
 mass/eta needs no prior, and eta does not change at a stop, so the ratio of two estimates of it is
 the ratio of two masses, whatever the absolute mass is (Vahidi 2005 has mass and grade; that the
-ratio is free of the gauge is what makes it sharp). At each stop the filter is forked: the fork
-keeps all that is known of the car but lets its mass go by `LOAD_SPREAD`, so after some driving its
-m/eta rests on what came after the stop alone. Once it differs from that before the stop by more
-than chance and by more than `LEAST_CHANGE`, the fork becomes the filter.
+ratio is free of the gauge is what makes it sharp). Each stop begins one more hypothesis: a state
+that keeps all that is known of the car but lets its mass go by `LOAD_SPREAD`, so after some
+driving its m/eta rests on what came after the stop alone. Once it differs from that before the
+stop by more than chance and by more than `LEAST_CHANGE`, this state becomes the car's.
 
 What chance does is learned from the stops at which nothing changed: their changes over their
 sigmas have a root mean square (`calibration.Chance`). A car whose stops are not known yet is given
@@ -20,19 +20,19 @@ change is withdrawn; the next stop may also take it back.
 
 from __future__ import annotations
 
-from collections import deque
-import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.calibration import Chance
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.published import EnergySums, mass_over_eta, published
-from evpinn_ros.signals.interval import Interval
+from evpinn_ros.estimation.learning import PassedInterval, learn
+from evpinn_ros.estimation.posterior import CarState
+from evpinn_ros.estimation.published import Driven, mass_over_eta
+from evpinn_ros.estimation.states import State
+from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 STOP = 5.0  # s of standstill, or without intervals, in which someone may get in or out
@@ -65,8 +65,8 @@ class PayloadChange:
     std: Annotated[float, Range(0.0, MOST_MASS)]
 
 
-@dataclass(slots=True)
-class _Trial:
+@dataclass(frozen=True, slots=True)
+class _Stop:
     """A stop on trial.
 
     `before`, log m/eta at it with 1-sigma and mass, kg; `motion`, s since; `change` of log m/eta
@@ -83,6 +83,10 @@ class _Trial:
     significance: Annotated[float, Range(0.0, 1e6)] = 0.0
     rival: bool = False
 
+    def payload_change(self, change: float, std: float) -> PayloadChange:
+        """The change of mass, kg, of one of log m / eta with this 1-sigma."""
+        return PayloadChange(self.stamp_ns, self.mass * math.expm1(change), self.mass * std)
+
 
 @dataclass(frozen=True, slots=True)
 class SavedPayload:
@@ -90,7 +94,7 @@ class SavedPayload:
 
     chance: Chance
     change: PayloadChange | None
-    found: _Trial | None
+    found: _Stop | None
 
     def __post_init__(self) -> None:
         """Refuse a change that is none."""
@@ -98,159 +102,192 @@ class SavedPayload:
             raise ValueError("the change of payload found is none")
 
 
-class PayloadDetector(Saveable[SavedPayload]):
-    """See the module's text. Feed it every interval that the filter learns from, after the filter.
+@dataclass(frozen=True, slots=True, eq=False)
+class PayloadDetector:
+    """See the module's text; a value that `after` replaces.
 
     Attributes:
         change: the last change of payload, None when none was found or it was withdrawn.
         found: changes found.
         withdrawn: changes withdrawn.
+        chance: how far m / eta strays at stops where nothing changed.
+        trials: stops on trial, each with the state of its hypothesis.
+        given_up: as it seems now, stops without a change.
+        watched: the change on probation.
+        standing: s that the car stands.
+        last_ns: end of the last interval.
     """
 
-    def __init__(self) -> None:
-        """Nothing known of any stop."""
-        self.change: PayloadChange | None = None
-        self.found = self.withdrawn = 0
-        self._chance = Chance()
-        self._trials: deque[tuple[_Trial, CarFilter]] = deque(maxlen=FORKS)
-        self._given_up: list[_Trial] = []  # as it seems now, stops without a change
-        self._found: _Trial | None = None  # the change on probation
-        self._standing = 0.0
-        self._last_ns: int | None = None
+    change: PayloadChange | None = None
+    found: int = 0
+    withdrawn: int = 0
+    chance: Chance = field(default_factory=Chance)
+    trials: tuple[tuple[_Stop, CarState], ...] = ()
+    given_up: tuple[_Stop, ...] = ()
+    watched: _Stop | None = None
+    standing: float = 0.0
+    last_ns: int | None = None
 
-    def forget_time(self) -> None:
-        """After a jump of time or a gap: the car may have stood, and drive elsewhere."""
-        self._trials.clear()
-        self._given_up.clear()
-        self._last_ns = None
-        self._standing = STOP
-
-    def copy(self) -> PayloadDetector:
-        """An independent copy."""
-        other = copy.copy(self)
-        other._chance, other._found = replace(self._chance), copy.copy(self._found)
-        other._trials = deque(
-            ((replace(trial), fork.copy()) for trial, fork in self._trials), maxlen=FORKS
-        )
-        other._given_up = [replace(trial) for trial in self._given_up]
-        return other
-
-    def learn(self, current: CarFilter, sums: EnergySums, interval: Interval) -> CarFilter:
-        """Judge stops by one more interval; gives the filter to go on with."""
-        last, self._last_ns = self._last_ns, interval.end_ns
-        unseen = 0.0 if last is None else (interval.start_ns - last) * 1e-9
-        for _, fork in self._trials:
-            fork.learn(interval)
-        steps = interval.steps
-        stands = steps.distance < STANDSTILL_SPEED * steps.duration
-        moved = interval.duration - float(steps.duration @ stands)
-        before = self._standing + (interval.duration if stands.all() else _leading(stands, steps))
-        if moved > 0.0 and max(before, unseen) >= STOP:
-            self._begin(current, sums, interval.start_ns)
-        self._standing = _trailing(stands, steps) if moved > 0.0 else before
-        if moved == 0.0:
-            return current
-        self._watch(current, sums, moved)
-        return self._judge(current, sums, moved)
+    @classmethod
+    def of(cls, saved: SavedPayload) -> PayloadDetector:
+        """The detector of a saved state; the car may have stood since."""
+        return cls(
+            saved.change, chance=saved.chance, watched=saved.found, standing=STOP
+        )  # fmt: skip
 
     def saved(self) -> SavedPayload:
         """State to save."""
-        return SavedPayload(self._chance, self.change, self._found)
+        return SavedPayload(self.chance, self.change, self.watched)
 
-    def take(self, saved: SavedPayload) -> None:
-        """Go on from a saved state; the car may have stood since."""
-        self._chance, self.change, self._found = saved.chance, saved.change, saved.found
-        self._standing = STOP
+    def forget_time(self) -> PayloadDetector:
+        """After a jump of time or a gap: the car may have stood, and drive elsewhere."""
+        return replace(self, trials=(), given_up=(), last_ns=None, standing=STOP)
 
-    def _begin(self, current: CarFilter, sums: EnergySums, stamp_ns: int) -> None:
-        """The car sets off again after a stop."""
-        log, std = mass_over_eta(current, sums)
+    def after(
+        self,
+        before: CarState,
+        now: CarState,
+        equation: Equation,
+        driven: Driven,
+        done: PassedInterval,
+    ) -> tuple[PayloadDetector, CarState]:
+        """Judge stops by one more interval.
+
+        Args:
+            before: state of the car before the interval.
+            now: after it.
+            equation: of the car.
+            driven: what parameters are meant over.
+            done: the interval, learned.
+
+        Returns:
+            The detector, and the state to go on with.
+        """
+        interval = done.interval
+        unseen = 0.0 if self.last_ns is None else (interval.start_ns - self.last_ns) * 1e-9
+        stood, standing, moved = _stands(done, max(self.standing, unseen))
+        trials = tuple((stop, learn(state, equation, done)[0]) for stop, state in self.trials)
+        detector = replace(self, trials=trials, standing=standing, last_ns=interval.end_ns)
+        if moved == 0.0:
+            return detector, now
+        if stood >= STOP:
+            detector = detector._begin(before, equation, driven, done)
+        m_over_eta = mass_over_eta(now, equation, driven)
+        detector = detector._watch(*m_over_eta, moved)
+        return detector._judge(now, equation, driven, moved)
+
+    def _begin(
+        self, before: CarState, equation: Equation, driven: Driven, done: PassedInterval
+    ) -> PayloadDetector:
+        """The car sets off again after a stop: try a state that knows its mass less well."""
+        log, std = mass_over_eta(before, equation, driven)
         if std > KNOWN:
-            return
-        mass = math.exp(float(published(current, sums).now.mean[2]))
-        self._trials.append((_Trial(stamp_ns, log, std, mass), current.fork(LOAD_SPREAD)))
+            return self
+        mean = before.mean.copy()
+        spread = np.zeros((len(mean), mean.shape[1]))
+        load = [State.MASS, State.ROLLING]  # tyres carry the load too
+        spread[:, load] = LOAD_SPREAD * mean[:, load]
+        covariance = before.covariance + spread[:, :, None] * spread[:, None, :]
+        state = replace(before, covariance=covariance)
+        mass = math.exp(log) * (equation.eta + float(before.weights @ mean[:, State.ETA]))
+        stop = _Stop(done.interval.start_ns, log, std, mass)
+        own = learn(state, equation, done)[0]
+        return replace(self, trials=(*self.trials, (stop, own))[-FORKS:])
 
-    def _judge(self, current: CarFilter, sums: EnergySums, moved: float) -> CarFilter:
+    def _judge(
+        self, now: CarState, equation: Equation, driven: Driven, moved: float
+    ) -> tuple[PayloadDetector, CarState]:
         """Take the stop that the data speak for most."""
-        best: tuple[_Trial, CarFilter, float] | None = None
-        for trial, fork in self._trials:
-            trial.motion += moved
-            if trial.motion < LEAST_MOTION or self._chance.count < LEAST_STOPS:
-                continue
-            log, std = mass_over_eta(fork, sums)
-            trial.change = log - trial.before
-            trial.significance = abs(trial.change) / self._spread(trial, std)
-            enough = abs(trial.mass * math.expm1(trial.change)) >= LEAST_CHANGE
-            decided = std <= KNOWN and enough and trial.significance >= SIGNIFICANT
-            rival = self._found if trial.rival else None
-            decided = decided and (rival is None or trial.significance > rival.significance)
-            if decided and (best is None or trial.significance > best[0].significance):
-                best = trial, fork, std
+        trials = []
+        best: tuple[_Stop, CarState, float] | None = None
+        for old, state in self.trials:
+            stop = replace(old, motion=old.motion + moved)
+            if stop.motion >= LEAST_MOTION and self.chance.count >= LEAST_STOPS:
+                log, std = mass_over_eta(state, equation, driven)
+                spread = self.chance.scale * math.hypot(std, stop.before_std)
+                change = log - stop.before
+                stop = replace(stop, change=change, significance=abs(change) / spread)
+                if self._decides(stop, std) and (
+                    best is None or stop.significance > best[0].significance
+                ):
+                    best = stop, state, spread
+            trials.append((stop, state))
+        detector = replace(self, trials=tuple(trials))
         if best is not None:
-            best[1].parts = current.parts  # what went before the stop is known as it was
-            return self._take(*best)
-        self._give_up(sums, moved)
-        return current
+            return detector._take(*best), best[1]
+        return detector._give_up(equation, driven, moved), now
 
-    def _take(self, trial: _Trial, fork: CarFilter, std: float) -> CarFilter:
+    def _decides(self, stop: _Stop, std: float) -> bool:
+        """True if a stop is certain to have changed the payload."""
+        enough = abs(stop.mass * math.expm1(stop.change)) >= LEAST_CHANGE
+        certain = std <= KNOWN and enough and stop.significance >= SIGNIFICANT
+        rival = self.watched if stop.rival else None
+        return certain and (rival is None or stop.significance > rival.significance)
+
+    def _take(self, stop: _Stop, state: CarState, spread: float) -> PayloadDetector:
         """A change is found, or found to be of a later stop than it seemed."""
-        self.found += not trial.rival
-        self.change = self._payload_change(trial, trial.change, std)
-        self._found = trial
-        later = [each for each in self._trials if each[0].stamp_ns > trial.stamp_ns]
-        self._trials.clear()
-        self._trials.extend(later)
-        self._given_up.clear()
-        for each, _ in later:
-            each.rival = True
-        return fork
+        later = (each for each in self.trials if each[0].stamp_ns > stop.stamp_ns)
+        return replace(
+            self,
+            found=self.found + (not stop.rival),
+            change=stop.payload_change(stop.change, spread),
+            watched=stop,
+            trials=tuple((replace(each, rival=True), fork) for each, fork in later),
+            given_up=(),
+        )
 
-    def _give_up(self, sums: EnergySums, moved: float) -> None:
+    def _give_up(self, equation: Equation, driven: Driven, moved: float) -> PayloadDetector:
         """Learn what chance does where nothing changed, once it is sure that nothing did."""
-        while self._trials and self._trials[0][0].motion > MOST_MOTION:
-            trial, fork = self._trials.popleft()
-            log, std = mass_over_eta(fork, sums)
-            if std <= KNOWN and not trial.rival:
-                trial.significance = abs(log - trial.before) / math.hypot(std, trial.before_std)
-                self._given_up.append(trial)
-        for trial in self._given_up:
-            trial.motion += moved
-        while self._given_up and self._given_up[0].motion > 2 * MOST_MOTION:
-            self._chance.learn(self._given_up.pop(0).significance)
+        given_up = list(self.given_up)
+        for stop, state in self.trials:
+            if stop.motion > MOST_MOTION:
+                log, std = mass_over_eta(state, equation, driven)
+                if std <= KNOWN and not stop.rival:
+                    sigmas = abs(log - stop.before) / math.hypot(std, stop.before_std)
+                    given_up.append(replace(stop, significance=sigmas))
+        given_up = [replace(stop, motion=stop.motion + moved) for stop in given_up]
+        chance = self.chance
+        for stop in given_up:
+            if stop.motion > 2 * MOST_MOTION:
+                chance = chance.after(stop.significance)
+        return replace(
+            self,
+            trials=tuple(each for each in self.trials if each[0].motion <= MOST_MOTION),
+            given_up=tuple(stop for stop in given_up if stop.motion <= 2 * MOST_MOTION),
+            chance=chance,
+        )
 
-    def _watch(self, current: CarFilter, sums: EnergySums, moved: float) -> None:
+    def _watch(self, log: float, std: float, moved: float) -> PayloadDetector:
         """Sharpen a change by what is learned after it, or withdraw it."""
-        found = self._found
-        if found is None or self.change is None:
-            return
-        found.motion += moved
-        log, std = mass_over_eta(current, sums)
-        change = log - found.before
-        if found.motion > PROBATION:
-            self._found = None
-        elif change / found.change < 0.5:
-            self._found = self.change = None
-            self.withdrawn += 1
-            self._chance.learn(found.significance * self._chance.scale)  # chance did that
-        elif found.motion <= MOST_MOTION:
-            self.change = self._payload_change(found, change, std)
-
-    def _spread(self, trial: _Trial, std: float) -> float:
-        """1-sigma of a change of log m / eta, from that of log m / eta now."""
-        return self._chance.scale * math.hypot(std, trial.before_std)
-
-    def _payload_change(self, trial: _Trial, change: float, std: float) -> PayloadChange:
-        """The change of mass, kg, of a change of log m / eta, from the 1-sigma of this now."""
-        delta = trial.mass * math.expm1(change)
-        return PayloadChange(trial.stamp_ns, delta, trial.mass * self._spread(trial, std))
+        stop = self.watched
+        if stop is None or self.change is None:
+            return self
+        stop = replace(stop, motion=stop.motion + moved)
+        change = log - stop.before
+        if stop.motion > PROBATION:
+            return replace(self, watched=None)
+        if change / stop.change < 0.5:
+            chance = self.chance.after(stop.significance * self.chance.scale)  # chance did that
+            return replace(
+                self, watched=None, change=None, withdrawn=self.withdrawn + 1, chance=chance
+            )
+        if stop.motion > MOST_MOTION:
+            return replace(self, watched=stop)
+        spread = self.chance.scale * math.hypot(std, stop.before_std)
+        return replace(self, watched=stop, change=stop.payload_change(change, spread))
 
 
-def _leading(stands: np.ndarray, steps: Any) -> float:
-    """Seconds that the car stands at the begin of an interval in which it moves."""
-    return float(steps.duration[: int(np.argmin(stands))].sum())
+def _stands(done: PassedInterval, standing: float) -> tuple[float, float, float]:
+    """How long the car stands in an interval, s, having stood for `standing` before it.
 
-
-def _trailing(stands: np.ndarray, steps: Any) -> float:
-    """Seconds that it stands at its end."""
-    count = int(np.argmin(stands[::-1]))
-    return float(steps.duration[len(stands) - count :].sum())
+    Returns:
+        The longest stand that ends in it, the one that goes on at its end, and the motion.
+    """
+    steps = done.interval.steps
+    longest = moved = 0.0
+    for distance, duration in zip(steps.distance.tolist(), steps.duration.tolist(), strict=True):
+        if distance < STANDSTILL_SPEED * duration:
+            standing += duration
+        else:
+            longest, standing, moved = max(longest, standing), 0.0, moved + duration
+    return longest, standing, moved

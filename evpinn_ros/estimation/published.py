@@ -1,85 +1,131 @@
-"""From the states of the car to the parameters of eq. 12-21, as they are on this drive.
+"""From the states of a car to the parameters of eq. 12-21: one projection of what was learned.
 
-The filter keeps losses apart that eq. 21 has in eta and mu: heat that grows with force squared,
-and braking that friction takes at a walking pace. Sums of energy over the drives turn them into
-the constants with which eq. 21 spends the same energy. C_rr is that of this drive, with its cold
-and its tyres; p_aux is the standing load. What a drivetrain loses by turning is neither.
+The posterior holds more than eq. 21: a network, heat by force squared, a drivetrain that turns.
+The published parameters are those with which eq. 21 comes nearest, in least squares of power, to
+the learned energy function over the driving of this car so far. `project` is the same functional
+for the truth of a simulated car. Where the driving does not determine a parameter (C_d in town)
+the projection leaves it at its state.
+
+C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
-from typing import Annotated, NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.car_state import MILD_CELSIUS, PARAMETERS, SIZE, State
 from evpinn_ros.estimation.evidence import Evidence, evidence
 from evpinn_ros.estimation.gaussian import Gaussian
-from evpinn_ros.estimation.weak_form import Spent
+from evpinn_ros.estimation.posterior import CarState
+from evpinn_ros.estimation.states import PHYSICS, SIZE, TABLE, State
+from evpinn_ros.estimation.terms import MILD_CELSIUS, Equation
 from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.road import TEMPERATURES
 
-ENERGY_FLOOR = 5e4  # J: a launch to town speed is more; less is no base for a share
-ENERGY_MEMORY = 36_000.0  # s of driving over which the sums are kept
-SHARE_RANGE = (0.3, 3.0)  # of published over learned values, no car leaves it
-Amount: TypeAlias = Annotated[float, Range(0.0, 1e12)]
-LOGARITHMIC = [State.ETA, State.MU, State.MASS, State.C_D]
-LASTING = slice(0, State.AUX)  # states of car and drive
+BESIDE = [State.FORCE_SQUARED, State.TURNING, *range(TABLE, SIZE)]  # what eq. 21 lacks
+DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
+# Power that no state explains, as density, W^2 s: with less the projection is not determined.
+NOISE_DENSITY = 2.7e5
+SHARE_RANGE = (0.3, 3.0)  # of braking energy found over that of the prior; no car leaves it
+BRAKED_FLOOR = 5e4  # J: less braking is no base for a share
 # An efficiency is a map, and one number for it depends on the road: 1-sigma of the logarithm that
 # is left however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
-MAP_STD = {State.ETA: 0.003, State.MU: 0.015}
+MAP_STD = (0.003, 0.015)  # of eta, mu
+ETA, MU, MASS, C_RR, C_D, P_AUX = range(6)
+LOGARITHMIC = [ETA, MU, MASS, C_D]
 
 
-@dataclass(slots=True)
-class EnergySums:
-    """Energy spent so far, by the most probable hypothesis, and the cold it was spent in.
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """Driving of a car so far, as sums over its steps; what the projection is over.
 
     Attributes:
-        driven: at the wheels where they drive, J.
-        driven_force: integral of (force over mass)^2 there, m^2/s^3.
-        braked: the same where they brake, J.
-        braked_force: the same.
-        recovered: of `braked`, what recuperation can take, J.
+        gram: products of the terms of eq. 21 over the duration, J^2/s per units, shape (4, 4).
+        cross: the same of these terms with the rows of `BESIDE`, shape (4, len(BESIDE)).
+        braked: drag, rolling and inertia terms where the car brakes, shape (3,).
         distance: of this drive, m.
-        cold_tyres: of it, how much is to be added for tyres not yet warm, m.
-        celsius: temperature outside, None while unknown.
+        cold_tyres: integral of the coldness of the tyres over it, m.
         load_known: whether the car reports its heating.
     """
 
-    driven: Amount = 0.0
-    driven_force: Amount = 0.0
-    braked: Amount = 0.0
-    braked_force: Amount = 0.0
-    recovered: Amount = 0.0
-    distance: Amount = 0.0
-    cold_tyres: Amount = 0.0
-    celsius: Annotated[float, Range(*TEMPERATURES)] | None = None
+    gram: Annotated[np.ndarray, Range(-1e30, 1e30)]
+    cross: Annotated[np.ndarray, Range(-1e30, 1e30)]
+    braked: Annotated[np.ndarray, Range(-1e15, 1e15)]
+    distance: Annotated[float, Range(0.0, 1e12)] = 0.0
+    cold_tyres: Annotated[float, Range(0.0, 1e12)] = 0.0
     load_known: bool = False
 
-    def add(self, interval: Interval, found: Spent, weights: np.ndarray, tyres: float) -> None:
-        """Count an interval."""
-        keep = math.exp(-interval.duration / ENERGY_MEMORY)
-        braked = weights @ found.wheel_brake
-        for name, value in (
-            ("driven", weights @ found.wheel_drive),
-            ("driven_force", weights @ found.force_drive),
-            ("braked", braked),
-            ("braked_force", weights @ found.force_brake),
-            ("recovered", weights @ (found.recovered * found.wheel_brake)),
-        ):
-            setattr(self, name, keep * getattr(self, name) + float(value))
-        self.distance += abs(interval.distance)
-        self.cold_tyres += abs(interval.distance) * tyres
-        self.celsius = interval.conditions.celsius
-        self.load_known = interval.conditions.load_known
+    @classmethod
+    def nowhere(cls) -> Driven:
+        """No driving."""
+        return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3))
 
-    def begin_drive(self) -> None:
-        """Another drive: other tyres and weather."""
-        self.distance = self.cold_tyres = 0.0
+    def plus(
+        self, interval: Interval, rows: np.ndarray, equation: Equation, tyres: float
+    ) -> Driven:
+        """With one more interval.
+
+        Args:
+            interval: to add; one with motor torque adds nothing, for its rows are the motor's.
+            rows: of `Equation.rows`, shape (n, SIZE).
+            equation: of the car.
+            tyres: coldness of the tyres.
+        """
+        if interval.steps.motor_known:
+            return self
+        keep = math.exp(-interval.duration / DRIVING_MEMORY)
+        terms = rows[:, PHYSICS]
+        over = (terms / interval.steps.duration[:, None]).T
+        wheels = equation.of_steps(interval.steps, interval.conditions)
+        braking = 1.0 - wheels.driving
+        moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
+        distance = abs(interval.distance)
+        return Driven(
+            keep * self.gram + over @ terms,
+            keep * self.cross + over @ rows[:, BESIDE],
+            keep * self.braked + np.array([float(braking @ each) for each in moved]),
+            self.distance + distance,
+            self.cold_tyres + distance * tyres,
+            interval.conditions.load_known,
+        )
+
+    def next_drive(self) -> Driven:
+        """On another drive, with other tyres and weather."""
+        return replace(self, distance=0.0, cold_tyres=0.0)
+
+    def share(self, equation: Equation) -> np.ndarray:
+        """What eq. 21 has of one unit of each state of `BESIDE`, shape (4, len(BESIDE))."""
+        prior = equation.covariance[np.ix_(PHYSICS, PHYSICS)]
+        scale = np.sqrt(np.diag(prior))
+        ridge = NOISE_DENSITY * np.linalg.inv(prior / np.outer(scale, scale))
+        gram = self.gram * np.outer(scale, scale) + ridge
+        return np.asarray(scale[:, None] * np.linalg.solve(gram, scale[:, None] * self.cross))
+
+    def braked_share(self, equation: Equation, terms: np.ndarray) -> float:
+        """Braking energy of the prior car over that of a car with these terms, shape (3,)."""
+        before, found = (
+            -float(self.braked @ each) for each in (equation.mean[PHYSICS[:3]], terms)
+        )
+        if min(before, found) < BRAKED_FLOOR:
+            return 1.0
+        return float(np.clip(before / found, *SHARE_RANGE))
+
+
+def project(terms: np.ndarray, energy: np.ndarray, duration: np.ndarray) -> np.ndarray:
+    """Coefficients with which eq. 21 comes nearest to energies of steps, shape (4,).
+
+    Args:
+        terms: of `Wheels.terms`, shape (n, 4).
+        energy: of the steps without their standing load, J, shape (n,).
+        duration: s, shape (n,).
+    """
+    weight = 1.0 / np.sqrt(duration)
+    size = np.sqrt(np.mean(terms**2, axis=0))
+    rows = terms / size * weight[:, None]
+    return np.asarray(np.linalg.lstsq(rows, energy * weight, rcond=None)[0] / size)
 
 
 class Published(NamedTuple):
@@ -96,86 +142,91 @@ class Published(NamedTuple):
     frontal_area: float
 
 
-def published(car: CarFilter, sums: EnergySums) -> Published:
-    """The parameters that the filter stands for, no surer than a map of efficiency allows."""
-    whole = car.mixture()
-    matrix, offset = _affine(car, sums, whole.mean)
-    prior = Gaussian(car.prior.mean, car.prior.covariance)
-    now, before = (
-        Gaussian(matrix @ each.mean + offset, matrix @ each.covariance @ matrix.T)
-        for each in (whole, prior)
-    )
-    for state, std in MAP_STD.items():
-        now.covariance[state, state] += std**2
-    return Published(now, before, car.constants.frontal_area)
+def published(state: CarState, equation: Equation, driven: Driven) -> Published:
+    """The parameters that a state stands for, no surer than a map of efficiency allows."""
+    whole = state.mixture()
+    prior = Gaussian(equation.mean, equation.covariance)
+    celsius = None if driven.load_known else state.celsius
+    now = _pushed(whole, equation, driven, celsius)
+    before = _pushed(prior, equation, Driven.nowhere(), celsius)
+    for index, std in enumerate(MAP_STD):
+        now.covariance[index, index] += std**2
+    return Published(now, before, equation.vehicle.frontal_area)
 
 
-def mass_over_eta(car: CarFilter, sums: EnergySums) -> tuple[float, float]:
+def mass_over_eta(state: CarState, equation: Equation, driven: Driven) -> tuple[float, float]:
     """Logarithm of the published m / eta, kg, and its 1-sigma, to compare it with itself later."""
-    whole = car.mixture()
-    matrix, offset = _affine(car, sums, whole.mean)
-    mean, covariance = matrix @ whole.mean + offset, matrix @ whole.covariance @ matrix.T
+    now = _pushed(state.mixture(), equation, driven, None)
     direction = np.zeros(6)
-    direction[[State.MASS, State.ETA]] = 1.0, -1.0
-    return float(direction @ mean), math.sqrt(float(direction @ covariance @ direction))
+    direction[[MASS, ETA]] = 1.0, -1.0
+    variance = float(direction @ now.covariance @ direction)
+    return float(direction @ now.mean), math.sqrt(max(variance, 0.0))
 
 
-def evidence_of(car: CarFilter, sums: EnergySums) -> Evidence:
-    """Likelihood of the published parameters without their prior, all but p_aux as logarithms.
-
-    The states are those of car and drive; published parameters stand in place of the first six.
-    """
-    whole, count = car.mixture(), LASTING.stop
-    matrix, offset = np.eye(SIZE), np.zeros(SIZE)
-    matrix[PARAMETERS], offset[PARAMETERS] = _affine(car, sums, whole.mean)
-    # C_rr as a logarithm, linear about what it is now.
-    rolling = float(matrix[State.C_RR] @ whole.mean + offset[State.C_RR])
-    matrix[State.C_RR] /= rolling
-    offset[State.C_RR] = offset[State.C_RR] / rolling - 1.0 + math.log(rolling)
-    matrix, offset = matrix[:count, :count], offset[:count]
-    before, scale = car.prior.mean[:count], car.spread[:count]
-    reference = before.copy()
-    reference[State.C_RR] = math.log(car.constants.c_rr)
+def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence:
+    """Likelihood of the published parameters without their prior, all but p_aux as logarithms."""
+    source = published(state, equation, driven)
+    before, now = (_rolling_as_logarithm(each) for each in (source.prior, source.now))
+    scale = np.sqrt(np.diag(before.covariance))
+    correlation = before.covariance / np.outer(scale, scale)
     return evidence(
-        (whole.mean[:count] - before) / scale,
-        whole.covariance[:count, :count] / np.outer(scale, scale),
-        np.column_stack(
-            (matrix * scale / scale[:, None], (matrix @ before + offset - reference) / scale)
-        ),
+        (now.mean - before.mean) / scale, now.covariance / np.outer(scale, scale), correlation
     )
 
 
-def _affine(car: CarFilter, sums: EnergySums, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Affine map from the states to the published parameters about a mean: (6, SIZE) and (6,)."""
-    matrix, offset = np.zeros((6, SIZE)), np.zeros(6)
-    matrix[:, PARAMETERS] = np.eye(6)
-    eta, mu = math.exp(mean[State.ETA]), math.exp(mean[State.MU])
-    loss = mean[State.COPPER]
-    driving = eta * sums.driven_force / max(sums.driven, ENERGY_FLOOR)
-    braking = sums.braked_force / max(sums.braked, ENERGY_FLOOR) / mu
-    unused = 1.0 - sums.recovered / sums.braked if sums.braked > ENERGY_FLOOR else 0.0
-    more = float(np.clip(1.0 + loss * driving, *SHARE_RANGE))
-    back = float(np.clip(1.0 - loss * braking - unused, *SHARE_RANGE))
-    matrix[State.ETA, State.COPPER] = -driving / more
-    offset[State.ETA] = loss * driving / more - math.log(more)
-    matrix[State.MU, State.COPPER] = -braking / back
-    offset[State.MU] = loss * braking / back + math.log(back)
-    _rolling(matrix, offset, sums, mean, car.constants.c_rr)
-    away = 0.0 if sums.celsius is None or sums.load_known else sums.celsius - MILD_CELSIUS
-    matrix[State.P_AUX, State.AUX_DRIVE] = 1.0
-    matrix[State.P_AUX, State.COLD] = max(0.0, -away)
-    matrix[State.P_AUX, State.HOT] = max(0.0, away)
-    return matrix, offset
+def _rolling_as_logarithm(source: Gaussian) -> Gaussian:
+    mean, factor = source.mean.copy(), np.ones(6)
+    factor[C_RR] = 1.0 / max(float(mean[C_RR]), 1e-4)
+    mean[C_RR] = -math.log(factor[C_RR])
+    return Gaussian(mean, source.covariance * np.outer(factor, factor))
 
 
-def _rolling(
-    matrix: np.ndarray, offset: np.ndarray, sums: EnergySums, mean: np.ndarray, c_rr: float
-) -> None:
-    """C_rr of this drive, in its temperature and with its tyres."""
-    cold = 0.0 if sums.celsius is None else max(0.0, MILD_CELSIUS - sums.celsius) / 10.0
-    own = mean[State.C_RR] * mean[State.ROLL_COLD] * cold
-    matrix[State.C_RR, State.C_RR] = c_rr * (1.0 + mean[State.ROLL_COLD] * cold)
-    matrix[State.C_RR, State.ROLL_COLD] = c_rr * mean[State.C_RR] * cold
-    matrix[State.C_RR, State.ROLL_DRIVE] = c_rr
-    matrix[State.C_RR, State.ROLL_START] = c_rr * sums.cold_tyres / max(sums.distance, 1.0)
-    offset[State.C_RR] = -c_rr * own
+def _pushed(
+    source: Gaussian, equation: Equation, driven: Driven, celsius: float | None
+) -> Gaussian:
+    """Mean and covariance of the six parameters, to first order."""
+    mean, state = source.mean, np.eye(SIZE)
+    theta = state[PHYSICS]
+    theta[:, BESIDE] = driven.share(equation)
+    prior = equation.mean[State.ROLLING]
+    cold = 0.0 if celsius is None else max(0.0, MILD_CELSIUS - celsius) / 10.0
+    tyres = driven.cold_tyres / max(driven.distance, 1.0)
+    theta[1, [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]] = (
+        prior * np.array([cold, tyres, 1.0])
+    )  # fmt: skip
+    drag, rolling, mass, back = (theta @ mean).tolist()
+    drag, rolling, mass = (_positive(each) for each in (drag, rolling, mass))
+    share = driven.braked_share(equation, np.array([drag, rolling, mass]))
+    regeneration = min(max(equation.back + share * back, 0.01), 1.5)
+    eta = min(max(equation.eta + float(mean[State.ETA]), 0.05), 1.2)
+    log_eta, log_mass = state[State.ETA] / eta, theta[2] / mass
+    rows = np.array([
+        log_eta,
+        share * theta[3] / regeneration - log_eta,
+        log_mass + log_eta,
+        (theta[1] - rolling * log_mass) / mass,
+        theta[0] / drag + log_eta,
+        _standing(state, celsius),
+    ])  # fmt: skip
+    values = np.array([
+        math.log(eta),
+        math.log(regeneration / eta),
+        math.log(mass * eta),
+        rolling / mass,
+        math.log(drag * eta / equation.vehicle.frontal_area),
+        float(rows[P_AUX] @ mean),
+    ])  # fmt: skip
+    return Gaussian(values, rows @ source.covariance @ rows.T)
+
+
+def _standing(state: np.ndarray, celsius: float | None) -> np.ndarray:
+    """Standing load by each state, shape (SIZE,)."""
+    away = 0.0 if celsius is None else celsius - MILD_CELSIUS
+    row = state[State.P_AUX] + state[State.LOAD_DRIVE]
+    return np.asarray(
+        row + max(0.0, -away) * state[State.COLD] + max(0.0, away) * state[State.HOT]
+    )
+
+
+def _positive(value: float) -> float:
+    return max(value, 1e-3)

@@ -1,62 +1,77 @@
-"""Dropouts of the battery that did not happen: how far the sigma of energy is to be trusted.
+"""Rehearsals: dropouts of the battery that did not happen, and drives predicted at their start.
 
-While the battery is measured, a copy of the filter goes on without it for `LENGTH` of driving.
-Then its prediction is compared with the energy drawn, and the next copy begins. The sigma of a
-real dropout is scaled by how these errors spread (`calibration.Chance`): roads, weather and polled
-signals err in ways of their own that no variance of the filter holds.
+While the battery is measured, predictions are made without it: of the next 60 and 200 s, and of
+each whole drive from what the drives before taught. Then they are compared with the energy drawn.
+A car's state is a value, so a rehearsal needs no filter of its own: it keeps the state from which
+it began and the sums of what was driven since.
 """
 
 from __future__ import annotations
 
-import copy
-from dataclasses import replace
-import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from evpinn_ros.estimation.calibration import Chance
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.signals.interval import Interval
+from evpinn_ros.estimation.bands import Bands, Energy
+from evpinn_ros.estimation.posterior import NOWHERE, CarState, Journey
+from evpinn_ros.estimation.terms import Equation
 
-LENGTH = 200.0  # s
-LEAST_DISTANCE = 500.0  # m; a car that stands proves nothing
-MOST_DEVIATE = 3.0  # sigmas, one odd road counts no more
+LENGTHS = (60.0, 200.0)  # s of a rehearsed dropout; the longer ones scale the band
+LEAST_WAY = 2.5  # m for each second of it; a car that stands proves nothing
+LEAST_DRIVE = 500.0  # m of a whole drive that is compared
 
 
-class Rehearsal:
-    """See the module's text.
+class Rehearsal(NamedTuple):
+    """A dropout that did not happen: the car as it was, what it has driven since, J drawn."""
 
-    Attributes:
-        chance: how far the energies of the dropouts strayed, in sigmas.
-    """
+    state: CarState
+    journey: Journey = NOWHERE
+    way: float = 0.0
+    drawn: float = 0.0
 
-    def __init__(self) -> None:
-        """No dropout was rehearsed."""
-        self.chance = Chance()
-        self.end()
+    def predicted(self, equation: Equation) -> Energy:
+        """Energy of it, by the car as it was."""
+        return self.state.model(equation).energy(self.journey)
 
-    def end(self) -> None:
-        """Leave the present one out: of a drive or road that ended, or of a real dropout."""
-        self._without: CarFilter | None = None
-        self._drawn = self._seconds = self._distance = 0.0
+    def plus(self, journey: Journey, way: float, drawn: float) -> Rehearsal:
+        """With one more measured interval."""
+        return Rehearsal(
+            self.state, self.journey.plus(journey), self.way + way, self.drawn + drawn
+        )
 
-    def copy(self) -> Rehearsal:
-        """An independent copy."""
-        other = copy.copy(self)
-        other.chance = replace(self.chance)
-        other._without = None if self._without is None else self._without.copy()
-        return other
 
-    def learn(self, now: CarFilter, interval: Interval) -> None:
-        """Take the next interval, with the filter as it was before it."""
-        if math.isnan(interval.energy):
-            self.end()
-            return
-        without = self._without = self._without or now.copy()
-        without.parts = None
-        without.learn(replace(interval, energy=math.nan))
-        self._drawn += interval.energy
-        self._seconds += interval.duration
-        self._distance += abs(interval.distance)
-        if self._seconds >= LENGTH and self._distance >= LEAST_DISTANCE:
-            predicted, sigma = without.unmeasured()
-            self.chance.learn(min(abs(self._drawn - predicted) / sigma, MOST_DEVIATE))
-            self.end()
+@dataclass(frozen=True, slots=True)
+class Rehearsals:
+    """The rehearsals under way: dropouts by their length, s, and the whole drive."""
+
+    drive: Rehearsal
+    dropouts: Mapping[float, Rehearsal] = field(default_factory=dict)
+
+    def learn(
+        self, state: CarState, equation: Equation, journey: Journey, way: float, drawn: float
+    ) -> tuple[Rehearsals, Bands]:
+        """Take the next measured interval, with the car as it was before it.
+
+        Args:
+            state: before the interval.
+            equation: of the car.
+            journey: the interval.
+            way: its length, m.
+            drawn: its energy, J.
+        """
+        running, bands = {}, state.bands
+        for length in LENGTHS:
+            rehearsal = self.dropouts.get(length, Rehearsal(state)).plus(journey, way, drawn)
+            if rehearsal.journey.seconds < length:
+                running[length] = rehearsal
+            elif rehearsal.way >= LEAST_WAY * length:
+                energy, long = rehearsal.predicted(equation), length == max(LENGTHS)
+                bands = bands.after_dropout(energy, rehearsal.drawn, long=long)
+        return Rehearsals(self.drive.plus(journey, way, drawn), running), bands
+
+    def end_drive(self, bands: Bands, equation: Equation) -> Bands:
+        """The bands with the drive that was, unless it is the first: nothing was known of it."""
+        drive = self.drive
+        if drive.state.intervals or drive.way < LEAST_DRIVE or not drive.state.known:
+            return bands
+        return bands.after_drive(drive.predicted(equation), drive.drawn)

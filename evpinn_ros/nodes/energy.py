@@ -137,9 +137,8 @@ class EnergyNode(StatefulNode):
         if found.kind is PowerKind.MEASURED:
             self.account.add_measured(*power)
             return
-        if not self.account.add_predicted(*power, found.energy_sigma):
+        if not self.account.add_predicted(*power, found.energy_sigma, found.energy):
             return
-        self.forecaster.set_sigma(found.sigma)
         self.publish(output_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
@@ -159,7 +158,7 @@ class EnergyNode(StatefulNode):
             self.account.add_reading(admitted)
 
     def _on_model(self, message: Any) -> None:
-        self.forecaster.set_model(read_model(message, self._vehicle.key))
+        self.forecaster.set_model(read_model(message, self._vehicle))
 
     def _on_air(self, topic: Topic, message: Any) -> None:
         reading: Any = to_reading(topic.type_name, message)

@@ -78,7 +78,7 @@ class EstimatorNode(StatefulNode):
 
     def publish_model(self) -> None:
         """Tell what forecasts need of the car; latched, so a late listener has it at once."""
-        model = self.estimator.linear_power()
+        model = self.estimator.model()
         if model is not None:
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
-from evpinn_ros.estimation.energy_parts import WHOLE, Part
 from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.estimation.terms import WHOLE, Part
 
 NAMES = tuple(part.name.lower() for part in list(Part)[WHOLE])
 MEANINGS: Mapping[str, str] = {

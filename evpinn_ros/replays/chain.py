@@ -81,7 +81,11 @@ class Chain:
                 continue
             if output.kind is PowerKind.SMOOTHED:
                 self.account.add_predicted(
-                    output.stamp_ns, output.power, output.sigma, output.energy_sigma
+                    output.stamp_ns,
+                    output.power,
+                    output.sigma,
+                    output.energy_sigma,
+                    output.energy,
                 )
                 yield self.account.state
                 summary = self.account.tick()

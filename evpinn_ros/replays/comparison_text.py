@@ -12,7 +12,7 @@ from evpinn_ros.estimation.breakdown import (
     Amount,
     Breakdown,
 )
-from evpinn_ros.estimation.energy_parts import WHOLE, Part
+from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.replays.breakdown_text import MEANINGS, name_of
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.driven import travelled

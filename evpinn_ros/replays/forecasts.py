@@ -7,16 +7,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
+from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, combined_model, vehicle_model
+from evpinn_ros.energy.power_model import (
+    PowerModel,
+    Weather,
+    combined_model,
+    vehicle_model,
+)
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.replays.driven import charged
 from evpinn_ros.replays.history import Drive, KnownModel
 from evpinn_ros.replays.scoring import Span, longest_step, measured_energy
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.linear_power import LinearPower
 
 PLAN_STEP = 1.0  # s between points of a plan
 ELEVATION_STEP = 5.0  # m
@@ -68,7 +73,7 @@ def forecast_outcome(
     except PlanError:
         return None
     driven = Span(float(speed[0, 0]), float(speed[0, 0] + plan.time[-1]))
-    result = forecast_plan(plan, PowerModel(known.model), air_density)
+    result = forecast_plan(plan, PowerModel(known.model), Weather(air_density))
     measured = measured_energy(drive, [driven])
     return ForecastOutcome(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
 
@@ -98,21 +103,14 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
 
 
 def known_model(
-    linear: LinearPower | None,
-    parameters: ParameterSet | None,
-    vehicle: Vehicle,
-    residual_sigma: float = FIRST_RESIDUAL,
+    car: CarModel | None, parameters: ParameterSet | None, vehicle: Vehicle
 ) -> PowerModel:
-    """The best model there is: of the learner, of its parameters, of the vehicle file.
-
-    `residual_sigma` is the 1-sigma of power around the physics where no learner tells it, W.
-    """
-    if linear is not None:
-        return PowerModel(linear)
+    """The best model there is: of the learner, of its parameters, of the vehicle file."""
+    if car is not None:
+        return PowerModel(car)
     if parameters is None:
-        return vehicle_model(vehicle, residual_sigma)
-    known = parameters.identifiable, parameters.identifiable_std
-    return combined_model(*known, vehicle, residual_sigma)
+        return vehicle_model(vehicle)
+    return combined_model(parameters.identifiable, parameters.identifiable_std, vehicle)
 
 
 def _inside(rows: np.ndarray, span: Span) -> np.ndarray:

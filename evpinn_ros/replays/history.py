@@ -14,6 +14,7 @@ from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.estimation.learner import LearnerReport
+from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.replays.chain import ChainOutput
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -25,7 +26,6 @@ from evpinn_ros.signals.readings import (
 )
 from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
-from evpinn_ros.vehicle.linear_power import LinearPower
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
@@ -71,7 +71,7 @@ class KnownModel(NamedTuple):
     """Model of the car at this time, s since the first reading."""
 
     time: float
-    model: LinearPower
+    model: CarModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ class Drive:
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
     detections: tuple[Detection, ...] = ()
     models: tuple[KnownModel, ...] = ()
-    model: LinearPower | None = None
+    model: CarModel | None = None
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -218,7 +218,7 @@ class History:
         """True if `MODEL_STEP` has passed since the last model."""
         return not self._models or self._now - self._models[-1].time >= MODEL_STEP
 
-    def add_model(self, model: LinearPower | None) -> None:
+    def add_model(self, model: CarModel | None) -> None:
         """Take the car as it is known now; a learner without such a model gives None."""
         if model is not None:
             self._models.append(KnownModel(self._now, model))
@@ -235,7 +235,7 @@ class History:
         time = current[:, 0]
         return np.column_stack((time, -np.interp(time, *voltage.T) * current[:, 1]))
 
-    def drive(self, model: LinearPower | None = None) -> Drive:
+    def drive(self, model: CarModel | None = None) -> Drive:
         """The series so far, with the car as it is known now."""
         plain: dict[str, Any] = {name: rows.values() for name, rows in self._series.items()}
         return Drive(

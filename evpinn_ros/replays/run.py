@@ -107,7 +107,7 @@ def replay(
                 _record(writer, item, outputs, history.moment(item.stamp_ns), chain)
             )
     wall = time.perf_counter() - started
-    drive = history.drive(chain.estimator.linear_power())
+    drive = history.drive(chain.estimator.model())
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:
         why = next((text for text in source.notes if "speed" in text), "")
@@ -170,7 +170,7 @@ def _outputs(
     if withholding and isinstance(reading, BatteryReading):
         return []
     if history.wants_model:
-        history.add_model(chain.estimator.linear_power())
+        history.add_model(chain.estimator.model())
     outputs = list(chain.take(reading))
     for output in outputs:
         history.add_output(output)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from evpinn_ros.common.units import Units
-from evpinn_ros.energy.power_model import Motion, PowerModel
+from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import known_model
@@ -35,7 +37,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units
     shown = [i for i in np.flatnonzero(enough).tolist() if i > 0]
     last = max([*((i + 1) * width for i in shown), SHOWN_SPEED * units.speeds])
     grid = np.arange(width, last + 1.0)
-    car = known_model(drive.model, drive.final, vehicle, 0.0)
+    car = known_model(drive.model, drive.final, vehicle)
     middle, sigma = _steady_power(car, grid / units.speeds, vehicle.air_density)
     middle, half = (each / JOULES_PER_WH / (grid / 3600.0) for each in (middle, sigma))
     half *= GAUSSIAN_QUANTILE
@@ -75,6 +77,8 @@ def _steady_power(
     car: PowerModel, speed: np.ndarray, air_density: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Power on a flat road without wind and its 1-sigma, W, at speeds, m/s; shape (n,) each."""
-    flat = np.zeros(len(speed))
-    powers = car.powers(Motion(speed, flat, flat, air_density))
-    return powers[:, 0], np.sqrt((powers[:, 1:] ** 2).sum(axis=1))
+    flat, one = np.zeros(len(speed)), np.ones(len(speed))
+    warm = Weather(air_density, start_s=math.inf)
+    rows = car.rows(Motion(one, speed, speed**3, flat, flat), warm)
+    variance = ((rows @ car.car.covariance) * rows).sum(-1)
+    return rows @ car.car.mean, np.sqrt(variance)

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.common.units import Units
-from evpinn_ros.energy.power_model import prior_identifiable
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.report.drive_maps import FAST, SLOW
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.identifiable import prior_identifiable
 
 ROWS = {  # combination: what it is, its digits and unit, what kind of driving tells it
     "mass_over_eta": ("mass / η", "{:.0f} kg", "speeding up and braking, over 0.5 m/s²"),

@@ -81,6 +81,10 @@ class BatteryTrack:
         voltage, current = self._voltage.at(stamp_ns), self._current.at(stamp_ns)
         return None if voltage is None or current is None else -voltage * current
 
+    def covers(self, start_ns: int, end_ns: int) -> bool:
+        """True if power was measured from one moment to another without a gap."""
+        return self._voltage.covers(start_ns, end_ns) and self._current.covers(start_ns, end_ns)
+
     def energy(self, start_ns: int, end_ns: int) -> Energy | None:
         """Energy drawn between two moments; None where it was not measured.
 
@@ -88,7 +92,7 @@ class BatteryTrack:
         one to the next, so its integral is uncertain as that of a Brownian bridge; and what a
         slow signal shows was so some part of its step ago, which moves the ends of the interval.
         """
-        if not (self._voltage.covers(start_ns, end_ns) and self._current.covers(start_ns, end_ns)):
+        if not self.covers(start_ns, end_ns):
             return None
         stamps = [start_ns, *self._current.within(start_ns, end_ns), end_ns]
         powers = [self.at(stamp_ns) for stamp_ns in stamps]

@@ -3,9 +3,10 @@
 The residual of learning is energy over an interval, not power at a sample. The integral of v a is
 the difference of v^2 / 2 and that of v sin(grade) the difference of height, exactly, so no
 acceleration is needed; battery energy is integrated between the battery's own stamps. An interval
-is 1.5 s of a 10 Hz bus and some readings of a polled car or of a phone's log, by the same code
-(the variational form of a PINN: Kharazmi 2019; of system identification: Messenger and Bortz
-2021).
+is 10 s of a fast bus or a polled car and some readings of a phone's log, by the same code (the
+variational form of a PINN: Kharazmi 2019; of system identification: Messenger and Bortz 2021). In
+shorter ones slow errors would count as white noise. Where the battery drops out an interval ends,
+so that all that was measured is learned from.
 
 Within an interval, steps of at least `STEP` keep driving and braking apart.
 """
@@ -16,6 +17,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 import math
 from typing import NamedTuple
 
@@ -29,7 +31,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.road import Conditions, Road
 
 STEP = 0.5  # s, shortest step within an interval
-DURATION = 1.5  # s, shortest interval
+DURATION = 10.0  # s, shortest interval, but for one that a dropout or a gap ends
 READINGS = 6  # usual steps of the slower signal that an interval spans at least
 # Speed after an edge that its own is smoothed with, ns. By a local quadratic: a mean flattens the
 # ups and downs of speed, which made m/eta 0.7 % too large.
@@ -49,6 +51,7 @@ class Steps(NamedTuple):
         climb: difference of height, m; 0 where unknown.
         motor_drive: energy of the motor where it drives, J, NaN while unknown.
         motor_brake: the same where it brakes, positive J.
+        motor_scaled: whether these are in J; else up to a factor, for the gear is not known.
     """
 
     duration: np.ndarray
@@ -58,6 +61,7 @@ class Steps(NamedTuple):
     climb: np.ndarray
     motor_drive: np.ndarray
     motor_brake: np.ndarray
+    motor_scaled: bool = True
 
     @property
     def motor_known(self) -> bool:
@@ -141,13 +145,14 @@ class IntervalBuilder:
         for stamp_ns in self._next_edges(settled_ns):
             self._add_edge(stamp_ns)
         while self._complete and self._ready(self._complete[0][-1]):
-            yield self._interval(self._complete.popleft())
+            yield from self._split(self._complete.popleft())
 
     def finish(self) -> Iterator[Interval]:
         """The intervals that are waiting, with what is known now: the drive ends, or a gap."""
+        self._complete.append(self._edges)
+        self._edges = []
         while self._complete:
-            yield self._interval(self._complete.popleft())
-        self._edges.clear()
+            yield from self._split(self._complete.popleft())
 
     @property
     def duration(self) -> float:
@@ -199,6 +204,16 @@ class IntervalBuilder:
         height = not known or self._height.reaches(end.odometer + REACH)
         return (battery or dropout) and height
 
+    def _split(self, edges: list[_Edge]) -> Iterator[Interval]:
+        """The interval between edges, or two of it where the battery drops out or comes back."""
+        stamps = [edge.stamp_ns for edge in edges]
+        known = [self._battery.covers(*pair) for pair in pairwise(stamps)]
+        first = 0
+        for last in range(1, len(edges)):
+            if last == len(edges) - 1 or known[last] != known[last - 1]:
+                yield self._interval(edges[first : last + 1])
+                first = last
+
     def _interval(self, edges: list[_Edge]) -> Interval:
         start, end = edges[0], edges[-1]
         measured = self._battery.energy(start.stamp_ns, end.stamp_ns)
@@ -215,13 +230,15 @@ class IntervalBuilder:
             climb=climb,
             motor_drive=drive,
             motor_brake=brake,
+            motor_scaled=self._motor.scaled,
         )
         return Interval(
             start_ns=start.stamp_ns,
             end_ns=end.stamp_ns,
             steps=steps,
             conditions=end.conditions._replace(
-                load=float(np.mean([edge.conditions.load for edge in edges]))
+                load=float(np.mean([edge.conditions.load for edge in edges])),
+                doubted_load=float(np.mean([edge.conditions.doubted_load for edge in edges])),
             ),
             height_known=known,
             energy=math.nan if measured is None else measured.energy,

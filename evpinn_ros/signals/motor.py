@@ -9,25 +9,32 @@ import numpy as np
 from evpinn_ros.signals.readings import NANOSECONDS, MotorReading
 from evpinn_ros.signals.track import SignalTrack
 
+NOMINAL_RATIO = 27.0  # rad/m: a gear of 9 and tyres that roll on 0.33 m
+
 
 class MotorTrack:
-    """Power at the motor shaft over the latest seconds, W, positive when it drives."""
+    """Power at the motor shaft over the latest seconds, W, positive when it drives.
+
+    Attributes:
+        scaled: whether it is in W; else up to a factor, for neither gear nor speed is known.
+    """
 
     def __init__(self, max_gap: float, ratio: float) -> None:
         """Take the motor's turning from its own speed, else from the car's.
 
         Args:
             max_gap: s, see `battery.Cadence`.
-            ratio: rad that the motor turns per m of road, NaN where unknown.
+            ratio: rad that the motor turns per m of road; `NOMINAL_RATIO` where it is NaN.
         """
         self._power = SignalTrack(max_gap)
-        self._ratio = ratio
+        self.scaled = not math.isnan(ratio)
+        self._ratio = ratio if self.scaled else NOMINAL_RATIO
 
     def add(self, reading: MotorReading, car_speed: float) -> bool:
-        """Take a reading at a speed of the car, m/s; False when it cannot be used."""
-        turning = self._ratio * car_speed if math.isnan(reading.speed) else reading.speed
-        if math.isnan(turning):
-            return False
+        """Take a reading at a speed of the car, m/s; False when it is not new."""
+        told = not math.isnan(reading.speed)
+        self.scaled = self.scaled or told
+        turning = reading.speed if told else self._ratio * car_speed
         return self._power.add(reading.stamp_ns, reading.torque * turning)
 
     def at(self, stamp_ns: int) -> float:

@@ -107,6 +107,7 @@ class Conditions(NamedTuple):
         celsius: temperature outside, None while unknown.
         load: auxiliary power the car reports, W; 0 while unknown.
         load_known: whether it reports any.
+        doubted_load: heating that it reports on a warm day, W, which is often not drawn.
     """
 
     air_density: float
@@ -114,6 +115,7 @@ class Conditions(NamedTuple):
     celsius: float | None
     load: float
     load_known: bool
+    doubted_load: float = 0.0
 
 
 class Road:
@@ -193,6 +195,7 @@ class Road:
             self._celsius,
             self.known_auxiliary(stamp_ns),
             self._auxiliary is not None,
+            self.doubted_load(stamp_ns),
         )
 
     def heights(
@@ -248,14 +251,28 @@ class Road:
     def known_auxiliary(self, stamp_ns: int) -> float:
         """Power of the auxiliary loads the car reports, W, 0 while unknown.
 
-        A heater that reports kilowatts on a warm day is not plausible: on five of six real drives
-        above 20 degrees none of it was drawn, below all of it.
+        Heating on a warm day is not among them (`doubted_load`).
         """
+        loads = self._fresh_loads(stamp_ns)
+        return 0.0 if loads is None else loads.others + loads.heating * (not self._warm)
+
+    def doubted_load(self, stamp_ns: int) -> float:
+        """Heating, W, that the car reports on a warm day; 0 while unknown.
+
+        A heater that reports kilowatts then is not plausible: on five of six real drives above
+        20 degrees none of it was drawn, below all of it.
+        """
+        loads = self._fresh_loads(stamp_ns)
+        return 0.0 if loads is None else loads.heating * self._warm
+
+    @property
+    def _warm(self) -> bool:
+        return self._celsius is not None and self._celsius >= HEATED_BELOW
+
+    def _fresh_loads(self, stamp_ns: int) -> AuxiliaryReading | None:
         loads = self._auxiliary
-        if loads is None or _age(stamp_ns, loads.stamp_ns) > STALE_AFTER:
-            return 0.0
-        cold = self._celsius is None or self._celsius < HEATED_BELOW
-        return max(0.0, loads.others + (loads.heating if cold else 0.0))
+        stale = loads is None or _age(stamp_ns, loads.stamp_ns) > STALE_AFTER
+        return None if stale else loads
 
     def _fresh_pitch(self, stamp_ns: int) -> bool:
         return bool(self._pitch) and _age(stamp_ns, self._pitch[-1][0]) < STALE_AFTER

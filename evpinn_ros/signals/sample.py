@@ -24,7 +24,9 @@ class Sample:
             m/s^2; empty where nothing of it is.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature of the air outside, None while unknown.
+        doubted_load: heating that the car reports on a warm day, W, which is often not drawn.
         motor_power: mechanical power of the motor, W, NaN where no bus reports it.
+        motor_scaled: whether that is in W; else up to a factor, for the gear is not known.
         newest: whether it is the newest moment, whose future is unknown.
     """
 
@@ -37,7 +39,9 @@ class Sample:
     profile: tuple[float, ...] = ()
     head_wind: float = 0.0
     celsius: float | None = None
+    doubted_load: float = 0.0
     motor_power: float = math.nan
+    motor_scaled: bool = True
     newest: bool = False
 
 

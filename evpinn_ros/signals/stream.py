@@ -241,7 +241,9 @@ class SampleStream:
             profile=self._speed.profile(stamp_ns, self._speed.newest_ns, acceleration),
             head_wind=self._road.head_wind(stamp_ns),
             celsius=self._road.celsius,
+            doubted_load=self._road.doubted_load(stamp_ns),
             motor_power=self._motor.at(stamp_ns),
+            motor_scaled=self._motor.scaled,
             newest=newest,
         )
 

@@ -1,18 +1,12 @@
 """The true parameters of a simulated drive, by definition, and cars that have wished ones.
 
 A car with an efficiency map has no single eta. The values that go beside a drive are those with
-which the `wheel_power` form of the dynamics, fed with the true wheel power W, spends exactly the
-energy that this drive spent, beside what the drivetrain loses by turning. Losses that come with
-torque belong to eta and mu:
-
-- eta: sum of W over sum of (W + load loss), both where W > 0;
-- mu: sum of (-W - friction - load loss) over sum of (-W), both where W < 0. What the friction
-  brakes take counts as not recovered, so mu depends on how the car was driven;
-- p_aux: the standing load, the mean of the auxiliary load over the whole drive;
-- c_rr: work lost in the tyres over (m g cos(grade) times distance);
-- mass, c_d: those of the car; wind counts as a disturbance, not as drag of the car.
-
-W holds the true drag, rolling, grade and inertia including that of rotating parts.
+which eq. 21 comes nearest to the energy of its steps without noise, in least squares: the same
+functional by which the estimator publishes what it learned (`estimation.published.project`). So
+losses that come with torque belong to eta and mu, as does what the friction brakes take, and the
+force that an idle drivetrain turns with belongs to C_rr and C_d, for no battery tells it apart
+from tyres and air. Wind counts as a disturbance. Mass is that of the car, p_aux the mean of the
+auxiliary load.
 """
 
 from __future__ import annotations
@@ -23,14 +17,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from evpinn_ros.simulation.car import Car, Trace, drive_car
+from evpinn_ros.estimation.published import project
+from evpinn_ros.estimation.states import PHYSICS
+from evpinn_ros.estimation.terms import Equation, Wheels
+from evpinn_ros.simulation.car import STEP, Car, Trace, drive_car
 from evpinn_ros.simulation.drive import IntervalMotion
 from evpinn_ros.simulation.surroundings import Surroundings
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable, identifiable
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
-from evpinn_ros.vehicle.physics import GRAVITY
 
+TRUTH_STEP = 1.0  # s of a step of the definition
+ROUNDS = 3  # of tuning a car: what one wish moves of another is a hundredth of it
 PLAUSIBLE_ETA = (0.85, 0.92)
 PLAUSIBLE_MU = (0.70, 0.82)
 PLAUSIBLE_SPREAD = 1.5  # prior sigmas within which the other parameters are drawn
@@ -38,11 +36,11 @@ PLAUSIBLE_SPREAD = 1.5  # prior sigmas within which the other parameters are dra
 LEAST_AUXILIARY = 50.0  # W, no car draws less
 
 DEFINITIONS: Mapping[str, str] = {
-    "eta": "wheel energy / (wheel energy + load losses), while wheel power > 0",
-    "mu": "1 - (friction brakes + load losses) / braking energy at the wheels, while braking",
+    "eta": "mass / (m/eta of the projection on eq. 21)",
+    "mu": "(eta mu of the projection) / eta, friction brakes counted as lost",
     "mass": "kg, with everyone and everything in the car",
-    "c_rr": "work of rolling resistance / (weight on the road * distance)",
-    "c_d": "of the car; wind is a disturbance",
+    "c_rr": "of the projection; an idle drivetrain belongs to it",
+    "c_d": "of the projection; wind is a disturbance",
     "p_aux": "mean of the auxiliary load over the drive, W",
 }
 
@@ -55,30 +53,80 @@ class Truth:
     identifiable: Identifiable
 
 
-def true_values(car: Car, trace: Trace) -> Truth:
+def true_values(car: Car, trace: Trace, equation: Equation) -> Truth:
     """The parameters of `car` on this drive, as the module defines them.
 
-    A drive without driving has eta 1, one without braking mu 0, one that stands the car's c_rr.
+    Args:
+        car: that was driven.
+        trace: of the drive.
+        equation: of the vehicle file, whose car tells which steps drive and which brake.
     """
-    motion, wheel = trace.motion, trace.wheel_power
-    driving, braking = wheel > 0, wheel < 0
-    output = _total(wheel, driving)
-    heat = trace.friction_power + trace.load_loss
-    offered = -_total(wheel, braking)
-    load = float(np.sum(car.mass * GRAVITY * np.cos(motion.grade) * motion.speed))
+    wheels, duration, energy = _steps(car, trace, equation)
+    found = combinations(equation, wheels, duration, energy)
+    mass, rolling, drag = (
+        found[name] for name in ("mass_over_eta", "rolling_over_eta", "drag_area_over_eta")
+    )
+    eta = car.mass / mass
     parameters = Parameters(
-        eta=output / (output + _total(trace.load_loss, driving)) if output else 1.0,
-        mu=1 - _total(heat, braking) / offered if offered else 0.0,
+        eta=eta,
+        mu=found["regeneration"] / eta,
         mass=car.mass,
-        c_rr=float(np.sum(trace.rolling_power)) / load if load else car.c_rr,
-        c_d=car.c_d,
+        c_rr=rolling / mass,
+        c_d=drag * eta / car.frontal_area,
         p_aux=float(np.mean(trace.auxiliary)),
     )
     return Truth(parameters, identifiable(parameters, car.frontal_area))
 
 
-def _total(power: np.ndarray, where: np.ndarray) -> float:
-    return float(np.sum(power[where]))
+def combinations(
+    equation: Equation, wheels: Wheels, duration: np.ndarray, energy: np.ndarray
+) -> dict[str, float]:
+    """The true combinations of a car by what steps of driving took, without noise.
+
+    Args:
+        equation: of the vehicle file.
+        wheels: of the steps, shape (n,).
+        duration: s.
+        energy: of the battery without standing load, J.
+
+    Returns:
+        `mass_over_eta`, `regeneration`, `rolling_over_eta` (C_rr m / eta), `drag_area_over_eta`.
+    """
+    terms = np.asarray(wheels.terms)
+    drag, rolling, mass, back = project(terms, energy, duration).tolist()
+    braking = 1.0 - wheels.driving
+    moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
+    braked = np.array([float(braking @ each) for each in moved])
+    before = float(braked @ equation.mean[PHYSICS[:3]])
+    share = before / float(braked @ (drag, rolling, mass)) if before else 1.0
+    return {
+        "mass_over_eta": mass,
+        "regeneration": equation.back + share * back,
+        "rolling_over_eta": rolling,
+        "drag_area_over_eta": drag,
+    }
+
+
+def _steps(car: Car, trace: Trace, equation: Equation) -> tuple[Wheels, np.ndarray, np.ndarray]:
+    """A drive in steps of `TRUTH_STEP`: prior car, s, and energy without standing load, J."""
+    count = round(TRUTH_STEP / STEP)
+    motion = trace.motion
+    whole = len(motion.speed) // count * count
+
+    def total(power: np.ndarray) -> np.ndarray:
+        return np.asarray(power[:whole].reshape(-1, count).sum(1) * STEP)
+
+    speed = motion.speed
+    duration = np.full(whole // count, TRUTH_STEP)
+    wheels = equation.wheels(
+        duration=duration,
+        distance=total(speed),
+        air=total(speed**3),
+        kinetic=total(speed * motion.acceleration),
+        climb=total(speed * np.sin(motion.grade)),
+        density=car.air_density,
+    )
+    return wheels, duration, total(trace.power - trace.auxiliary)
 
 
 def plausible_parameters(vehicle: Vehicle, rng: np.random.Generator) -> Parameters:
@@ -110,28 +158,32 @@ def _draw(vehicle: Vehicle, rng: np.random.Generator, spread: float) -> Paramete
     return Parameters(*(value(name) for name in PARAMETER_NAMES))
 
 
-def tuned(car: Car, motion: IntervalMotion, around: Surroundings, wish: Parameters) -> Car:
+def tuned(
+    car: Car, motion: IntervalMotion, around: Surroundings, wish: Parameters, equation: Equation
+) -> Car:
     """The car whose true values on this drive are `wish`; mass and c_d are taken as they are.
 
     Two wishes may be more than a car can do: mu, when even without friction brakes less comes
     back (none are used then but for the limits of `Brakes`), and a p_aux below
     LEAST_AUXILIARY. `true_values` tells what came of it.
     """
-    plain = true_values(car, drive_car(car, motion, around)).parameters
-    car = replace(car, c_rr=car.c_rr * wish.c_rr / plain.c_rr)
-    trace = drive_car(car, motion, around)
-    driving = trace.wheel_power > 0
-    output, loss = _total(trace.wheel_power, driving), _total(trace.load_loss, driving)
-    scale = output * (1 / wish.eta - 1) / loss if loss else 1.0  # load loss is linear in it
-    car = replace(
-        car,
-        drivetrain=replace(car.drivetrain, load_scale=car.drivetrain.load_scale * scale),
-        mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY),
-    )
-    return _with_recovery(car, motion, around, wish.mu)
+    car = replace(car, mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY))
+    for _ in range(ROUNDS):
+        plain = true_values(car, drive_car(car, motion, around), equation).parameters
+        scale = (1.0 / wish.eta - 1.0) / max(1.0 / plain.eta - 1.0, 1e-3)
+        drivetrain = car.drivetrain
+        car = replace(
+            car,
+            c_rr=max(car.c_rr + wish.c_rr - plain.c_rr, 1e-4),
+            drivetrain=replace(drivetrain, load_scale=drivetrain.load_scale * scale),
+        )
+        car = _with_recovery(car, motion, around, wish.mu, equation)
+    return car
 
 
-def _with_recovery(car: Car, motion: IntervalMotion, around: Surroundings, mu: float) -> Car:
+def _with_recovery(
+    car: Car, motion: IntervalMotion, around: Surroundings, mu: float, equation: Equation
+) -> Car:
     """The car with the share of the motor in braking that gives this mu, or as near as it can."""
 
     def with_share(share: float) -> Car:
@@ -139,9 +191,11 @@ def _with_recovery(car: Car, motion: IntervalMotion, around: Surroundings, mu: f
 
     def excess(share: float) -> float:
         candidate = with_share(share)
-        recovered = true_values(candidate, drive_car(candidate, motion, around)).parameters.mu
-        return float(recovered - mu)
+        trace = drive_car(candidate, motion, around)
+        return float(true_values(candidate, trace, equation).parameters.mu - mu)
 
     if excess(1.0) <= 0:
         return with_share(1.0)
-    return with_share(float(brentq(excess, 0.0, 1.0, xtol=1e-9)))
+    if excess(0.0) >= 0:
+        return with_share(0.0)
+    return with_share(float(brentq(excess, 0.0, 1.0, xtol=1e-4)))

@@ -1,31 +1,40 @@
-"""The model that predicts power, as a message: `estimate/model`."""
+"""The car that predicts power, as a message: `estimate/model`."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+import math
 from typing import Any
 
 import numpy as np
 
 from evpinn_ros import topics
 from evpinn_ros.energy.plausible import car_is_possible
+from evpinn_ros.estimation.posterior import CarModel
+from evpinn_ros.estimation.states import SIZE
+from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
-from evpinn_ros.vehicle.linear_power import FEATURES, LinearPower
+from evpinn_ros.vehicle.files import Vehicle
 
-MODEL_VERSION = 2  # of what `estimate/model` holds
-MOST_NUMBERS = 100_000  # of a model: thirty times what an estimator tells
-_ARRAYS = ("mean", "directions")
-_NUMBERS = [f.name for f in fields(LinearPower) if f.name not in _ARRAYS]
+MODEL_VERSION = 3  # of what `estimate/model` holds
+MOST_NUMBERS = 100_000  # of a model: twenty times what an estimator sends
+UNKNOWN_CELSIUS = -1000.0  # for a message holds numbers only
+MOST_SEED = 2**53  # a seed is a number of the message
 
 
-def model_message(new: NewMessage, vehicle: str, model: LinearPower) -> Any:
-    """std_msgs/Float64MultiArray: all numbers of a model in a row.
+def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
+    """std_msgs/Float64MultiArray: all numbers of a car in a row.
 
     Its first dimension is labelled `vehicle/version` and spans all; one more for each part names
     it and tells its size.
     """
-    parts = {"numbers": np.array([getattr(model, name) for name in _NUMBERS])}
-    parts |= {name: getattr(model, name).ravel() for name in _ARRAYS}
+    celsius = UNKNOWN_CELSIUS if car.celsius is None else car.celsius
+    numbers = car.equation.seed, car.load_variance, car.growth, car.trust, car.seconds
+    parts = {
+        "numbers": np.array([*numbers, celsius, float(car.reports)]),
+        "noise": car.noise,
+        "mean": car.mean,
+        "covariance": car.covariance.ravel(),
+    }
     data = [finite(number) for number in np.concatenate(list(parts.values())).tolist()]
     sizes = {f"{vehicle}/{MODEL_VERSION}": len(data)}
     sizes |= {name: int(part.size) for name, part in parts.items()}
@@ -37,8 +46,8 @@ def model_message(new: NewMessage, vehicle: str, model: LinearPower) -> Any:
     return new(topics.ARRAY_TYPE, layout=layout, data=data)
 
 
-def read_model(message: Any, vehicle: str) -> LinearPower:
-    """The model in a message.
+def read_model(message: Any, vehicle: Vehicle) -> CarModel:
+    """The car in a message.
 
     Raises:
         BadMessage: it is of another vehicle or version, or its numbers do not fit.
@@ -46,20 +55,30 @@ def read_model(message: Any, vehicle: str) -> LinearPower:
     if max(len(message.data), len(message.layout.dim)) > MOST_NUMBERS:
         raise BadMessage("too_large")
     labels = {dimension.label: dimension.size for dimension in message.layout.dim}
-    if next(iter(labels), None) != f"{vehicle}/{MODEL_VERSION}":
+    if next(iter(labels), None) != f"{vehicle.key}/{MODEL_VERSION}":
         raise BadMessage("other_vehicle_or_version")
-    sizes = [labels.get(name, -1) for name in ("numbers", *_ARRAYS)]
+    wanted = {"numbers": 7, "noise": 3, "mean": SIZE, "covariance": SIZE**2}
     data = np.array(message.data, dtype=float)
-    if min(sizes) < 0 or sum(sizes) != data.size or sizes[0] != len(_NUMBERS):
+    if {name: labels.get(name) for name in wanted} != wanted or sum(wanted.values()) != data.size:
         raise BadMessage("lengths_differ")
     if not np.isfinite(data).all():
         raise BadMessage("not_finite")
-    numbers, mean, directions = np.split(data, np.cumsum(sizes[:-1]))
-    wanted = len(FEATURES)
-    if mean.size != wanted or directions.size % wanted:
-        raise BadMessage("lengths_differ")
-    named = dict(zip(_NUMBERS, numbers.tolist(), strict=True))
-    car = LinearPower(**named, mean=mean, directions=directions.reshape(-1, wanted))
+    numbers, noise, mean, covariance = np.split(data, np.cumsum([*wanted.values()])[:-1])
+    seed, load_variance, growth, trust, seconds, celsius, reports = numbers.tolist()
+    if not 0.0 <= seed <= MOST_SEED or not math.isclose(seed, int(seed)):
+        raise BadMessage("out_of_range")
+    car = CarModel(
+        equation=Equation(vehicle, int(seed)),
+        mean=mean,
+        covariance=covariance.reshape(SIZE, SIZE),
+        noise=noise,
+        load_variance=load_variance,
+        growth=growth,
+        trust=trust,
+        seconds=seconds,
+        celsius=None if celsius == UNKNOWN_CELSIUS else celsius,
+        reports=bool(reports),
+    )
     if not car_is_possible(car):
         raise BadMessage("out_of_range")
     return car

@@ -7,8 +7,10 @@ measured. The combinations below are what is left; absolute values need a prior 
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import drag_force, grade_force, inertia_force, rolling_force
 
@@ -61,3 +63,24 @@ def combined_power(
     traction = speed * force + abs(speed) * rolling_force(mass, combined.c_rr, grade)
     driving = traction * (traction > 0)
     return driving + (traction - driving) * combined.regeneration + combined.p_aux
+
+
+def prior_identifiable(vehicle: Vehicle) -> tuple[Identifiable, Identifiable]:
+    """The combinations of the vehicle's priors, and their 1-sigma to first order.
+
+    Relative variances of products and quotients of independent quantities add up.
+    """
+    combined = identifiable(vehicle.initial, vehicle.frontal_area)
+    relative = {
+        name: prior.std / prior.value if prior.value else 0.0
+        for name, prior in vehicle.priors.items()
+    }
+    sigmas = Identifiable(
+        mass_over_eta=combined.mass_over_eta * math.hypot(relative["mass"], relative["eta"]),
+        drag_area_over_eta=combined.drag_area_over_eta
+        * math.hypot(relative["c_d"], relative["eta"]),
+        c_rr=vehicle.priors["c_rr"].std,
+        regeneration=combined.regeneration * math.hypot(relative["eta"], relative["mu"]),
+        p_aux=vehicle.priors["p_aux"].std,
+    )
+    return combined, sigmas

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.breakdown import PartCheck, difference_checks, part_checks, part_summaries
 from benchmarks.truth import VEHICLES
-from evpinn_ros.estimation.energy_parts import Part
+from evpinn_ros.estimation.terms import Part
 from evpinn_ros.simulation.drive import DriveKind
 
 DRIVES = 6

@@ -18,7 +18,7 @@ from evpinn_ros.estimation.breakdown import (
 )
 from evpinn_ros.estimation.car_filter import CarFilter
 from evpinn_ros.estimation.car_state import SIZE, State, prior_of
-from evpinn_ros.estimation.energy_parts import COUNT, WHOLE, Part, parts
+from evpinn_ros.estimation.terms import COUNT, WHOLE, Part, parts
 from evpinn_ros.estimation.weak_form import Constants, Warmth, spent
 from evpinn_ros.signals.interval import Interval, Steps
 from evpinn_ros.signals.readings import NANOSECONDS

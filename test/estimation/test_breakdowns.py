@@ -8,7 +8,7 @@ import pytest
 
 from evpinn_ros.estimation.breakdown import DISTANCE, Breakdowns
 from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.energy_parts import COUNT, WHOLE, Part
+from evpinn_ros.estimation.terms import COUNT, WHOLE, Part
 from evpinn_ros.vehicle.files import load_vehicle
 from test.estimation.test_breakdown import driven
 

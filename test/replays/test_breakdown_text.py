@@ -7,7 +7,7 @@ import pytest
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, US
 from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.energy_parts import COUNT, Part
+from evpinn_ros.estimation.terms import COUNT, Part
 from evpinn_ros.replays.breakdown_text import (
     NAMES,
     NOTHING,

@@ -1,18 +1,14 @@
-"""The network of the online PINN: tanh units whose weights are states under a physics prior.
+"""The trim: a network of the last seconds, which corrects power and is forgotten after them.
 
-Battery power is P = P_physics(x) + v N(u; w), with N a network of one hidden layer (eq. 1 of the
-paper) of speed, acceleration and its profile. All weights are learned by an extended Kalman filter
-at every sample: Gauss-Newton with an arrival cost, one step a sample (Bell and Cathey, 1993).
+Battery power is that of the car (`estimation.terms`, physics and network) plus v T(u; w), with T
+tanh units of speed, acceleration and its profile. All weights are learned by an extended Kalman
+filter at every sample: Gauss-Newton with an arrival cost (Bell and Cathey, 1993). They return to
+their prior within `MEMORY`: the trim holds what this road, this wind and this second have beside
+the car, and is gone soon after a dropout begins. How soon what it holds stops being so is learned
+(`Persistence`), and whether it counts at all: it stands beside a trim of zero, and the two are
+weighted by their evidence.
 
-The prior pulls N to zero, so physics explains what it can (lambda of eq. 22 is the noise's
-variance over that of the prior). Whether the network counts is learned: it stands beside one that
-is zero, and the two are weighted by their evidence.
-
-The prior is also what weights return to, within `MEMORY`: the network holds what this road, this
-wind and this place in the map of efficiency have beside the physics. So the last seconds are its
-window, the prior its arrival cost, and it is gone soon after a dropout begins. A network
-that lasts was measured beside it and makes dropouts worse (docs/project/benchmark_history.md).
-How soon what it holds stops being so is learned too (`Persistence`).
+It is not the network of the car, which lasts and is learned with the parameters.
 """
 
 from __future__ import annotations
@@ -33,13 +29,13 @@ INPUTS = 2 + PROFILE
 INPUT_CENTRE = np.array([10.0, 0.0, *([0.0] * PROFILE)])  # m/s, m/s^2
 INPUT_SCALE = np.array([15.0, 1.2, *([0.5] * PROFILE)])
 SPREAD = np.array([1.2, 1.2, *([0.7] * PROFILE)])  # 1-sigma of the first input weights
-REACH = 1000.0  # N, 1-sigma of the force that the network may add
+REACH = 1000.0  # N, 1-sigma of the force that the trim may add
 MEMORY = 10.0  # s of driving in which weights return to the prior
 WEIGHT_STD = 0.5  # of input weights about where they start
 STANDING_NOISE = 150.0  # W, 1-sigma of a sample's power that nothing explains
 FORCE_NOISE = 60.0  # N, the same while moving
 CORRELATED = 5.0  # samples of 10 Hz that count as one
-EVIDENCE_TIME = 300.0  # s of driving over which the networks are judged
+EVIDENCE_TIME = 300.0  # s of driving over which the trim is judged
 TEMPERATURE = 9.0  # by which the evidence of one sample is blunted: heavy tails
 MOST_LOSS = 20.0
 OUTLIER = 3.0  # sigmas
@@ -53,7 +49,7 @@ MOST_SQUARES = 1e15  # N^2, sum over `EVIDENCE_TIME`
 
 
 class Correction(NamedTuple):
-    """Power that the network adds to that of physics, W, and its 1-sigma, W."""
+    """Power that the trim adds to that of the car, W, and its 1-sigma, W."""
 
     power: float
     sigma: float
@@ -66,7 +62,7 @@ class Persistence:
     Wind and road hold for many seconds, noise of speed and battery for less than one.
 
     Attributes:
-        squares: sum of squares of forces that the network gave, N^2.
+        squares: sum of squares of forces that the trim gave, N^2.
         products: sum of their products with the forces measured later.
         delays: sum of their squares times the seconds between, N^2 s.
     """
@@ -76,7 +72,7 @@ class Persistence:
     delays: Annotated[float, Range(0.0, MOST_SQUARES)] = 0.0
 
     def learn(self, given: float, measured: float, delay: float) -> None:
-        """Compare a force that the network gave, N, with the one measured some s later."""
+        """Compare a force that the trim gave, N, with the one measured some s later."""
         keep = math.exp(-delay / EVIDENCE_TIME)
         self.squares = keep * self.squares + given**2
         self.products = keep * self.products + given * measured
@@ -97,13 +93,13 @@ class Snapshot(NamedTuple):
     age: float
 
 
-class ResidualNetwork:
-    """One network, beside one whose output is zero.
+class Trim:
+    """One trim, beside one whose output is zero.
 
     What the weights hold is gone by the next start, so it is not saved.
 
     Attributes:
-        evidence: logarithm of the odds against the zero network.
+        evidence: logarithm of the odds against no trim.
         persistence: how soon a correction stops being so.
     """
 
@@ -124,11 +120,11 @@ class ResidualNetwork:
 
     @property
     def share(self) -> float:
-        """Probability that the network explains more than the zero network."""
+        """Probability that the trim explains more than none."""
         return 1.0 / (1.0 + math.exp(-min(max(self.evidence, -MOST_ODDS), MOST_ODDS)))
 
     def correct(self, sample: Sample) -> Correction:
-        """Power that the network adds at a sample, weighted by its evidence."""
+        """Power that the trim adds at a sample, weighted by its evidence."""
         force, gradient = self._output(sample, self._weights)
         reach = self.share * abs(sample.speed)
         variance = float(gradient @ self._covariance @ gradient)
@@ -146,7 +142,7 @@ class ResidualNetwork:
         self._covariance[np.diag_indices_from(self._covariance)] += (1.0 - keep**2) * self._prior
 
     def learn(self, sample: Sample, residual: float, duration: float) -> None:
-        """Learn the residual of physics, W, of a sample that stands for some s."""
+        """Learn what the car leaves of power, W, at a sample that stands for some s."""
         v = abs(sample.speed)
         if v < STANDSTILL_SPEED:
             return
@@ -169,7 +165,7 @@ class ResidualNetwork:
         self._snapshot = self._snapshot or Snapshot(self._weights, 0.0)
 
     def _compare(self, sample: Sample, force: float) -> None:
-        """Compare the force that is measured, N, with what the network gave `AHEAD` before."""
+        """Compare the force that is measured, N, with what the trim gave `AHEAD` before."""
         if self._snapshot is None or self._snapshot.age < AHEAD:
             return
         (weights, age), self._snapshot = self._snapshot, None
@@ -182,7 +178,7 @@ class ResidualNetwork:
         return np.asarray(self._start + math.exp(-duration / MEMORY) * (weights - self._start))
 
     def _output(self, sample: Sample, weights: np.ndarray) -> tuple[float, np.ndarray]:
-        """Output of a network with these weights, a force, N, and its gradient, (weights,)."""
+        """Output with these weights, a force, N, and its gradient, (weights,)."""
         profile = sample.profile or (0.0,) * PROFILE
         raw = np.array([sample.speed, sample.acceleration, *profile])
         inputs = (raw - INPUT_CENTRE) / INPUT_SCALE

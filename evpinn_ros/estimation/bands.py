@@ -1,0 +1,99 @@
+"""Bands of energy that cover what they claim, by what rehearsals said (`estimation.rehearsal`).
+
+How errors of predictions without the battery spread in sigmas scales the variance of a real
+dropout or forecast, up or down, apart for dropouts and for whole drives. Where no height is known,
+the errors also say how hilly the roads of this car are: flat country has narrow bands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.estimation.calibration import MOST_SUM
+
+GROWTHS = np.array([0.0004, 0.004, 0.04])  # m^2 of unseen height per m: flat, hilly, mountains
+HILLS_KEPT = 0.98  # of the evidence on these, from one rehearsal to the next
+MOST_DEVIATE = 4.0  # sigmas; one odd road counts no more
+MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
+PRIOR_CASES, CASES_KEPT = 8.0, 40.0  # that true sigmas count as at first; cases remembered
+
+
+class Energy(NamedTuple):
+    """Energy of a journey, J, and its variance but for unseen hills, J^2.
+
+    `hills`, J^2 per m, is by how much variance of height per length of road counts: the square of
+    weight over eta, times the length of road without height.
+    """
+
+    mean: float
+    variance: float
+    hills: float
+
+
+class Spread(NamedTuple):
+    """Errors in sigmas: cases seen, and the sum of their squares."""
+
+    cases: Annotated[float, Range(0.0, CASES_KEPT)] = 0.0
+    squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+
+    @property
+    def scale(self) -> float:
+        """Factor of the variance, above or below 1."""
+        return (PRIOR_CASES + self.squares) / (PRIOR_CASES + self.cases)
+
+    def after(self, deviate: float) -> Spread:
+        """With one more case, this many sigmas off."""
+        keep = min(1.0, (CASES_KEPT - 1.0) / max(self.cases, 1.0))
+        return Spread(
+            keep * self.cases + 1.0, keep * self.squares + min(abs(deviate), MOST_DEVIATE) ** 2
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """What the rehearsals said.
+
+    Attributes:
+        dropout: spread of errors of dropouts within a drive.
+        drive: spread of errors of whole drives.
+        hills: logarithm of the odds of `GROWTHS`.
+    """
+
+    dropout: Spread = field(default_factory=Spread)
+    drive: Spread = field(default_factory=Spread)
+    hills: tuple[Annotated[float, Range(-1e6, 0.0)], ...] = (0.0,) * len(GROWTHS)
+
+    def __post_init__(self) -> None:
+        """Refuse odds that are not of `GROWTHS`."""
+        if len(self.hills) != len(GROWTHS):
+            raise ValueError("bands: hills are missing")
+
+    @property
+    def growth(self) -> float:
+        """Variance of unseen height per length of road, m."""
+        odds = np.exp(np.array(self.hills) - max(self.hills))
+        return float(odds @ GROWTHS / odds.sum())
+
+    def after_drive(self, energy: Energy, drawn: float) -> Bands:
+        """With one more drive, predicted whole, that drew so many J."""
+        sigma = math.sqrt(energy.variance + self.growth * energy.hills)
+        return replace(self, drive=self.drive.after((drawn - energy.mean) / sigma))
+
+    def after_dropout(self, energy: Energy, drawn: float, *, long: bool) -> Bands:
+        """With one more dropout that did not happen."""
+        error = drawn - energy.mean
+        bands = self
+        if long:
+            sigma = math.sqrt(energy.variance + self.growth * energy.hills)
+            bands = replace(self, dropout=self.dropout.after(error / sigma))
+        if energy.hills == 0.0:
+            return bands
+        variance = energy.variance + GROWTHS * energy.hills
+        square = np.minimum(error**2 / variance, MOST_DEVIATE_HILLS**2)
+        odds = HILLS_KEPT * np.array(self.hills) - 0.5 * (square + np.log(variance))
+        return replace(bands, hills=tuple((odds - odds.max()).tolist()))

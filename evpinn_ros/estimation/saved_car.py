@@ -1,0 +1,121 @@
+"""A state of a car as it is saved: with names of its states, so that a new one voids no file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, TypeAlias
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.estimation.bands import Bands
+from evpinn_ros.estimation.gaussian import MOST, Gaussian, is_possible
+from evpinn_ros.estimation.posterior import (
+    DRIVES_KEPT,
+    LEAST_SCALE,
+    MOST_SCALE,
+    PRIOR_DRIVES,
+    CarState,
+    initial_state,
+)
+from evpinn_ros.estimation.states import LASTING, NAMES, OFFSETS
+from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.signals.road import TEMPERATURES
+
+MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
+MOST_EVIDENCE = 1e15
+Numbers: TypeAlias = tuple[Annotated[float, Range(-(MOST**2), MOST**2)], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SavedState:
+    """A `CarState` of K hypotheses and n named states.
+
+    Attributes:
+        names: of the states.
+        mean: K n numbers.
+        covariance: K n n numbers.
+        offset_variance: n numbers, zero but for the offsets of a drive.
+        evidence: shape (K,).
+        scale: shape (K, 3).
+
+    The rest is as in `CarState`.
+    """
+
+    names: tuple[str, ...]
+    mean: Numbers
+    covariance: Numbers
+    offset_variance: Numbers
+    evidence: Annotated[np.ndarray, Range(-MOST_EVIDENCE, 0.0)]
+    scale: Annotated[np.ndarray, Range(LEAST_SCALE, MOST_SCALE)]
+    bands: Bands
+    drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)]
+    intervals: Annotated[int, Range(0, 10**12)]
+    seconds: Annotated[float, Range(0.0, 1e9)]
+    reports: bool
+    celsius: Annotated[float, Range(*TEMPERATURES)] | None
+    known: bool
+
+
+def saved_state(state: CarState) -> SavedState:
+    """A state to save."""
+    offsets = np.zeros(len(NAMES))
+    offsets[OFFSETS] = state.offset_variance
+    return SavedState(
+        names=NAMES,
+        mean=tuple(state.mean.ravel().tolist()),
+        covariance=tuple(state.covariance.ravel().tolist()),
+        offset_variance=tuple(offsets.tolist()),
+        evidence=state.evidence,
+        scale=state.scale,
+        bands=state.bands,
+        drives=state.drives,
+        intervals=state.intervals,
+        seconds=state.seconds,
+        reports=state.reports,
+        celsius=state.celsius,
+        known=state.known,
+    )
+
+
+def state_of(saved: SavedState, equation: Equation) -> CarState:
+    """The state that was saved; a state that the file lacks is at its prior.
+
+    Raises:
+        ValueError: no drive leaves such a state: numbers are missing, it is no Gaussian, or the
+            car is far from the prior of its vehicle file.
+    """
+    fresh = initial_state(equation)
+    count, size = len(fresh.mean), len(saved.names)
+    sizes = len(saved.mean), len(saved.covariance), len(saved.offset_variance)
+    if sizes != (count * size, count * size * size, size) or len({*saved.names}) != size:
+        raise ValueError("numbers of the states are missing")
+    theirs = [i for i, name in enumerate(saved.names) if name in NAMES]
+    ours = [NAMES.index(saved.names[i]) for i in theirs]
+    mean, covariance = fresh.mean.copy(), fresh.covariance.copy()
+    covariance[:, ours, :] = covariance[:, :, ours] = 0.0
+    mean[:, ours] = np.reshape(saved.mean, (count, size))[:, theirs]
+    own = np.reshape(saved.covariance, (count, size, size))
+    covariance[:, np.array(ours)[:, None], ours] = own[:, np.array(theirs)[:, None], theirs]
+    found = Gaussian(mean, covariance)
+    prior = np.sqrt(np.diagonal(fresh.covariance, axis1=1, axis2=2))[:, LASTING]
+    away = np.abs(mean - fresh.mean)[:, LASTING] / np.maximum(prior, 1e-9)
+    if not (is_possible(found) and away.max() <= MOST_AWAY):
+        raise ValueError("the state of the car is out of range")
+    variance = dict(zip(saved.names, saved.offset_variance, strict=True))
+    offsets = [variance.get(NAMES[i], fresh.offset_variance[k]) for k, i in enumerate(OFFSETS)]
+    if min(offsets) < 0.0:
+        raise ValueError("a variance of the state is negative")
+    return replace(
+        fresh.with_gaussian(found),
+        evidence=saved.evidence,
+        scale=saved.scale,
+        offset_variance=np.array(offsets),
+        bands=saved.bands,
+        drives=saved.drives,
+        intervals=saved.intervals,
+        seconds=saved.seconds,
+        reports=saved.reports,
+        celsius=saved.celsius,
+        known=saved.known,
+    )

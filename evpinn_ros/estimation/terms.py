@@ -1,0 +1,379 @@
+"""The one equation: battery energy of a step of driving, as terms times states.
+
+With the wheel energy of a step over eta, by the states of `estimation.states`,
+
+    t = DRAG rho/2 int u|u| v dt + ROLLING' g ds + MASS (k d(v^2/2) + g dh),
+
+(u: flow of the air, ROLLING' with the cold, the start and the offset of this drive) the battery
+gives
+
+    E = t                              where the prior car drives (its t > 0),
+      = eta mu t + BACK t_prior        where it brakes, eta mu of the prior,
+      + FORCE_SQUARED int f^2 dt + TURNING int (1 + v / 10 m/s) / 2 dt
+      + int v N(v, f) dt               the network (`estimation.network`),
+      + loads dt                       standing, heating and cooling, wandering.
+
+This is eq. 12-21 in the weak form: kinetic and potential energy are exact differences, so a step
+may be of any length and no derivative is needed. It is linear in the states, for which step drives
+and which brakes is decided by the prior car; that was measured to lose nothing. Where the motor's
+torque is reported its energy stands in for t.
+
+Learning, prediction, dropouts, the breakdown, forecasts of plans and the truth of simulated cars
+all use `rows`; `parts` divides the same rows by where the energy goes. Nothing else knows the
+physics.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.arrays import like, namespace, within, zeros
+from evpinn_ros.estimation.network import (
+    orthogonal_network,
+    reference_driving,
+    share_of_terms,
+)
+from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State, prior_of
+from evpinn_ros.signals.interval import Steps
+from evpinn_ros.signals.road import Conditions
+from evpinn_ros.signals.sample import Sample
+from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.physics import GRAVITY
+
+CREEPING = 0.3  # m/s, slower the drivetrain stands
+TURNING_SPEED = 10.0  # m/s, at which the loss by turning is a power of that size
+MOST_FORCE = 4.0  # m/s^2 of force over mass, more is no tyre's
+LEAST_STEP = 0.5  # m, over less the force is not resolved
+MILD_CELSIUS = 20.0  # neither heated nor cooled
+TYRES_WARM, CABIN_WARM = 1200.0, 600.0  # s in which tyres and cabin get their temperature
+CLIMATE = [
+    State.COLD, State.HOT, State.COLD_START, State.HOT_START,
+    State.REPORTED, State.DOUBTED, State.CLIMATE_DRIVE,
+]  # fmt: skip
+STANDING = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
+
+
+class Part(IntEnum):
+    """Index of a part of the energy. All but the last add up to the whole."""
+
+    AIR = 0
+    TYRES = 1
+    SLOPE = 2  # net
+    SPEED = 3  # net: what is in the motion of the car at the end
+    BRAKES = 4  # lost while braking, in brakes and drivetrain
+    DRIVETRAIN = 5  # lost while driving, and by turning
+    CLIMATE = 6
+    STANDING = 7
+    REGAINED = 8  # by braking, at the battery: beside the sum, for it is what was not lost
+
+
+COUNT = len(Part)
+WHOLE = slice(0, Part.REGAINED)  # the parts that add up
+
+
+class Wheels(NamedTuple):
+    """What the wheels of the prior car do in n steps; arrays of shape (n,), numpy or torch.
+
+    Attributes:
+        drag: integral of rho/2 u|u| v dt, J per m^2 of A C_d.
+        rolling: g times the way, J per kg of C_rr m.
+        inertia: kinetic energy gained, J per kg.
+        climb: potential energy gained, J per kg.
+        energy: of the prior car over eta, J; its sign tells driving from braking.
+        driving: 1 where the car drives, 0 where it brakes.
+        gain: battery energy for one of `energy`: 1 where it drives, eta mu where it brakes.
+        speed: mean, m/s.
+        force: of the wheels over the mass, m/s^2.
+    """
+
+    drag: Any
+    rolling: Any
+    inertia: Any
+    climb: Any
+    energy: Any
+    driving: Any
+    gain: Any
+    speed: Any
+    force: Any
+
+    @property
+    def terms(self) -> Any:
+        """The terms of eq. 21 in the order of `states.PHYSICS`, shape (..., n, 4)."""
+        gain, braking = self.gain, 1.0 - self.driving
+        mass = (self.inertia + self.climb) * gain
+        columns = (self.drag * gain, self.rolling * gain, mass, self.energy * braking)
+        return namespace(self.energy).stack(columns, -1)
+
+
+class Warmth(NamedTuple):
+    """Coldness of tyres and cabin, from 1 at the start of a drive to 0."""
+
+    tyres: Any
+    cabin: Any
+
+    @classmethod
+    def after(cls, seconds: Any) -> Warmth:
+        """Coldness so many s after a start."""
+        exp = namespace(seconds).exp
+        return cls(exp(-seconds / TYRES_WARM), exp(-seconds / CABIN_WARM))
+
+
+class Equation:
+    """The equation of one car; see the module's text.
+
+    Attributes:
+        vehicle: the vehicle file.
+        seed: of the network.
+        mean: prior of the states, shape (SIZE,); the terms are linear about it.
+        covariance: of that, shape (SIZE, SIZE).
+        eta: efficiency of the prior, between battery and wheels.
+        back: eta mu of the prior.
+        network: of the car.
+    """
+
+    def __init__(self, vehicle: Vehicle, seed: int = 0) -> None:
+        """Prepare the equation about the prior of a vehicle file; seed: of the network."""
+        self.vehicle, self.seed = vehicle, seed
+        self.mean, self.covariance = prior_of(vehicle)
+        self.eta = vehicle.priors["eta"].value
+        self.back = self.eta * vehicle.priors["mu"].value
+        self._make_orthogonal(seed)
+
+    def _make_orthogonal(self, seed: int) -> None:
+        """Take from network and copper what the terms of eq. 21 explain of them."""
+        driving = reference_driving()
+        speed = driving.speed
+        wheels = self.wheels(
+            duration=np.ones_like(speed),
+            distance=speed,
+            air=speed**3,
+            kinetic=speed * driving.acceleration,
+            climb=speed * driving.slope,
+            density=self.vehicle.air_density,
+        )
+        terms = wheels.terms
+        self.network = orthogonal_network(seed, driving, wheels.force, terms)
+        squared = wheels.force[:, None] ** 2 * (speed > CREEPING)[:, None]
+        self._squared = share_of_terms(driving, terms, squared)[:, 0]
+
+    def wheels(
+        self, duration: Any, distance: Any, air: Any, kinetic: Any, climb: Any, density: Any
+    ) -> Wheels:
+        """Prior car in steps of shape (n,), or of any one shape.
+
+        Args:
+            duration: s.
+            distance: m.
+            air: integral of u|u| v dt, m^3/s^2.
+            kinetic: difference of v^2 / 2, J/kg.
+            climb: difference of height, m.
+            density: of the air, kg/m^3.
+        """
+        way = abs(distance)
+        drag, rolling = 0.5 * density * air, GRAVITY * way
+        inertia, height = self.vehicle.rotating_mass_factor * kinetic, GRAVITY * climb
+        mass = float(self.mean[State.MASS])
+        energy = float(self.mean[State.DRAG]) * drag + float(self.mean[State.ROLLING]) * rolling
+        energy = energy + mass * (inertia + height)
+        driving = (energy > 0.0) * 1.0
+        least = within(way, LEAST_STEP, math.inf)
+        force = within(energy / (mass * least), -MOST_FORCE, MOST_FORCE)
+        gain = driving + (1.0 - driving) * self.back
+        speed = way / duration
+        return Wheels(drag, rolling, inertia, height, energy, driving, gain, speed, force)
+
+    def rows(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
+        """Energy of each step by each state, J per unit, shape (n, SIZE).
+
+        Args:
+            steps: n of them.
+            conditions: of all of them.
+            warmth: of tyres and cabin.
+        """
+        wheels = self.of_steps(steps, conditions)
+        found = self.moving_rows(
+            wheels, steps.duration, coldness(conditions.celsius), warmth.tyres
+        )
+        if steps.motor_known:
+            self._by_motor(found, steps, wheels)
+        self._standing(found, steps.duration, conditions, warmth)
+        return np.asarray(found)
+
+    def moving_rows(self, wheels: Wheels, duration: Any, cold: Any, tyres: Any) -> Any:
+        """Rows of what moves the car, without loads: shape (..., n, SIZE), numpy or torch.
+
+        Args:
+            wheels: of the steps, shape (..., n).
+            duration: s, of the same shape.
+            cold: tens of K below a mild day, a number or of that shape.
+            tyres: coldness of the tyres, likewise.
+        """
+        terms = wheels.terms
+        rows = zeros((*terms.shape[:-1], SIZE), terms)
+        rows[..., : len(PHYSICS)] = terms
+        for state, column in self._columns(wheels, terms, duration, cold, tyres).items():
+            rows[..., state] = column
+        force = self.network.force(wheels.speed, wheels.force)
+        way = wheels.rolling * (1.0 / GRAVITY)
+        rows[..., WEIGHTS] = way[..., None] * force - terms @ like(self.network.explained, terms)
+        return rows
+
+    def moving_sums(self, wheels: Wheels, duration: Any, cold: Any, tyres: Any) -> np.ndarray:
+        """Sums of `moving_rows` over the steps, shape (batch, SIZE), numpy alone.
+
+        The force of the network is left out, not so what the terms of eq. 21 explain of it: it
+        is the most to compute, and who has many trips has a table of it.
+        """
+        terms = wheels.terms
+        rows = np.zeros((len(terms), SIZE))
+        whole = rows[:, : len(PHYSICS)] = terms.sum(-2)
+        for state, column in self._columns(wheels, terms, duration, cold, tyres).items():
+            rows[:, state] = column.sum(-1)
+        rows[:, WEIGHTS] = -whole @ self.network.explained
+        return rows
+
+    def _columns(
+        self, wheels: Wheels, terms: Any, duration: Any, cold: Any, tyres: Any
+    ) -> dict[State, Any]:
+        """States beside those of eq. 21 and the network in `moving_rows`, of the steps' shape."""
+        turns = (wheels.speed > CREEPING) * duration
+        prior = float(self.mean[State.ROLLING]) * terms[..., State.ROLLING]
+        return {
+            State.FORCE_SQUARED: wheels.force**2 * turns - terms @ like(self._squared, terms),
+            State.TURNING: turns * (0.5 + (0.5 / TURNING_SPEED) * wheels.speed),
+            State.ROLLING_COLD: prior * cold,
+            State.ROLLING_START: prior * tyres,
+            State.ROLLING_DRIVE: prior,
+        }
+
+    def parts(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
+        """Energy of all steps together by part and state, J per unit, shape (COUNT, SIZE).
+
+        The rows of `WHOLE` add up to those of `rows`. At the wheels there are air, tyres, slope
+        and speed, each of which gives back what it took; what is lost on the way is the
+        drivetrain's while the car drives and the brakes' while it brakes. ETA divides the same
+        energy between wheels and drivetrain, so the whole does not depend on it.
+        """
+        rows = self.rows(steps, conditions, warmth)
+        wheels = self.of_steps(steps, conditions)
+        found, by_step = np.zeros((COUNT, SIZE)), np.zeros((4, *rows.shape))
+        cold = coldness(conditions.celsius)
+        rolling = float(self.mean[State.ROLLING]) * wheels.rolling
+        by_step[Part.AIR, :, State.DRAG] = wheels.drag
+        by_step[Part.TYRES, :, State.ROLLING] = wheels.rolling
+        by_step[Part.TYRES, :, State.ROLLING_COLD] = rolling * cold
+        by_step[Part.TYRES, :, State.ROLLING_START] = rolling * warmth.tyres
+        by_step[Part.TYRES, :, State.ROLLING_DRIVE] = rolling
+        by_step[Part.SLOPE, :, State.MASS] = wheels.climb
+        by_step[Part.SPEED, :, State.MASS] = wheels.inertia
+        prior = np.zeros(SIZE)
+        prior[PHYSICS[:3]] = self.mean[PHYSICS[:3]]
+        by_step *= self.eta
+        by_step[..., State.ETA] = by_step @ prior / self.eta
+        found[:4] = by_step.sum(1)
+        moving = rows.copy()
+        moving[:, CLIMATE + STANDING] = 0.0
+        lost = moving - by_step.sum(0)
+        braking = 1.0 - wheels.driving
+        found[Part.DRIVETRAIN], found[Part.BRAKES] = wheels.driving @ lost, braking @ lost
+        found[Part.REGAINED] = -(braking @ moving)
+        found[Part.CLIMATE, CLIMATE] = rows[:, CLIMATE].sum(0)
+        found[Part.STANDING, STANDING] = rows[:, STANDING].sum(0)
+        return found
+
+    def motor_rows(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
+        """What the wheels take less what the motor gives, driving and braking, (2, SIZE).
+
+        Each is zero, up to noise: so reported torque measures the wheels, whatever the battery
+        gave. Friction brakes take a share that it does not show.
+        """
+        wheels = self.of_steps(steps, conditions)
+        found = self.moving_rows(
+            wheels, steps.duration, coldness(conditions.celsius), warmth.tyres
+        )
+        by_motor = found.copy()
+        self._by_motor(by_motor, steps, wheels)
+        apart = found - by_motor
+        return np.stack((wheels.driving @ apart, (1.0 - wheels.driving) @ apart))
+
+    def row_of(self, sample: Sample, warmth: Warmth) -> np.ndarray:
+        """Power at a sample by each state, W per unit, shape (SIZE,): the energy of 1 s."""
+        return np.asarray(self.rows(*unit_step(sample), warmth)[0])
+
+    def of_steps(self, steps: Steps, conditions: Conditions) -> Wheels:
+        """Prior car in the steps of an interval."""
+        moved = steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb
+        return self.wheels(*moved, conditions.air_density)
+
+    def _by_motor(self, rows: np.ndarray, steps: Steps, wheels: Wheels) -> None:
+        """Let the motor's energy stand in for what the wheels take."""
+        rows[:, [*PHYSICS, State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]] = 0.0
+        rows[:, State.MOTOR_DRIVE] = steps.motor_drive
+        rows[:, State.MOTOR_BRAKE] = -steps.motor_brake
+        if not steps.motor_scaled:
+            prior = self.mean[[State.MOTOR_DRIVE, State.MOTOR_BRAKE]]
+            rows[:, State.MOTOR_RATIO] = (
+                prior[0] * steps.motor_drive - prior[1] * steps.motor_brake
+            )
+
+    def _standing(
+        self, rows: np.ndarray, duration: np.ndarray, conditions: Conditions, warmth: Warmth
+    ) -> None:
+        """Fill in loads. A car that reports its heating and cooling has these in the report."""
+        for state, power in standing_powers(conditions, warmth).items():
+            rows[:, state] = power * duration
+
+
+def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
+    """Standing power by state, W per unit; what is not among them is zero."""
+    found = dict.fromkeys(STANDING, 1.0)
+    if conditions.load_known:
+        found |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
+        return found
+    return found | climate_powers(conditions.celsius, warmth)
+
+
+def climate_powers(celsius: float | None, warmth: Warmth) -> dict[State, Any]:
+    """Heating and cooling by state, W per unit; an unknown temperature is that of a mild day."""
+    if celsius is None or celsius == MILD_CELSIUS:
+        return {}
+    away = abs(celsius - MILD_CELSIUS)
+    steady, start = State.HOT, State.HOT_START
+    if celsius < MILD_CELSIUS:
+        steady, start = State.COLD, State.COLD_START
+    return {steady: away, start: away * warmth.cabin}
+
+
+def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
+    """A sample as one step of 1 s, so that energy is power."""
+    v = abs(sample.speed)
+    flow = v + sample.head_wind
+    motor = sample.motor_power
+    columns = (
+        1.0,
+        v,
+        flow * abs(flow) * v,
+        sample.speed * sample.acceleration,
+        sample.speed * math.sin(sample.grade),
+        np.maximum(motor, 0.0),
+        np.maximum(-motor, 0.0),
+    )
+    conditions = Conditions(
+        sample.air_density,
+        sample.head_wind,
+        sample.celsius,
+        sample.known_auxiliary,
+        sample.known_auxiliary > 0.0 or sample.doubted_load > 0.0,
+        sample.doubted_load,
+    )
+    arrays = [np.array([column]) for column in columns]
+    return Steps(*arrays)._replace(motor_scaled=sample.motor_scaled), conditions
+
+
+def coldness(celsius: float | None) -> float:
+    """Tens of K below a mild day."""
+    return 0.0 if celsius is None else max(0.0, MILD_CELSIUS - celsius) / 10.0
