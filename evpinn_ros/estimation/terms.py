@@ -370,8 +370,9 @@ def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
         sample.known_auxiliary > 0.0 or sample.doubted_load > 0.0,
         sample.doubted_load,
     )
-    arrays = [np.array([column]) for column in columns]
-    return Steps(*arrays)._replace(motor_scaled=sample.motor_scaled), conditions
+    arrays = (np.array([column]) for column in columns)
+    steps = Steps._make((*arrays, sample.motor_scaled))
+    return steps, conditions
 
 
 def coldness(celsius: float | None) -> float:
