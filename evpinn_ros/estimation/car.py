@@ -32,9 +32,11 @@ from evpinn_ros.estimation.published import Driven
 from evpinn_ros.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.estimation.unevenness import Path, Unevenness
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.physics import GRAVITY
 
+MOST_INTERVALS = 5000  # of one drive that unevenness is learned from, fourteen hours
 # Drives that are compared may have nothing of their offsets in common.
 KEPT_WHEN_COMPARED = 0.0
 
@@ -54,6 +56,8 @@ class LearnedCar:
         number: of this drive.
         payload: changes of payload.
         grade: sign of the reported grade.
+        unevenness: what uneven speed takes beyond even, by the drives that ended.
+        steps: of this drive, to learn that from.
         dropout: what was driven since the battery was last measured.
         end_ns: end of the last interval.
         known_ns: up to where the battery was measured: before `end_ns` in a dropout.
@@ -70,6 +74,8 @@ class LearnedCar:
     number: int = 0
     payload: PayloadDetector = field(default_factory=PayloadDetector)
     grade: GradeDetector = field(default_factory=GradeDetector)
+    unevenness: Unevenness = field(default_factory=Unevenness.none)
+    steps: tuple[Path, ...] = ()
     dropout: Journey = NOWHERE
     end_ns: int = 0
     known_ns: int = 0
@@ -141,11 +147,21 @@ class LearnedCar:
             car,
             state=state,
             driven=self.driven.next_drive(),
+            unevenness=self.uneven(),
+            steps=(),
             rehearsals=Rehearsals(Rehearsal(state)),
             parts=DriveParts.none(),
             ended=ended,
             number=number,
         )
+
+    def uneven(self) -> Unevenness:
+        """What uneven speed takes, by this drive too."""
+        drive = Path(*map(np.concatenate, zip(*self.steps, strict=True))) if self.steps else None
+        if drive is None:
+            return self.unevenness
+        mean = self.state.weights @ self.state.mean
+        return self.unevenness.after(self.equation, mean, drive)
 
     def is_finite(self) -> bool:
         """True if every number is finite."""
@@ -158,6 +174,7 @@ class LearnedCar:
         return replace(
             self,
             dropout=self.dropout.plus(passed(self.equation, interval, seconds).journey),
+            steps=self._steps(interval),
             rehearsals=replace(self.rehearsals, dropouts={}),
             known_ns=interval.start_ns if self.measured else self.known_ns,
             end_ns=interval.end_ns,
@@ -184,9 +201,17 @@ class LearnedCar:
             payload=payload,
             grade=self.grade.after(interval, learned.residual, _weight(state)),
             dropout=NOWHERE,
+            steps=self._steps(interval),
             end_ns=interval.end_ns,
             known_ns=interval.end_ns,
         )
+
+    def _steps(self, interval: Interval) -> tuple[Path, ...]:
+        """Steps of this drive with one more interval; of a very long drive the newest."""
+        steps, one = interval.steps, np.ones(len(interval.steps.duration))
+        moved = steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb
+        path = Path(*moved, interval.conditions.air_density * one, 0.0 * one)
+        return (*self.steps, path)[-MOST_INTERVALS:]
 
     def _after_dropout(self) -> CarState:
         """The state once a dropout is over: time has passed, its energy is in no sum."""

@@ -42,6 +42,11 @@ from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.tail import MAX_STEP, Tail
 from evpinn_ros.estimation.terms import Equation, Warmth
 from evpinn_ros.estimation.trim import MOST_EVIDENCE, Persistence, Trim
+from evpinn_ros.estimation.unevenness import (
+    SavedUnevenness,
+    saved_unevenness,
+    unevenness_of,
+)
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -59,6 +64,7 @@ class SavedPinn:
     """Everything learned of a car; `trim` is its evidence, `seen_ns` the newest stamp."""
 
     car: SavedState
+    unevenness: SavedUnevenness
     driven: Driven
     payload: SavedPayload
     grade: GradeDetector
@@ -172,7 +178,11 @@ class PinnLearner(Saveable[SavedPinn]):
         return self._car.breakdowns()
 
     def model(self) -> CarModel:
-        """The car as forecasts take it."""
+        """The car as forecasts take it; after a restart they are of another drive."""
+        car = self._car
+        if self._last_ns is None and car.state.intervals:
+            car = car.begin_drive()
+            return replace(car.state.model(self._equation), unevenness=car.unevenness)
         return self._model
 
     def evidence(self) -> Evidence:
@@ -205,6 +215,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """State to save."""
         return SavedPinn(
             car=saved_state(self._car.state),
+            unevenness=saved_unevenness(self._car.uneven()),
             driven=self._car.driven,
             payload=self._car.payload.saved(),
             grade=self._car.grade,
@@ -220,6 +231,7 @@ class PinnLearner(Saveable[SavedPinn]):
         car = replace(
             LearnedCar.new(self._equation),
             state=state,
+            unevenness=unevenness_of(saved.unevenness),
             driven=saved.driven,
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=PayloadDetector.of(saved.payload),
@@ -232,7 +244,8 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def _use(self, car: LearnedCar) -> None:
         """Use this car from now on."""
-        self._car, self._model = car, car.state.model(self._equation)
+        model = car.state.model(self._equation)
+        self._car, self._model = car, replace(model, unevenness=car.unevenness)
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         self._powers.clear()
 

@@ -40,6 +40,7 @@ from evpinn_ros.estimation.gaussian import (
 )
 from evpinn_ros.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Equation, Warmth
+from evpinn_ros.estimation.unevenness import Unevenness
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.physics import GRAVITY
 
@@ -121,6 +122,7 @@ class CarModel:
         seconds: of this drive so far.
         celsius: temperature outside, the last known, or None.
         reports: whether the car reports its heating.
+        unevenness: what uneven speed takes beyond even.
     """
 
     equation: Equation
@@ -133,6 +135,7 @@ class CarModel:
     seconds: float
     celsius: float | None
     reports: bool
+    unevenness: Unevenness = field(default_factory=Unevenness.none)
 
     @property
     def weight_over_eta(self) -> float:

@@ -1,0 +1,266 @@
+"""What lies between two points of a plan: the energy that uneven speed takes beyond even speed.
+
+A plan whose points lie a minute or a kilometre apart knows mean speeds. A driver between them
+speeds up and brakes again, turns, waits. The energy of that is again terms times states: the rows
+of the driving (`Equation.moving_rows`) less those of legs at even speed. This difference needs no
+battery, only speed. A car's own drives are cut into legs of many lengths, and the difference per
+metre is learned by mean speed and duration of a leg. Before it has driven, simulated drives stand
+in. It vanishes with the duration of a leg.
+
+Even speed means: from the middle of a leg to the middle of the next, speed goes from the one mean
+to the other; a trip begins and ends standing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Annotated, NamedTuple, TypeAlias
+
+import numpy as np
+
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.estimation.states import NAMES, SIZE
+from evpinn_ros.estimation.terms import Equation
+
+REFERENCE = "config/reference/uneven.csv"
+SPEEDS = np.array([3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 31.0])  # m/s, between classes
+DURATIONS = np.array([10.0, 30.0, 60.0, 200.0, 600.0, 2000.0])  # s, of classes
+SHORTEST = 8.0  # s; a leg that is shorter teaches nothing
+LEG_SECONDS = (10.0, 30.0, 60.0, 200.0, 600.0, 1200.0)  # by which drives are cut to learn
+LEG_METRES = (100.0, 200.0, 500.0, 2000.0, 5000.0)
+JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
+PRIOR_METRES = 300.0  # that the simulated drives count for in each class
+PRIOR_SHARE, PRIOR_ENERGY = 0.35, 1e6  # scatter before any drive; J of unevenness it counts for
+SPREAD_KEPT = 0.97  # of the scatter's sums, from drive to drive
+LEAST_DRIVE = 1000.0  # m of a drive that scatter is judged by
+SHAPE = (len(SPEEDS) + 1, len(DURATIONS))
+Numbers: TypeAlias = tuple[Annotated[float, Range(-1e18, 1e18)], ...]
+
+
+class Path(NamedTuple):
+    """Steps of driving in order, or legs of a plan: arrays of shape (n,).
+
+    Attributes:
+        duration: s.
+        distance: m.
+        air: integral of v^3, m^3/s^2; of a leg not looked at.
+        kinetic: difference of v^2 / 2, J/kg; of a leg not looked at.
+        climb: difference of height, m.
+        density: of the air, kg/m^3.
+        wind: against the car, m/s.
+    """
+
+    duration: np.ndarray
+    distance: np.ndarray
+    air: np.ndarray
+    kinetic: np.ndarray
+    climb: np.ndarray
+    density: np.ndarray
+    wind: np.ndarray
+
+    def legs(self, owner: np.ndarray) -> Path:
+        """Sums of the steps of each leg; owner: number of each step's leg, from 0 on."""
+        count = int(owner[-1]) + 1
+        sums = [np.bincount(owner, column, count) for column in self]
+        steps = np.maximum(np.bincount(owner, minlength=count), 1)
+        kept = sums[0] > 0.0
+        means = (sums[5] / steps, sums[6] / steps)
+        return Path(*(column[kept] for column in (*sums[:5], *means)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unevenness:
+    """What a car's driving has taught; a value.
+
+    Attributes:
+        metres: driven in legs of each class of speed and duration, shape `SHAPE`.
+        rows: sum of the differences by state, J per unit, shape (*SHAPE, SIZE).
+        squares: sum of squared energy by which drives strayed from what was expected, J^2.
+        expected: the same of what was expected.
+    """
+
+    metres: np.ndarray
+    rows: np.ndarray
+    squares: float = PRIOR_SHARE**2 * PRIOR_ENERGY**2
+    expected: float = PRIOR_ENERGY**2
+
+    @classmethod
+    def none(cls) -> Unevenness:
+        """Before any drive."""
+        return cls(np.zeros(SHAPE), np.zeros((*SHAPE, SIZE)))
+
+    @property
+    def share(self) -> float:
+        """1-sigma of a trip's unevenness over what is expected of it."""
+        return float(np.sqrt(self.squares / self.expected))
+
+    def of_legs(self, equation: Equation, legs: Path) -> np.ndarray:
+        """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE)."""
+        table = self.rows + PRIOR_METRES * _prior(equation)
+        table = table / (self.metres + PRIOR_METRES)[..., None]
+        speed, duration = _classes(legs)
+        way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
+        return np.asarray(table[speed, duration] * way[:, None])
+
+    def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
+        """With one more drive.
+
+        Args:
+            equation: of the car.
+            mean: states of the car, shape (SIZE,), by which scatter is judged.
+            drive: its steps.
+        """
+        if not drive.duration.size or not np.abs(drive.distance).sum():
+            return self
+        driven = _moving(equation, drive)
+        found = self._judged(equation, mean, drive, driven)
+        metres, rows = self.metres.copy(), self.rows.copy()
+        _add_drive(metres, rows, equation, drive, driven)
+        return replace(found, metres=metres, rows=rows)
+
+    def _judged(
+        self, equation: Equation, mean: np.ndarray, drive: Path, driven: np.ndarray
+    ) -> Unevenness:
+        """With the scatter of one more drive about what was expected of it."""
+        if np.abs(drive.distance).sum() < LEAST_DRIVE:
+            return self
+        legs = drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES))
+        expected = float(self.of_legs(equation, legs).sum(0) @ mean)
+        found = float((driven.sum(0) - even_rows(equation, legs).sum(0)) @ mean)
+        return replace(
+            self,
+            squares=SPREAD_KEPT * self.squares + (found - expected) ** 2,
+            expected=SPREAD_KEPT * self.expected + expected**2,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SavedUnevenness:
+    """An `Unevenness` with the names of its states."""
+
+    names: tuple[str, ...]
+    metres: Annotated[np.ndarray, Range(0.0, 1e12)]
+    rows: Numbers
+    squares: Annotated[float, Range(0.0, 1e30)]
+    expected: Annotated[float, Range(1.0, 1e30)]
+
+
+def saved_unevenness(found: Unevenness) -> SavedUnevenness:
+    """What to save."""
+    rows = tuple(found.rows.ravel().tolist())
+    return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.expected)
+
+
+def unevenness_of(saved: SavedUnevenness) -> Unevenness:
+    """What was saved; ValueError where numbers are missing."""
+    if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
+        raise ValueError("numbers of the unevenness are missing")
+    rows = np.zeros((*SHAPE, SIZE))
+    theirs = np.reshape(saved.rows, (*SHAPE, len(saved.names)))
+    for index, name in enumerate(saved.names):
+        if name in NAMES:
+            rows[..., NAMES.index(name)] = theirs[..., index]
+    return Unevenness(saved.metres, rows, saved.squares, saved.expected)
+
+
+def _add_drive(
+    metres: np.ndarray, rows: np.ndarray, equation: Equation, drive: Path, driven: np.ndarray
+) -> None:
+    """Add a drive, cut into legs in many ways, to the sums of its classes."""
+    for owner in _cuts(drive):
+        legs = drive.legs(owner)
+        more = _summed(driven, owner, drive.duration) - even_rows(equation, legs)
+        known = legs.duration >= SHORTEST
+        classes = tuple(each[known] for each in _classes(legs))
+        np.add.at(metres, classes, np.abs(legs.distance)[known])
+        np.add.at(rows, classes, more[known])
+
+
+def even_rows(equation: Equation, legs: Path) -> np.ndarray:
+    """Rows of legs at even speed without loads, J per unit, shape (n, SIZE)."""
+    half = Path._make((*(0.5 * column for column in legs[:5]), legs.density, legs.wind))
+    joined = _joined(half, np.abs(legs.distance) / legs.duration)
+    rows = _moving(equation, joined)
+    before, after = half.duration / joined.duration[:-1], half.duration / joined.duration[1:]
+    return np.asarray(rows[:-1] * before[:, None] + rows[1:] * after[:, None])
+
+
+def _joined(half: Path, speed: np.ndarray) -> Path:
+    """Steps from the middle of each leg to that of the next, the first and last from standing."""
+    flow = speed + half.wind
+    air = flow * np.abs(flow) * np.abs(half.distance)
+
+    def both(column: np.ndarray) -> np.ndarray:
+        return np.append(column, 0.0) + np.concatenate(([0.0], column))
+
+    ends = np.concatenate(([0.0], speed, [0.0]))
+    still = np.zeros(len(speed) + 1)
+    return Path(
+        both(half.duration),
+        both(half.distance),
+        both(air),
+        np.diff(ends**2) / 2.0,
+        both(half.climb),
+        np.append(half.density, half.density[-1]),
+        still,
+    )
+
+
+def _moving(equation: Equation, path: Path) -> np.ndarray:
+    """Rows of what moves the car, tyres warm, shape (n, SIZE)."""
+    wheels = equation.wheels(*path[:5], path.density)
+    return np.asarray(equation.moving_rows(wheels, path.duration, 0.0, 0.0))
+
+
+def _cuts(drive: Path) -> list[np.ndarray]:
+    """Numbers of the legs of each step, for each way to cut a drive, and whole."""
+    by_time = [_cut(drive.duration, seconds) for seconds in LEG_SECONDS]
+    by_way = [_cut(np.abs(drive.distance), metres) for metres in LEG_METRES]
+    return [*by_time, *by_way, np.zeros(drive.duration.size, np.int64)]
+
+
+def _cut(along: np.ndarray, size: float) -> np.ndarray:
+    return np.maximum((np.cumsum(along) - 1e-9) // size, 0.0).astype(np.int64)
+
+
+def _summed(rows: np.ndarray, owner: np.ndarray, duration: np.ndarray) -> np.ndarray:
+    """Sums of rows by their owners, of those that last, shape (legs, k)."""
+    count = int(owner[-1]) + 1
+    begins = np.searchsorted(owner, np.arange(count))
+    kept = np.bincount(owner, duration, count) > 0.0
+    return np.asarray(np.add.reduceat(rows, begins[kept], axis=0))
+
+
+def _classes(legs: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Class of speed and of duration of each leg."""
+    speed = np.searchsorted(SPEEDS, np.abs(legs.distance) / legs.duration, side="right")
+    away = np.log(np.maximum(legs.duration, 1.0))[:, None] - np.log(DURATIONS)
+    return speed, np.argmin(np.abs(away), axis=1)
+
+
+@lru_cache(maxsize=8)
+def _prior(equation: Equation) -> np.ndarray:
+    """Rows per metre of simulated drives, shape (*SHAPE, SIZE); zero where they have no leg."""
+    metres, rows = np.zeros(SHAPE), np.zeros((*SHAPE, SIZE))
+    for line in (share_directory() / REFERENCE).read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
+            _add_drive(metres, rows, equation, drive, _moving(equation, drive))
+    return np.asarray(rows / np.maximum(metres, 1.0)[..., None])
+
+
+def _drive_of(speed: np.ndarray, density: float) -> Path:
+    """A drive on a flat road from its speed once a second, m/s."""
+    start, end = speed[:-1], speed[1:]
+    one = np.ones_like(start)
+    return Path(
+        duration=one,
+        distance=(start + end) / 2.0,
+        air=(start + end) * (start**2 + end**2) / 4.0,
+        kinetic=(end**2 - start**2) / 2.0,
+        climb=0.0 * one,
+        density=density * one,
+        wind=0.0 * one,
+    )
