@@ -1,0 +1,97 @@
+"""Plans from files of any kind, told by what is in them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import zlib
+
+from evpinn_ros.bags.can_frames import is_bag
+from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.common.errors import InputError, as_input_error, with_kind
+from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.unpacking import open_gzipped
+from evpinn_ros.drives.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
+from evpinn_ros.energy.plan import Legs, Plan, PlanError
+from evpinn_ros.plans.recorded import driven_plan
+from evpinn_ros.plans.route import legs_of_route
+from evpinn_ros.plans.table import COLUMNS, table_plan
+from evpinn_ros.plans.track import geojson_track, gpx_track, legs_of_track
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+
+MOST_BYTES = 32 << 20  # of JSON or XML, unpacked: 50,000 points with all that watches add
+BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of the encoding too
+BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - {*TEXT_SUFFIXES}  # and logs of other forms than tables
+DAMAGED = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError)
+KNOWN = (
+    "JSON of no known kind: known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and "
+    "openrouteservice"
+)
+
+
+def read_plan(path: str | Path, vehicle: Vehicle | None = None) -> Plan | Legs:
+    """The plan in a file: a table of speed over time or of legs, GPX, GeoJSON, the JSON of a route
+    service, or a recorded drive; docs/reference/inputs.md lists them.
+
+    Args:
+        path: of the file, or of a bag's folder.
+        vehicle: the car whose CAN profile reads a CAN log; None for a car without one.
+
+    Raises:
+        InputError: it cannot be read; `PlanError`: it holds no trip. The text names the file.
+    """
+    path = Path(path)
+    try:
+        return _plan(path, vehicle or load_vehicle("generic"))
+    except InputError as error:
+        text = str(error)
+        named = text if text.startswith(str(path)) else f"{path}: {text}"
+        raise (PlanError if isinstance(error, PlanError) else InputError)(named) from error
+
+
+def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
+    if path.is_dir():
+        return driven_plan(path, vehicle)
+    begin = _content(path, 64).lstrip(BLANK)[:1]
+    if begin in (b"{", b"["):
+        return _json_plan(_whole(path))
+    if begin == b"<":
+        return legs_of_track(gpx_track(_whole(path)))
+    if is_bag(path) or suffix_of(path) in BINARY:
+        return driven_plan(path, vehicle)
+    if (plan := table_plan(path)) is not None:
+        return plan
+    try:
+        return driven_plan(path, vehicle)
+    except PlanError:
+        raise
+    except InputError as error:
+        raise InputError(f"{path}: no plan, which has the {COLUMNS}; and as a drive: {error}") from error
+
+
+def _content(path: Path, size: int) -> bytes:
+    """The first bytes of a file, unpacked where it is gzipped; every plan's file opens here."""
+    opener = open_gzipped if path.suffix.lower() == ".gz" else open_file
+    with as_input_error(path, EOFError, zlib.error), opener(path) as file:
+        return file.read(size)
+
+
+def _whole(path: Path) -> bytes:
+    content = _content(path, MOST_BYTES + 1)
+    if len(content) > MOST_BYTES:
+        raise PlanError(f"more than {MOST_BYTES >> 20} MB of JSON or XML")
+    return content
+
+
+def _json_plan(content: bytes) -> Legs:
+    try:
+        data = json.loads(content)
+        if not isinstance(data, dict):
+            raise PlanError(KNOWN)
+        if (legs := legs_of_route(data)) is not None:
+            return legs
+        if "type" not in data:
+            raise PlanError(KNOWN)
+        return legs_of_track(geojson_track(data))
+    except (*DAMAGED, ValueError) as error:
+        raise PlanError(f"its JSON is damaged: {with_kind(error)}") from error
