@@ -51,9 +51,9 @@ def forecast(
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
 
-    A plan is a file of any kind that planners have, told by what is in it; the reference page on
-    inputs lists them. Of several each is compared with the first: what both share cancels, the mass
-    of the car before all, and of equally long plans (to 1 m) the road.
+    A plan is a file of any kind that planners have, found by what is in it; the page of inputs in
+    the documents lists them. Of several each is compared with the first: what both share cancels,
+    the mass of the car before all, and of equally long plans (to 1 m) the road.
 
     Example: evpinn forecast route.json --vehicle tesla_model_3_lr --state car.json --charge 80
     """

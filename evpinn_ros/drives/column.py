@@ -107,7 +107,7 @@ def is_complete(quantities: set[str]) -> bool:
 
 
 def check_columns(found: Sequence[Column], header: Sequence[str], *, battery: bool = True) -> None:
-    """Refuse a table without what is needed: time, speed and, unless told else, the battery.
+    """Refuse a table without what is needed: time, speed and, if asked for, the battery.
 
     Raises:
         InputError: with the option that would mend it.

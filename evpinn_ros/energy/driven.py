@@ -51,4 +51,5 @@ def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> 
     smooth = gaussian_filter1d(
         np.interp(road, along[first], height[first]), ELEVATION_SMOOTHING / step
     )
-    return np.interp(distance, road, smooth)
+    found: np.ndarray = np.interp(distance, road, smooth)
+    return found

@@ -275,7 +275,9 @@ def legs_of_trip(
         for each in (climb, limit, start_speed, end_speed)
     )
     known = ~np.isnan(climb)
-    legs = Legs(length, duration, np.where(known, climb, 0.0), limit, known, start_speed, end_speed)
+    legs = Legs(
+        length, duration, np.where(known, climb, 0.0), limit, known, start_speed, end_speed
+    )
     total, driven = float(duration.sum()), float(duration[length > 0].sum())
     if total > LONGEST:
         raise PlanError(f"it takes {total / 86_400:.3g} days; the most are {LONGEST / 86_400:g}")

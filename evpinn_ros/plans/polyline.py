@@ -13,8 +13,8 @@ MOST_CHUNKS = 7  # characters of a number: 35 bits, of which places need 29
 def decode_polyline(text: str, scale: float, dimensions: int) -> np.ndarray:
     """Latitude, longitude and, of three dimensions, height of n points; shape (n, dimensions).
 
-    The algorithm is Google's (developers.google.com/maps/documentation/utilities/polylinealgorithm);
-    height as a third number, in hundredths of a metre, is what GraphHopper and openrouteservice add.
+    The algorithm is Google's (developers.google.com/maps/documentation/utilities, "Encoded
+    Polyline Algorithm Format"); GraphHopper and openrouteservice add height, in 0.01 m.
 
     Args:
         text: the polyline.
@@ -36,5 +36,6 @@ def decode_polyline(text: str, scale: float, dimensions: int) -> np.ndarray:
     shifts = 5 * (np.arange(len(codes)) - np.repeat(starts, lengths))
     numbers = np.add.reduceat((codes & 31) << shifts, starts)
     steps = np.where(numbers & 1, ~(numbers >> 1), numbers >> 1)
-    places: np.ndarray = steps.reshape(-1, dimensions).cumsum(axis=0)
-    return places / np.array([scale, scale, 100.0])[:dimensions]
+    places = steps.reshape(-1, dimensions).cumsum(axis=0)
+    found: np.ndarray = places / np.array([scale, scale, 100.0])[:dimensions]
+    return found

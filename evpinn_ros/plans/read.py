@@ -1,10 +1,12 @@
-"""Plans from files of any kind, told by what is in them."""
+"""Plans from files of any kind, which their content shows."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 import zlib
+
+import numpy as np
 
 from evpinn_ros.bags.can_frames import is_bag
 from evpinn_ros.can.logs import LOG_SUFFIXES
@@ -22,7 +24,7 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 MOST_BYTES = 32 << 20  # of JSON or XML, unpacked: 50,000 points with all that watches add
 BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of the encoding too
 BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - {*TEXT_SUFFIXES}  # and logs of other forms than tables
-DAMAGED = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError)
+DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
 KNOWN = (
     "JSON of no known kind: known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and "
     "openrouteservice"
@@ -30,8 +32,10 @@ KNOWN = (
 
 
 def read_plan(path: str | Path, vehicle: Vehicle | None = None) -> Plan | Legs:
-    """The plan in a file: a table of speed over time or of legs, GPX, GeoJSON, the JSON of a route
-    service, or a recorded drive; docs/reference/inputs.md lists them.
+    """The plan in a file of any kind that docs/reference/inputs.md lists.
+
+    A table of speed over time and a recorded drive are points; a table of legs, GPX, GeoJSON and
+    the answer of a route service are legs.
 
     Args:
         path: of the file, or of a bag's folder.
@@ -42,7 +46,8 @@ def read_plan(path: str | Path, vehicle: Vehicle | None = None) -> Plan | Legs:
     """
     path = Path(path)
     try:
-        return _plan(path, vehicle or load_vehicle("generic"))
+        with np.errstate(all="ignore"):  # what is not finite is refused in words
+            return _plan(path, vehicle or load_vehicle("generic"))
     except InputError as error:
         text = str(error)
         named = text if text.startswith(str(path)) else f"{path}: {text}"
@@ -66,7 +71,9 @@ def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
     except PlanError:
         raise
     except InputError as error:
-        raise InputError(f"{path}: no plan, which has the {COLUMNS}; and as a drive: {error}") from error
+        reason = str(error).partition("; say --")[0]
+        text = f"{path}: no plan, which has the {COLUMNS}; as a drive: {reason}"
+        raise InputError(text) from error
 
 
 def _content(path: Path, size: int) -> bytes:
@@ -93,5 +100,7 @@ def _json_plan(content: bytes) -> Legs:
         if "type" not in data:
             raise PlanError(KNOWN)
         return legs_of_track(geojson_track(data))
-    except (*DAMAGED, ValueError) as error:
+    except KeyError as error:
+        raise PlanError(f"its JSON lacks {error}") from error
+    except DAMAGED as error:
         raise PlanError(f"its JSON is damaged: {with_kind(error)}") from error

@@ -20,6 +20,7 @@ from evpinn_ros.signals.readings import (
 )
 from evpinn_ros.vehicle.files import Vehicle
 
+FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
 LEAST_GAP = 60.0  # s between two speeds; what the car did meanwhile is not known
 GAP_STEPS = 10.0  # mean steps that a gap is longer than
 STANDING = 0.5  # m/s: it stood before the gap and after it
@@ -45,19 +46,12 @@ def plan_of_readings(readings: Iterable[Reading]) -> Plan:
     Raises:
         PlanError: too short, or the speed is unknown for a while.
     """
-    rows: dict[type, list[tuple[int, float]]] = {}
+    rows: dict[type, list[tuple[int, float]]] = {kind: [] for kind in FIELDS}
     for reading in readings:
-        match reading:
-            case SpeedReading(stamp_ns=stamp, speed=value):
-                rows.setdefault(SpeedReading, []).append((stamp, value))
-            case AltitudeReading(stamp_ns=stamp, altitude=value):
-                rows.setdefault(AltitudeReading, []).append((stamp, value))
-            case GradeReading(stamp_ns=stamp, grade=value):
-                rows.setdefault(GradeReading, []).append((stamp, value))
-    start = min((stamp for stamp, _ in rows.get(SpeedReading, ())), default=0)
-    speed, altitude, grade = (
-        _series(rows.get(kind, []), start) for kind in (SpeedReading, AltitudeReading, GradeReading)
-    )
+        if (kind := type(reading)) in FIELDS:
+            rows[kind].append((reading.stamp_ns, getattr(reading, FIELDS[kind])))
+    start = min((stamp for stamp, _ in rows[SpeedReading]), default=0)
+    speed, altitude, grade = (_series(rows[kind], start) for kind in FIELDS)
     if len(speed) < 2 or speed[-1, 0] < SHORTEST:
         raise PlanError(f"a drive of less than {SHORTEST:g} s is no plan")
     _refuse_gaps(speed)
@@ -80,8 +74,8 @@ def _refuse_gaps(speed: np.ndarray) -> None:
     if (gaps & moving).any():
         where = int((gaps & moving).argmax())
         raise PlanError(
-            f"its speed is unknown for {steps[where]:.0f} s from {speed[where, 0]:.0f} s on, while "
-            "the car moved"
+            f"its speed is unknown for {steps[where]:.0f} s from {speed[where, 0]:.0f} s on, "
+            "while the car moved"
         )
 
 

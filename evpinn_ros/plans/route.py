@@ -3,7 +3,7 @@
 Formats by their documentation: Valhalla's `route` and `trace_attributes`
 (valhalla.github.io/valhalla/api/turn-by-turn/api-reference, .../map-matching/api-reference), OSRM
 (project-osrm.org/docs, "HTTP API"; `maxspeed` as Mapbox adds it, docs.mapbox.com/api/navigation/
-directions), GraphHopper (github.com/graphhopper/graphhopper, docs/web/api-doc.md) and
+directions), GraphHopper (docs.graphhopper.com, "Routing API"; api-doc in its repository) and
 openrouteservice (giscience.github.io/openrouteservice/api-reference/endpoints/directions).
 
 The finest parts whose duration is known become legs: edges, then steps or maneuvers, then the
@@ -12,7 +12,7 @@ parts between waypoints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 import math
 from typing import Any, NamedTuple, TypeAlias
@@ -28,11 +28,11 @@ Json: TypeAlias = Mapping[str, Any]
 METRES = {"m": 1.0, "km": 1000.0, "mi": 1609.344, "kilometers": 1000.0, "miles": 1609.344}
 FOOT = 0.3048  # m
 NO_HEIGHT = 32768.0  # in Valhalla's elevations
-LIMITS = (1.0, 60.0)  # m/s; 0 and 255 km/h stand for none
+LIMITS = (1.0, 60.0)  # m/s; Valhalla's 0 and 255 km/h stand for none
 OSRM_ROUTES = ("routes", "matchings", "trips")  # of its services route, match and trip
 
 
-class Piece(NamedTuple):
+class RoutePart(NamedTuple):
     """A part of a route: length, m, duration, s, and speed limit, m/s, NaN where unknown."""
 
     length: float
@@ -47,7 +47,7 @@ def legs_of_route(data: Json) -> Legs | None:
         PlanError: the service found no route, or a route that is no trip.
         KeyError, TypeError, ValueError: the answer is damaged.
     """
-    if "trip" in data:
+    if "legs" in (data.get("trip") or ()):
         return _valhalla_route(data["trip"])
     if "edges" in data:
         return _valhalla_edges(data)
@@ -60,17 +60,17 @@ def legs_of_route(data: Json) -> Legs | None:
     if routes and "segments" in routes[0]:
         return _openrouteservice(routes[0], routes[0].get("geometry"), data)
     if routes:
-        return _legs([piece for leg in routes[0]["legs"] for piece in _osrm_pieces(leg)])
+        return _legs([part for leg in routes[0]["legs"] for part in _osrm_parts(leg)])
     if reason := data.get("error") or data.get("message") or data.get("code"):
         text = reason.get("message", reason) if isinstance(reason, Mapping) else reason
         raise PlanError(f"the route service found no route: {text}")
     return None
 
 
-def _legs(pieces: Sequence[Piece], heights: Heights | None = None) -> Legs:
-    if not pieces:
+def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
+    if not parts:
         raise PlanError("its route has no parts")
-    length, duration, limit = np.array(pieces, float).T
+    length, duration, limit = np.array(parts, float).T
     limit = np.where((limit >= LIMITS[0]) & (limit <= LIMITS[1]), limit, np.nan)
     return legs_between(_sums(duration), _sums(length), heights, limit=limit)
 
@@ -87,27 +87,25 @@ def _scaled(parts: Sequence[float] | np.ndarray, total: float) -> np.ndarray:
 
 
 def _valhalla_route(trip: Json) -> Legs:
-    if trip.get("status"):
-        raise PlanError(f"the route service found no route: {trip.get('status_message')}")
-    metres = METRES[trip.get("units", "kilometers")]
-    metres_up = FOOT if trip.get("units") == "miles" else 1.0
-    pieces: list[Piece] = []
+    metres, metres_up = _units(trip)
+    parts: list[RoutePart] = []
     heights: list[np.ndarray] = []
+    end = 0.0
     for leg in trip["legs"]:
-        begin = sum(piece.length for piece in pieces)
-        parts = leg.get("maneuvers") or [leg["summary"]]
-        pieces += [Piece(part["length"] * metres, part["time"]) for part in parts]
+        made = leg.get("maneuvers") or [leg["summary"]]
+        parts += [RoutePart(each["length"] * metres, each["time"]) for each in made]
+        begin, end = end, end + sum(each["length"] for each in made) * metres
         if leg.get("elevation"):
             up = np.array(leg["elevation"], float) * metres_up
             along = begin + np.arange(len(up)) * float(leg["elevation_interval"]) * metres_up
-            heights.append(np.array([np.minimum(along, sum(p.length for p in pieces)), up]))
-    return _legs(pieces, Heights(*np.hstack(heights)) if heights else None)
+            heights.append(np.array([np.minimum(along, end), up]))
+    return _legs(parts, Heights(*np.hstack(heights)) if heights else None)
 
 
 def _valhalla_edges(data: Json) -> Legs:
     """The edges of `trace_attributes`, by the time that the path takes to their ends."""
     edges = data["edges"]
-    metres = METRES[data.get("units", "kilometers")]
+    metres, metres_up = _units(data)
     length = np.array([edge["length"] for edge in edges], float) * metres
     ends = [(edge.get("end_node") or {}).get("elapsed_time") for edge in edges]
     if None in ends:
@@ -116,13 +114,18 @@ def _valhalla_edges(data: Json) -> Legs:
         duration = np.diff(np.array(ends, float), prepend=0.0)
     limit = [_number(edge.get("speed_limit")) * metres / 3600 for edge in edges]
     middle = np.array([_number(edge.get("mean_elevation", NO_HEIGHT)) for edge in edges])
-    middle = np.where(middle == NO_HEIGHT, np.nan, middle)
-    height = middle * (FOOT if data.get("units") == "miles" else 1.0)
-    pieces = [Piece(*each) for each in zip(length, duration, limit, strict=True)]
-    return _legs(pieces, Heights(np.cumsum(length) - length / 2, height))
+    height = np.where(middle == NO_HEIGHT, np.nan, middle * metres_up)
+    parts = [RoutePart(*each) for each in zip(length, duration, limit, strict=True)]
+    return _legs(parts, Heights(np.cumsum(length) - length / 2, height))
 
 
-def _osrm_pieces(leg: Json) -> Iterator[Piece]:
+def _units(answer: Json) -> tuple[float, float]:
+    """Metres in the lengths of an answer of Valhalla, and in its heights."""
+    units = answer.get("units", "kilometers")
+    return METRES[units], FOOT if units == "miles" else 1.0
+
+
+def _osrm_parts(leg: Json) -> Iterator[RoutePart]:
     """Segments of the annotation with the leg's duration, which has that of turns; or steps."""
     given = leg.get("annotation") or {}
     if "distance" in given and ("duration" in given or "speed" in given):
@@ -132,72 +135,59 @@ def _osrm_pieces(leg: Json) -> Iterator[Piece]:
         else:
             duration = length / np.array(given["speed"], float)
         limits = [_maxspeed(each) for each in given.get("maxspeed", [{}] * len(length))]
-        yield from map(Piece, length, _scaled(duration, float(leg["duration"])), limits)
+        yield from map(RoutePart, length, _scaled(duration, float(leg["duration"])), limits)
     else:
         for part in leg.get("steps") or [leg]:
-            yield Piece(part["distance"], part["duration"])
+            yield RoutePart(part["distance"], part["duration"])
 
 
 def _maxspeed(given: Json) -> float:
     """Speed limit by Mapbox' `maxspeed`, m/s; it is in km/h or mph, or unknown or none."""
-    return _number(given.get("speed")) * METRES["mi" if given.get("unit") == "mph" else "km"] / 3600
+    metres = METRES["mi" if given.get("unit") == "mph" else "km"]
+    return _number(given.get("speed")) * metres / 3600
 
 
 def _graphhopper(path: Json) -> Legs:
     """Intervals of `details`, whose ends are points of the line; else instructions."""
     total, details = float(path["distance"]), path.get("details") or {}
     line = _line(path.get("points"), total, path.get("points_encoded_multiplier", 1e5))
-    whole = [{"interval": (0, -1), "distance": total, "time": path["time"]}]
-    if line and "time" in details:
-        rows = [(begin, end, _between(line, begin, end), time)
-                for begin, end, time in details["time"]]  # fmt: skip
-    elif line and "average_speed" in details:
-        rows = [(begin, end, _between(line, begin, end), _between(line, begin, end) / speed)
-                for begin, end, speed in details["average_speed"]]  # fmt: skip
+    timed = next((name for name in ("time", "average_speed") if name in details), "")
+    if line and timed:
+        rows = [(begin, end, line.along[end] - line.along[begin], value)
+                for begin, end, value in details[timed]]  # fmt: skip
     else:
-        parts = path.get("instructions") or whole
-        rows = [(*part["interval"], part["distance"], part["time"]) for part in parts]
-    seconds = _scaled([time for *_, time in rows], path["time"] / 1000)
-    limit = _limits(details.get("max_speed") or [], line)
-    pieces = [
-        Piece(length, time, limit(begin, end))
-        for (begin, end, length, _), time in zip(rows, seconds, strict=True)
-    ]
-    return _legs(pieces, line)
+        whole = {"interval": (0, None), "distance": total, "time": path["time"]}
+        made = path.get("instructions") or [whole]
+        rows = [(*each["interval"], each["distance"], each["time"]) for each in made]
+    lengths, values = np.array([row[2:] for row in rows], float).T
+    by_speed = line and timed == "average_speed"
+    seconds = _scaled(lengths / values if by_speed else values, path["time"] / 1000)
+    limits = _limits(details.get("max_speed") or [], line, [row[:2] for row in rows])
+    return _legs([*map(RoutePart, lengths, seconds, limits)], line)
 
 
-def _between(line: Heights, begin: int, end: int) -> float:
-    """Length from one point of a line to another, m."""
-    return float(line.along[end] - line.along[begin])
-
-
-def _limits(intervals: Sequence[Any], line: Heights | None) -> Callable[[int, int], float]:
-    """Mean speed limit, m/s, from one point of a line to another; NaN where one is not known."""
-    if line is None:
-        return lambda begin, end: math.nan
-    limits = np.full(len(line.along) - 1, np.nan)
-    for begin, end, value in intervals:
+def _limits(given: Any, line: Heights | None, asked: Iterable[Any]) -> Iterator[float]:
+    """Mean speed limit, m/s, between the points of each interval asked for; NaN where unknown."""
+    steps = np.diff(line.along) if line else np.empty(0)
+    limits = np.full(len(steps), np.nan)
+    for begin, end, value in given:
         limits[begin:end] = _number(value) / 3.6
-    steps = np.diff(line.along)
-
-    def mean(begin: int, end: int) -> float:
-        part = slice(begin, end)
-        length = float(steps[part].sum())
-        return float((limits[part] * steps[part]).sum()) / length if length > 0 else math.nan
-
-    return mean
+    for begin, end in asked:
+        length = float(steps[begin:end].sum())
+        spent = float((limits[begin:end] * steps[begin:end]).sum())
+        yield spent / length if length > 0 else math.nan
 
 
 def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
     """The steps of the segments, or the segments of an answer without instructions."""
     query = (data.get("metadata") or {}).get("query") or {}
     metres = METRES[query.get("units", "m")]
-    pieces: list[Piece] = []
+    parts: list[RoutePart] = []
     for segment in route["segments"]:
-        parts = segment.get("steps") or [segment]
-        lengths = _scaled([part["distance"] for part in parts], segment["distance"] * metres)
-        pieces += map(Piece, lengths, [part["duration"] for part in parts])
-    return _legs(pieces, _line(geometry, sum(piece.length for piece in pieces), 1e5))
+        made = segment.get("steps") or [segment]
+        lengths = _scaled([each["distance"] for each in made], segment["distance"] * metres)
+        parts += map(RoutePart, lengths, [each["duration"] for each in made])
+    return _legs(parts, _line(geometry, sum(part.length for part in parts), 1e5))
 
 
 def _line(line: Any, total: float, scale: float) -> Heights | None:

@@ -29,7 +29,7 @@ from evpinn_ros.energy.plan import (
 COLUMNS = "columns t_s and speed_mps, or those of legs, length_m and duration_s or speed_kmh"
 FEW = 8  # names that an error lists
 NEEDED, OPTIONAL = ("t_s", "speed_mps"), ("distance_m", "elevation_m")
-BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # a drive has one of them, a plan neither
+BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast has a distance too
 LEG_COLUMNS = {  # by what they hold: words before the unit, and a quantity of the same units
     "length": (("length", "distance"), "odometer"),
     "duration": (("duration", "travel time"), "time"),
@@ -47,8 +47,10 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
     Raises:
         InputError: columns are missing, or hold what is no number; `PlanError`: no trip.
     """
-    if is_speed_over_time([*given]):
-        found = {name: _numbers(name, given[name]) for name in (*NEEDED, *OPTIONAL) if name in given}
+    if {*NEEDED} <= {*given}:
+        found = {
+            name: _numbers(name, given[name]) for name in (*NEEDED, *OPTIONAL) if name in given
+        }
         time, speed = found["t_s"], found["speed_mps"]
         height = found.get("elevation_m")
         return plan_from_speed_profile(time, found.get("distance_m"), speed, height)
@@ -69,7 +71,9 @@ def table_plan(path: Path) -> Plan | Legs | None:
     """
     table = TextTable(path)
     head = find_head(table)
-    if not is_speed_over_time(head.names) and not leg_columns(head.names):
+    names = {*head.names}
+    recorded = "distance_m" not in names and any(columns <= names for columns in BATTERY)
+    if recorded or not ({*NEEDED} <= names or leg_columns(head.names)):
         return None
     rows = [*islice(data_rows(table, head), MAX_POINTS + 1)]
     cells = {
@@ -85,12 +89,6 @@ class Cells(NamedTuple):
 
     cells: list[str]
     style: Style
-
-
-def is_speed_over_time(names: Sequence[str]) -> bool:
-    """True for the columns of a plan; those of a recorded drive have a battery's beside them."""
-    drive = "distance_m" not in names and any(columns <= {*names} for columns in BATTERY)
-    return {*NEEDED} <= {*names} and not drive
 
 
 def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
@@ -114,7 +112,9 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     if timed or len(found.keys() & {"length", "duration", "speed"}) < 2:
         return {}
     if bare:
-        raise PlanError(f"the column {bare!r} does not say its unit, as length_km and limit_kmh do")
+        raise PlanError(
+            f"the column {bare!r} does not say its unit, as length_km and limit_kmh do"
+        )
     return found
 
 
@@ -129,7 +129,9 @@ def _legs(given: Mapping[str, np.ndarray]) -> Legs:
         length = np.where(np.isnan(length), speed * duration, length)
         apart = np.abs(np.log(length / (speed * duration))) > math.log(UNITS_APART)
     if (wrong := apart & (length > LEAST_LENGTH)).any():
-        raise PlanError(f"length, duration and speed contradict each other at leg {wrong.argmax()}")
+        raise PlanError(
+            f"length, duration and speed contradict each other at leg {wrong.argmax()}"
+        )
     if "end" in given:
         end = given["end"]
         start = given.get("start", np.concatenate(([np.nan], end[:-1])))

@@ -24,12 +24,12 @@ MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
 TIMES, SPEEDS = ("coordTimes", "times"), ("speeds",)
 POINTS, DETAILS = ("trkpt", "rtept"), ("ele", "time", "speed")
 NEITHER = (
-    "its points have neither times nor speeds: export it with times, or give the route as the JSON "
-    "of its service or as a table of legs"
+    "its points have neither times nor speeds: export it with times, or give the route as the "
+    "JSON of its service or as a table of legs"
 )
 
 
-class Track(NamedTuple):
+class GeoTrack(NamedTuple):
     """Points of a track.
 
     Attributes:
@@ -43,7 +43,7 @@ class Track(NamedTuple):
     speed: np.ndarray
 
 
-def legs_of_track(track: Track) -> Legs:
+def legs_of_track(track: GeoTrack) -> Legs:
     """Legs from each point that has a time to the next; by the speeds where no point has.
 
     Raises:
@@ -68,7 +68,7 @@ def legs_of_track(track: Track) -> Legs:
     return legs_between(elapsed, along, Heights(along, place[:, 2]), speed=speed)
 
 
-def gpx_track(content: bytes) -> Track:
+def gpx_track(content: bytes) -> GeoTrack:
     """The points of a GPX file: of its tracks, or of its routes where no track has times.
 
     Raises:
@@ -125,16 +125,16 @@ def _local(tag: str) -> str:
     return tag.rpartition("}")[2]
 
 
-def _gpx_points(points: Sequence[Mapping[str, str]]) -> Track:
+def _gpx_points(points: Sequence[Mapping[str, str]]) -> GeoTrack:
     def numbers(name: str) -> np.ndarray:
         return np.array([point.get(name, "nan") for point in points], float)
 
     places = [[point["lon"], point["lat"], point.get("ele", "nan")] for point in points]
     time = _seconds([point.get("time") for point in points])
-    return Track(np.array(places, float).reshape(-1, 3), time, numbers("speed"))
+    return GeoTrack(np.array(places, float).reshape(-1, 3), time, numbers("speed"))
 
 
-def geojson_track(data: Mapping[str, Any]) -> Track:
+def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
     """The points of all lines of a GeoJSON object, in order.
 
     Raises:
@@ -151,7 +151,7 @@ def geojson_track(data: Mapping[str, Any]) -> Track:
                 raise PlanError(f"{len(values)} {names[-1]} for {len(line)} points of a line")
             found += values
     place = np.array(places, float).reshape(-1, 3)
-    return Track(place, _seconds(times), np.array(speeds, float))
+    return GeoTrack(place, _seconds(times), np.array(speeds, float))
 
 
 def _lines(data: Mapping[str, Any]) -> Iterator[tuple[Sequence[Any], Mapping[str, Any]]]:

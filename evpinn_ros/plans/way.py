@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.energy.driven import road_height
-from evpinn_ros.energy.plan import Legs, PlanError, legs_of_trip
+from evpinn_ros.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip
 
+FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
 EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
 
 
@@ -27,7 +28,7 @@ class Heights(NamedTuple):
         known = np.isfinite(self.height)
         if known.sum() < 2:
             return None
-        along = self.along[known]
+        along = np.clip(self.along[known], 0.0, FARTHEST)
         middle = (distance[1:] + distance[:-1]) / 2
         climb = np.diff(road_height(along, self.height[known], distance))
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
@@ -54,8 +55,8 @@ def legs_between(
         PlanError: the points are no trip.
     """
     steps = np.diff(time)
-    if not (np.isfinite(time).all() and np.isfinite(distance).all()):
-        raise PlanError("a time or a distance is not finite")
+    if not (np.isfinite(time).all() and (np.abs(distance) <= FARTHEST).all()):
+        raise PlanError(f"a time is not finite, or a distance is above {FARTHEST / 1e3:g} km")
     if (steps < 0).any():
         raise PlanError(f"time goes back at point {int(np.argmax(steps < 0)) + 1}")
     kept = np.flatnonzero(np.concatenate(([True], steps > 0)))

@@ -73,8 +73,9 @@ def valhalla_edges(timed: bool = True) -> dict:
     edges, elapsed = [], 0.0
     for i, (length, time, limit) in enumerate(zip(LENGTHS, DURATIONS, LIMITS, strict=True)):
         elapsed += time
-        edge = {"length": length / 1000, "speed": 3.6 * length / time, "speed_limit": limit,
-                "mean_elevation": 32768 if i == 3 else (HEIGHTS[i] + HEIGHTS[i + 1]) / 2}  # fmt: skip
+        mean = 32768 if i == 3 else (HEIGHTS[i] + HEIGHTS[i + 1]) / 2
+        edge = {"length": length / 1000, "speed": 3.6 * length / time}
+        edge |= {"speed_limit": limit, "mean_elevation": mean}
         edges.append(edge | ({"end_node": {"elapsed_time": elapsed}} if timed else {}))
     return {"units": "kilometers", "shape": "", "edges": edges}
 
@@ -130,7 +131,12 @@ def graphhopper(details: Sequence[str] = (), encode: bool = True, up: bool = Tru
 def openrouteservice(form: str = "json", units: str = "m", steps: bool = True) -> dict:
     unit = {"m": 1.0, "km": 1000.0, "mi": 1609.344}[units]
     made = [
-        {"distance": length / unit, "duration": time, "type": 1, "way_points": [20 * i, 20 * i + 20]}
+        {
+            "distance": length / unit,
+            "duration": time,
+            "type": 1,
+            "way_points": [20 * i, 20 * i + 20],
+        }
         for i, (length, time) in enumerate(zip(LENGTHS, DURATIONS, strict=True))
     ]
     made.append({"distance": 0.0, "duration": 0.0, "type": 10, "way_points": [80, 80]})
