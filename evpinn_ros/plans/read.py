@@ -21,7 +21,8 @@ from evpinn_ros.plans.table import COLUMNS, table_plan
 from evpinn_ros.plans.track import geojson_track, gpx_track, legs_of_track
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
-MOST_BYTES = 32 << 20  # of JSON or XML, unpacked: 50,000 points with all that watches add
+MOST_XML = 32 << 20  # bytes, unpacked: 50,000 points with all that watches add
+MOST_JSON = 16 << 20  # bytes; as objects of Python they take thirty times as much
 BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of the encoding too
 BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - {*TEXT_SUFFIXES}  # and logs of other forms than tables
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
@@ -58,10 +59,10 @@ def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
     if path.is_dir():
         return driven_plan(path, vehicle)
     begin = _content(path, 64).lstrip(BLANK)[:1]
-    if begin in (b"{", b"["):
-        return _json_plan(_whole(path))
+    if begin == b"{":
+        return _json_plan(_whole(path, MOST_JSON))
     if begin == b"<":
-        return legs_of_track(gpx_track(_whole(path)))
+        return legs_of_track(gpx_track(_whole(path, MOST_XML)))
     if is_bag(path) or suffix_of(path) in BINARY:
         return driven_plan(path, vehicle)
     if (plan := table_plan(path)) is not None:
@@ -83,18 +84,16 @@ def _content(path: Path, size: int) -> bytes:
         return file.read(size)
 
 
-def _whole(path: Path) -> bytes:
-    content = _content(path, MOST_BYTES + 1)
-    if len(content) > MOST_BYTES:
-        raise PlanError(f"more than {MOST_BYTES >> 20} MB of JSON or XML")
+def _whole(path: Path, most: int) -> bytes:
+    content = _content(path, most + 1)
+    if len(content) > most:
+        raise PlanError(f"more than {most} bytes, which no plan needs")
     return content
 
 
 def _json_plan(content: bytes) -> Legs:
     try:
         data = json.loads(content)
-        if not isinstance(data, dict):
-            raise PlanError(KNOWN)
         if (legs := legs_of_route(data)) is not None:
             return legs
         if "type" not in data:

@@ -133,7 +133,8 @@ def test_a_pipe_is_refused_and_a_file_that_is_too_large(tmp_path, monkeypatch):
         read_plan(tmp_path / "pipe")
     with pytest.raises(InputError, match="No such file"):
         read_plan(tmp_path / "none.gpx")
-    monkeypatch.setattr(reader, "MOST_BYTES", 300)
-    (tmp_path / "long.gpx").write_text(gpx())
-    with pytest.raises(PlanError, match="of JSON or XML"):
-        read_plan(tmp_path / "long.gpx")
+    for name, content in (("MOST_XML", gpx()), ("MOST_JSON", json.dumps(samples.osrm()))):
+        monkeypatch.setattr(reader, name, 300)
+        (tmp_path / "long").write_text(content)
+        with pytest.raises(PlanError, match="more than 300 bytes"):
+            read_plan(tmp_path / "long")
