@@ -72,7 +72,7 @@ def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
     except PlanError:
         raise
     except InputError as error:
-        reason = str(error).partition("; say --")[0]
+        reason = str(error).removeprefix(f"{path}: ").partition("; say --")[0]
         text = f"{path}: no plan, which has the {COLUMNS}; as a drive: {reason}"
         raise InputError(text) from error
 

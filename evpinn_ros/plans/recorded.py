@@ -9,8 +9,9 @@ import numpy as np
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.energy.driven import drive_plan, travelled
+from evpinn_ros.energy.driven import PLAN_STEP, drive_plan, travelled
 from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.plans.way import plausible_heights
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -21,9 +22,10 @@ from evpinn_ros.signals.readings import (
 from evpinn_ros.vehicle.files import Vehicle
 
 FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
-LEAST_GAP = 60.0  # s between two speeds; what the car did meanwhile is not known
-GAP_STEPS = 10.0  # mean steps that a gap is longer than
-STANDING = 0.5  # m/s: it stood before the gap and after it
+LEAST_GAP = 60.0  # s between two speeds
+GAP_STEPS = 10.0  # mean steps, which a gap exceeds as well: some plans have few rows
+LONG_GAP = 600.0  # s, after which the log is of another drive
+STANDING = 0.5  # m/s before a gap and after it
 SHORTEST = 2.0  # s
 
 
@@ -34,17 +36,22 @@ def driven_plan(path: Path, vehicle: Vehicle) -> Plan:
         InputError: it cannot be read; `PlanError`: it is no trip.
     """
     source = open_source(path, vehicle, battery=False)
-    plan = plan_of_readings(source.readings())
+    readings = [reading for reading in source.readings() if type(reading) in FIELDS]
     if source.problem:
         raise InputError(source.problem)
-    return plan
+    if (late := source.dropped["time_not_increasing"]) > len(readings):
+        raise PlanError(f"the times of {late} readings of it do not rise, so they are no times")
+    return plan_of_readings(readings)
 
 
 def plan_of_readings(readings: Iterable[Reading]) -> Plan:
     """The plan of a drive's speeds, and of its altitudes or, where there is none, its grades.
 
+    What was not recorded is not in the plan, as in a replay: after the pauses of a log it goes on
+    at once.
+
     Raises:
-        PlanError: too short, or the speed is unknown for a while.
+        PlanError: too short.
     """
     rows: dict[type, list[tuple[int, float]]] = {kind: [] for kind in FIELDS}
     for reading in readings:
@@ -54,9 +61,15 @@ def plan_of_readings(readings: Iterable[Reading]) -> Plan:
     speed, altitude, grade = (_series(rows[kind], start) for kind in FIELDS)
     if len(speed) < 2 or speed[-1, 0] < SHORTEST:
         raise PlanError(f"a drive of less than {SHORTEST:g} s is no plan")
-    _refuse_gaps(speed)
-    if not len(altitude) and len(grade):
-        altitude = np.column_stack((speed[:, 0], _height(speed, grade)))
+    time = _driven(speed)
+    for series in (altitude, grade, speed):
+        series[:, 0] = np.interp(series[:, 0], speed[:, 0], time)
+    if len(altitude):
+        along = np.interp(altitude[:, 0], time, travelled(time, speed[:, 1]))
+        altitude[:, 1] = plausible_heights(along, altitude[:, 1])
+    elif len(grade):
+        slope = np.sin(np.interp(time, *grade.T))
+        altitude = np.column_stack((time, travelled(time, speed[:, 1] * slope)))
     return drive_plan(speed, altitude)
 
 
@@ -67,19 +80,13 @@ def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
     return np.array(seconds, float).reshape(-1, 2)
 
 
-def _refuse_gaps(speed: np.ndarray) -> None:
+def _driven(speed: np.ndarray) -> np.ndarray:
+    """Times since the first speed, s, shape (n,), without the gaps in which the drive is unknown.
+
+    Speed is a straight line over short gaps, and over those of up to `LONG_GAP` at a standstill.
+    """
     steps = np.diff(speed[:, 0])
-    gaps = steps > max(LEAST_GAP, GAP_STEPS * float(steps.mean()))
+    gap = steps > max(LEAST_GAP, GAP_STEPS * float(np.minimum(steps, LONG_GAP).mean()))
     moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING
-    if (gaps & moving).any():
-        where = int((gaps & moving).argmax())
-        raise PlanError(
-            f"its speed is unknown for {steps[where]:.0f} s from {speed[where, 0]:.0f} s on, "
-            "while the car moved"
-        )
-
-
-def _height(speed: np.ndarray, grade: np.ndarray) -> np.ndarray:
-    """Height, m, at the times of the speeds, shape (n,), as the slopes, rad, make it."""
-    slope = np.sin(np.interp(speed[:, 0], *grade.T))
-    return travelled(speed[:, 0], speed[:, 1] * slope)
+    left_out = gap & (moving | (steps > LONG_GAP))
+    return np.concatenate(([0.0], np.cumsum(np.where(left_out, PLAN_STEP, steps))))

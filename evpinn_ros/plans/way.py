@@ -8,6 +8,7 @@ import numpy as np
 
 from evpinn_ros.energy.driven import road_height
 from evpinn_ros.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip
+from evpinn_ros.signals.height import AltitudeCheck
 
 FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
 EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
@@ -30,8 +31,23 @@ class Heights(NamedTuple):
             return None
         along = np.clip(self.along[known], 0.0, FARTHEST)
         middle = (distance[1:] + distance[:-1]) / 2
-        climb = np.diff(road_height(along, self.height[known], distance))
+        height = plausible_heights(along, self.height[known])
+        climb = np.diff(road_height(along, height, distance))
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
+
+
+def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Heights, m, shape (m,), without leaps, as the estimator takes altitudes.
+
+    Args:
+        along: m, not falling, shape (m,).
+        height: measured or of a map, m, shape (m,).
+    """
+    check = AltitudeCheck()
+    rises = (check.rise(*each) for each in zip(along.tolist(), height.tolist(), strict=True))
+    risen = np.cumsum([0.0 if rise is None else rise.height for rise in rises])
+    found: np.ndarray = height[0] + risen
+    return found
 
 
 def legs_between(

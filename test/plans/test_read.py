@@ -14,7 +14,7 @@ from evpinn_ros.energy.plan import Legs, Plan, PlanError
 from evpinn_ros.plans import read as reader
 from evpinn_ros.plans import read_plan
 from evpinn_ros.plans.recorded import plan_of_readings
-from evpinn_ros.signals.readings import GradeReading, SpeedReading
+from evpinn_ros.signals.readings import AltitudeReading, GradeReading, SpeedReading
 from test.conftest import ROOT
 from test.plans import samples
 from test.plans.test_table import LEGS, SPEEDS
@@ -93,14 +93,51 @@ def readings_of(rows):
     return [SpeedReading(int(t * 1e9), v) for t, v in rows]
 
 
-def test_a_gap_while_the_car_moved_is_no_plan_and_one_while_it_stood_is_a_stop():
-    moving = [(t, 15.0) for t in range(100)] + [(t, 15.0) for t in range(700, 800)]
-    with pytest.raises(PlanError, match="unknown for 601 s from 99 s on"):
-        plan_of_readings(readings_of(moving))
+def test_a_gap_while_the_car_moved_is_left_out_and_one_while_it_stood_is_a_stop():
+    moving = [(t, 15.0) for t in range(100)] + [(t, 15.0) for t in range(400, 500)]
+    plan = plan_of_readings(readings_of(moving))
+    assert plan.time[-1] == pytest.approx(199, abs=1.1)
+    assert plan.distance[-1] == pytest.approx(15.0 * 199, rel=0.01)
     parked = [(t, min(t, 99 - t, 15.0)) for t in range(100)]
-    plan = plan_of_readings(readings_of([*parked, *((t + 700, v) for t, v in parked)]))
-    assert plan.time[-1] == pytest.approx(799, abs=1.1)
-    assert plan.distance[650] == plan.distance[120]
+    plan = plan_of_readings(readings_of([*parked, *((t + 400, v) for t, v in parked)]))
+    assert plan.time[-1] == pytest.approx(499, abs=1.1)
+    assert plan.distance[350] == plan.distance[120]
+
+
+def test_the_drives_of_a_day_follow_each_other_without_the_hours_between():
+    day = [(t, 15.0) for t in range(100)] + [(t + 30_000, 10.0) for t in range(100)]
+    heights = [AltitudeReading(int(t * 1e9), 500 + t % 30_000 / 10) for t, _ in day]
+    plan = plan_of_readings([*readings_of(day), *heights])
+    assert plan.time[-1] == pytest.approx(199, abs=1.1)
+    assert plan.distance[-1] == pytest.approx(15.0 * 99 + 10.0 * 99, rel=0.02)
+    assert plan.elevation[90] == pytest.approx(509.0, abs=1.0)
+    assert plan.elevation[190] == pytest.approx(509.0, abs=1.0)
+
+
+def test_few_rows_of_a_plan_are_no_gaps(read):
+    plan = read("time_s,Speed (km/h)\n0,0\n15,72\n400,72\n420,0\n", "plan.csv")
+    assert plan.time[-1] == pytest.approx(420, abs=1.1)
+    assert plan.distance[-1] == pytest.approx(8050.0, rel=0.001)
+
+
+def test_an_altitude_that_leaps_adds_no_hill(read):
+    """A phone without a fix logs 0, then 500 m."""
+    rows = "".join(f"{t},20,{0 if t < 50 else 500 + t / 10}\n" for t in range(200))
+    plan = read("t_s,speed_mps,elevation_m,power_w\n" + rows.replace("\n", ",900\n"), "log.csv")
+    assert np.ptp(plan.elevation) == pytest.approx(15.0, abs=1.0)
+
+
+def test_a_cycle_as_vehicle_simulators_have_it_is_a_plan(read):
+    """The columns of FASTSim's cycles."""
+    rows = "".join(f"{t},{min(t, 20, 60 - t)},0,0\n" for t in range(61))
+    plan = read("cycSecs,cycMps,cycGrade,cycRoadType\n" + rows, "cycle.csv")
+    assert plan.speed.max() == 20.0 and plan.distance[-1] == pytest.approx(800.0, abs=2.0)
+
+
+def test_times_that_do_not_rise_are_no_times(read):
+    rows = "".join(f"2024-05-01 10:00:{i // 20:02d},9.9,{i}\n" for i in range(400))
+    with pytest.raises(PlanError, match="do not rise, so they are no times"):
+        read("Time,Speed (km/h),n\n" + rows, "log.csv")
 
 
 def test_readings_out_of_order_and_without_a_number_are_no_harm():
