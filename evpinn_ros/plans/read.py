@@ -80,7 +80,7 @@ def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
 def _content(path: Path, size: int) -> bytes:
     """The first bytes of a file, unpacked where it is gzipped; every plan's file opens here."""
     opener = open_gzipped if path.suffix.lower() == ".gz" else open_file
-    with as_input_error(path, EOFError, zlib.error), opener(path) as file:
+    with as_input_error(path, EOFError, ValueError, zlib.error), opener(path) as file:
         return file.read(size)
 
 

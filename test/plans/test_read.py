@@ -170,6 +170,8 @@ def test_a_pipe_is_refused_and_a_file_that_is_too_large(tmp_path, monkeypatch):
         read_plan(tmp_path / "pipe")
     with pytest.raises(InputError, match="No such file"):
         read_plan(tmp_path / "none.gpx")
+    with pytest.raises(InputError, match="null"):
+        read_plan("a\0b")
     for name, content in (("MOST_XML", gpx()), ("MOST_JSON", json.dumps(samples.osrm()))):
         monkeypatch.setattr(reader, name, 300)
         (tmp_path / "long").write_text(content)
