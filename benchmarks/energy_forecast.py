@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.battery_end import BatteryBenchmark, BatteryRow
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.energy.driven import drive_plan
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
 from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.power_model import PowerModel, combined_model
@@ -21,7 +22,6 @@ from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import Clock, InlineWorker
-from evpinn_ros.replays.forecasts import drive_plan
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,

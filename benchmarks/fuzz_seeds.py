@@ -106,6 +106,37 @@ def csv_drive() -> list[bytes]:
     return ["\n".join((columns, *rows)).encode()]
 
 
+def plan_files() -> list[bytes]:
+    """A track, and an answer of each route service; their content tells them apart."""
+    point = '<trkpt lat="48.%d" lon="11"><ele>5</ele><time>2024-05-01T10:%d:00Z</time></trkpt>'
+    track = "".join(point % (i, i) for i in range(10, 30))
+    part = {"distance": 900, "duration": 60, "length": 0.9, "time": 60, "interval": [0, 1]}
+    line = {"distance": 2224, "time": 2e5, "points": "__~cH_mcbAg^o}@?gEo}@?gE"}
+    details = {"time": [[0, 1, 9e4], [1, 2, 9e4]], "max_speed": [[0, 1, 50], [1, 2, None]]}
+    place = {"type": "LineString", "coordinates": [[11, 48, 5], [11, 48.1, 9]]}
+    annotation = {"distance": [5, 9], "duration": [1, 1], "maxspeed": [{"speed": 50}, {}]}
+    answers: list[Any] = [
+        {
+            "trip": {
+                "legs": [{"maneuvers": [part], "elevation": [1, 2], "elevation_interval": 900}]
+            }
+        },
+        {"edges": [{**part, "mean_elevation": 7, "end_node": {"elapsed_time": 60}}]},
+        {"routes": [{"legs": [{**part, "steps": [part]}, {**part, "annotation": annotation}]}]},
+        {"paths": [{**line, "details": details, "instructions": [part]}]},
+        {"routes": [{"segments": [{**part, "steps": [part]}], "geometry": line["points"]}]},
+        {"type": "Feature", "properties": {"times": [0, 900]}, "geometry": place},
+    ]
+    texts = (json.dumps(answer) for answer in answers)
+    return [each.encode() for each in (f"<gpx><trk>{track}</trk></gpx>", *texts)]
+
+
+def plan_tables() -> list[bytes]:
+    """Speed over time, and legs."""
+    speeds = b"t_s,speed_mps,elevation_m\n0,0,5\n9,20,6\n90,20,9\n"
+    return [speeds, b"length_km,duration_min,climb_m,limit_kmh\n1.2,2,9,50\n0,1,,\n"]
+
+
 def truth() -> list[bytes]:
     """The truth beside a simulated drive."""
     numbers = {"eta": 0.9, "mu": 0.6, "mass": 1850.0, "c_rr": 0.01, "c_d": 0.23, "p_aux": 400.0}

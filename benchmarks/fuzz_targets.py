@@ -42,6 +42,7 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.plans import read_plan
 from evpinn_ros.simulation.truth_file import TRUTH_FILE, read_truth
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.parameter_file import check_parameter_file
@@ -247,6 +248,8 @@ TARGETS = (
     ),
     Target("log.gz", "drive.log.gz", seeds.zipped_log, _log),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive, mutate=mutate_table),
+    Target("route", "plan", seeds.plan_files, read_plan, mutate=mutate_json),
+    Target("legs", "plan.csv", seeds.plan_tables, read_plan, mutate=mutate_table),
     Target("dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside, SLOW),
     _settings("profile", "p.yaml", _bundled("can/*.yaml"), load_profile, _dbc_beside),
     _settings("vehicle", "car.yaml", _bundled("vehicles/*.yaml"), load_vehicle),

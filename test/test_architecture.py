@@ -25,6 +25,7 @@ LAYERS = [
     {"topics"},  # the contract and its messages, without ROS: bags share it
     {"bags"},
     {"drives"},
+    {"plans"},
     {"simulation"},
     {"replays"},
     {"reproduction", "fleet"},

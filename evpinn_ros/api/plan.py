@@ -11,18 +11,17 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from evpinn_ros.common.errors import InputError, as_input_error, one_line
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.energy.forecast import Forecast, battery_along, forecast_plan
-from evpinn_ros.energy.plan import MAX_POINTS, Plan, plan_from_speed_profile
+from evpinn_ros.energy.plan import Legs, Plan, PlanConditions, points_of
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.signals.road import MAX_WIND
+from evpinn_ros.signals.road import density_of_air
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
-FEW = 8  # names that an error lists
-NEEDED, OPTIONAL = ("t_s", "speed_mps"), ("distance_m", "elevation_m")
+UNSAID = PlanConditions()
 
 
 class KnownCar(Protocol):
@@ -61,12 +60,15 @@ class PlannedEnergy(NamedTuple):
 
 
 def forecast(
-    plan: pd.DataFrame | Mapping[str, Any] | str | os.PathLike[str] | Plan,
+    plan: pd.DataFrame | Mapping[str, Any] | str | os.PathLike[str] | Plan | Legs,
     car: str | Path | Vehicle | KnownCar = "generic",
     *,
     charge_pct: float | None = None,
+    temperature_c: float | None = None,
+    heating_w: float | None = None,
+    head_wind: float | None = None,
+    payload_kg: float | None = None,
     air_density: float | None = None,
-    head_wind: float = 0.0,
 ) -> pd.DataFrame:
     """Energy that a plan will take, what it leaves in the battery, and how sure that is.
 
@@ -79,13 +81,21 @@ def forecast(
 
     Args:
         plan: columns `t_s` (or the index), s, and `speed_mps`, m/s; `distance_m`, else as the
-            speeds make it; `elevation_m`, else a flat road. Or the CSV file of such a table.
+            speeds make it; `elevation_m`, else a flat road. Or columns of legs, with their units
+            in their names: two of `length_m`, `duration_s` and `speed_kmh`; `climb_m` or
+            `start_elevation_m` and `end_elevation_m`; `limit_kmh`. Or a file of such a table, a
+            GPX or GeoJSON file, the JSON of a route service, or a recorded drive.
         car: a vehicle, by name or file, of which nothing was learned yet; or the `Result` or
             `Estimator` that learned it.
         charge_pct: state of charge at the start, percent; if not given the last that the
             `Result` or `Estimator` saw.
-        air_density: kg/m^3, the vehicle's if not given.
+        temperature_c: of the air outside, degrees Celsius; if not given the last that the car
+            knew.
+        heating_w: power of heating and air conditioning, W; if not given what the temperature
+            makes likely.
         head_wind: against the car, m/s over ground.
+        payload_kg: people and luggage beyond what the car carried when it learned, kg.
+        air_density: kg/m^3; if not given the vehicle's, at the temperature where that is given.
 
     Returns:
         A row a point, by `t_s` since the first: what was planned, power (with the acceleration
@@ -96,7 +106,9 @@ def forecast(
     Raises:
         InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is no trip.
     """
-    trip, found, charge, *_ = planned_energy(plan, car, charge_pct, air_density, head_wind)
+    charge_share = None if charge_pct is None else charge_pct / 100
+    given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg, charge_share)
+    trip, found, charge, *_ = planned_energy(plan, car, given, air_density)
     columns = {
         "distance_m": trip.distance,
         "speed_mps": trip.speed,
@@ -113,16 +125,13 @@ def forecast(
 def planned_energy(
     plan: Any,
     car: Any,
-    charge_pct: float | None = None,
+    conditions: PlanConditions = UNSAID,
     air_density: float | None = None,
-    head_wind: float = 0.0,
 ) -> PlannedEnergy:
     """The basis of the table of `forecast`, whose arguments and errors are these."""
     charge = UNKNOWN
-    if charge_pct is not None:
-        if not 0.0 <= charge_pct <= 100.0:
-            raise InputError(f"charge_pct is {charge_pct:g}, not 0 to 100")
-        charge = Uncertain(charge_pct / 100, FIRST_STEP / math.sqrt(12))  # as a display rounds
+    if conditions.charge is not None:
+        charge = Uncertain(conditions.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
     account = None
     if isinstance(car, str | Path | Vehicle):
         vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
@@ -132,13 +141,16 @@ def planned_energy(
         charge = charge if charge.known else account.charge()
     else:
         raise InputError(f"a car is a vehicle, a Result or an Estimator, not {_kind(car)}")
-    trip = plan if isinstance(plan, Plan) else _trip(plan)
-    density = vehicle.air_density if air_density is None else air_density
+    given = as_plan(plan, vehicle)
+    trip = points_of(given) if isinstance(given, Legs) else given
+    density = air_density
+    if density is None:
+        density = density_of_air(vehicle.air_density, conditions.temperature, None)
     if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
         raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
-    if not abs(head_wind) <= MAX_WIND:
-        raise InputError(f"head_wind is {head_wind:g}, not -{MAX_WIND:g} to {MAX_WIND:g} m/s")
-    found = forecast_plan(trip, model, Weather(density), head_wind)
+    weather = Weather(density, conditions.temperature, conditions.heating)
+    model = model.with_payload(conditions.payload or 0.0)
+    found = forecast_plan(given, model, weather, conditions.head_wind or 0.0)
     gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge
     along = None if account is None else account.battery.along(found, charge)
     if along is None:
@@ -146,40 +158,25 @@ def planned_energy(
     return PlannedEnergy(trip, found, along, model, gauge)
 
 
-def _trip(plan: Any) -> Plan:
+def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
+    """A plan from whatever `forecast` takes for one.
+
+    Raises:
+        InputError: as of `forecast`.
+    """
+    if isinstance(plan, Plan | Legs):
+        return plan
+    # Here, for polars, which reads tables, takes a quarter of a second to import.
+    from evpinn_ros.plans.read import read_plan
+    from evpinn_ros.plans.table import plan_of_columns
+
     if isinstance(plan, str | os.PathLike):
-        path = Path(plan)
-        with as_input_error(path, InputError):
-            return _trip(_read(path))
+        return read_plan(Path(plan), vehicle)
     if not isinstance(plan, pd.DataFrame | Mapping):
-        raise InputError(f"a plan is a DataFrame, a dict or a CSV file, not {_kind(plan)}")
+        raise InputError(f"a plan is a DataFrame, a dict or a file, not {_kind(plan)}")
     if isinstance(plan, pd.DataFrame) and plan.index.name == "t_s":
         plan = plan.reset_index()
-    for name in NEEDED:
-        if name not in plan:
-            there = ", ".join([*map(str, plan)][:FEW]) or "none"
-            raise InputError(f"a plan has the columns {' and '.join(NEEDED)}; there are: {there}")
-    given = {name: _numbers(name, plan[name]) for name in (*NEEDED, *OPTIONAL) if name in plan}
-    time, speed = given["t_s"], given["speed_mps"]
-    return plan_from_speed_profile(time, given.get("distance_m"), speed, given.get("elevation_m"))
-
-
-def _numbers(name: str, values: Any) -> np.ndarray:
-    found = np.atleast_1d(np.asarray(values))
-    if found.dtype.kind in "mM":
-        raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
-    with as_input_error(f"{name} holds what is no number", TypeError, ValueError):
-        numbers = np.array(found.tolist(), float)
-    if numbers.ndim > 1:
-        raise InputError(f"{name} has the shape {numbers.shape}; a plan is one trip")
-    return numbers
-
-
-def _read(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path, nrows=MAX_POINTS + 1, skipinitialspace=True)
-    except ValueError as error:  # of pandas, and of letters that are none
-        raise InputError(f"no table with commas and decimal points: {one_line(error)}") from error
+    return plan_of_columns({str(name): plan[name] for name in plan})
 
 
 def _kind(value: Any) -> str:

@@ -23,6 +23,7 @@ COMMANDS = (
     "unseen",
     "ablation",
     "settings",
+    "plans",
     "truth",
     "breakdown",
     "can",

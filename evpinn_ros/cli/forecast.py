@@ -23,7 +23,8 @@ def forecast(
     plans: Annotated[
         list[Path],
         typer.Argument(
-            help="CSV files: t_s, speed_mps; elevation_m where not flat; distance_m where known."
+            help="Tables of speed over time or of legs, GPX, GeoJSON, the JSON of Valhalla, OSRM, "
+            "GraphHopper or openrouteservice, recorded drives."
         ),
     ],
     vehicle: VehicleOption = "generic",
@@ -33,24 +34,38 @@ def forecast(
     charge: Annotated[
         float | None, typer.Option(min=0.0, max=100.0, help="State of charge at the start, %.")
     ] = None,
+    temperature: Annotated[
+        float | None, typer.Option(min=-60.0, max=60.0, help="Of the air outside, degrees C.")
+    ] = None,
+    heating: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=20e3, help="Power of heating and air conditioning, W."),
+    ] = None,
     head_wind: Annotated[
-        float, typer.Option(min=-60.0, max=60.0, help="Against the car, m/s over ground.")
-    ] = 0.0,
+        float | None, typer.Option(min=-60.0, max=60.0, help="Against the car, m/s over ground.")
+    ] = None,
+    payload: Annotated[
+        float | None, typer.Option(min=0.0, max=5000.0, help="People and luggage, kg.")
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
 
-    A plan is a table of the speed over time. Of several each is compared with the first: what both
-    share cancels, the mass of the car before all, and of equally long plans (to 1 m) the road.
+    A plan is a file of any kind that planners have, found by what is in it; the page of inputs in
+    the documents lists them. Of several each is compared with the first: what both share cancels,
+    the mass of the car before all, and of equally long plans (to 1 m) the road.
 
-    Example: evpinn forecast plan.csv --vehicle tesla_model_3_lr --state car.json --charge 80
+    Example: evpinn forecast route.json --vehicle tesla_model_3_lr --state car.json --charge 80
     """
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import planned_energy
+    from evpinn_ros.energy.plan import PlanConditions
 
     car = vehicle if state is None else Estimator(vehicle, state=state)
-    found = [planned_energy(path, car, charge, None, head_wind) for path in plans]
+    share = None if charge is None else charge / 100
+    given = PlanConditions(temperature, heating, head_wind, payload, share)
+    found = [planned_energy(path, car, given) for path in plans]
     rows = [_figures(path, each, found[0]) for path, each in zip(plans, found, strict=True)]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
     columns = (*COLUMNS, MORE) if len(rows) > 1 else COLUMNS

@@ -106,8 +106,8 @@ def is_complete(quantities: set[str]) -> bool:
     return battery and {"time", "speed"} <= quantities
 
 
-def check_columns(found: Sequence[Column], header: Sequence[str]) -> None:
-    """Refuse a table without what is needed.
+def check_columns(found: Sequence[Column], header: Sequence[str], *, battery: bool = True) -> None:
+    """Refuse a table without what is needed: time, speed and, if asked for, the battery.
 
     Raises:
         InputError: with the option that would mend it.
@@ -117,7 +117,7 @@ def check_columns(found: Sequence[Column], header: Sequence[str]) -> None:
     if missing := [name for name in ("time", "speed") if name not in quantities]:
         say = " ".join(f"--column {name}=NAME" for name in missing)
         raise InputError(f"no column of {' and '.join(missing)}; {there}; say {say}")
-    if not is_complete(quantities):
+    if battery and not is_complete(quantities):
         one = [name for name in ("voltage", "current") if name in quantities]
         lacks = f"a column of {one[0]} alone" if one else "no columns of voltage and current"
         raise InputError(f"{lacks}, and none of power; {there}; say --column power=NAME")

@@ -74,7 +74,7 @@ _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outle
 QUANTITIES: Mapping[str, Quantity] = {
     "time": Quantity(
         "t_s",
-        "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,elapsed,stamp,utc,epoch",
+        "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,secs,elapsed,stamp,utc,epoch",
         _TIME,
         better="time,timestamp,elapsed,epoch,phase",
         worse="since,trip",
@@ -82,7 +82,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "speed": Quantity(
         "speed_mps",
-        "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,"
+        "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,mps,"
         "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,prędkość,rychlost,скорость,车速",
         _SPEED,
         better="vehicle,car,obd,v p",

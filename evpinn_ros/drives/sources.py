@@ -167,6 +167,7 @@ def open_source(
     trust_profile: bool = False,
     columns: Sequence[str] = (),
     mounting: Rotation | None = None,
+    battery: bool = True,
 ) -> Source:
     """Open a recorded drive of any kind.
 
@@ -177,6 +178,7 @@ def open_source(
         trust_profile: read a CAN log also where it contradicts the profile.
         columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
         mounting: of the IMU in a bag, see `grade_reading`.
+        battery: False for a table that needs no columns of a battery.
 
     Raises:
         InputError: no such file, no kind known, or a CAN log without a profile.
@@ -194,7 +196,7 @@ def open_source(
                     raise
         log = BagFrames(path)
     elif is_drive_table(path):
-        return open_drive(path, vehicle.nominal_voltage, columns)
+        return open_drive(path, vehicle.nominal_voltage, columns, battery=battery)
     elif suffix_of(path) in LOG_SUFFIXES:
         log = LogFile(path)
     else:
@@ -218,12 +220,16 @@ def _bridge(
 
 
 def open_drive(
-    path: Path, nominal_voltage: float = NOMINAL_VOLTAGE, columns: Sequence[str] = ()
+    path: Path,
+    nominal_voltage: float = NOMINAL_VOLTAGE,
+    columns: Sequence[str] = (),
+    *,
+    battery: bool = True,
 ) -> TableDrive:
     """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
 
     Power alone becomes current at `nominal_voltage`, V; `columns` are those given, see
-    `column.columns_by_name`.
+    `column.columns_by_name`; without `battery` none of its columns is needed.
 
     Raises:
         InputError: it cannot be read, or holds no drive.
@@ -246,4 +252,4 @@ def open_drive(
         raise InputError(f"{path}: unpack it first")
     if suffix not in tables:
         raise InputError(f"{path}: no table of a drive; known are {', '.join(tables)}")
-    return TableDrive(tables[suffix](path), path, nominal_voltage, columns)
+    return TableDrive(tables[suffix](path), path, nominal_voltage, columns, battery=battery)

@@ -62,12 +62,19 @@ class TableDrive(Source):
     problem: str | None = None
 
     def __init__(
-        self, table: Table, path: Path, nominal_voltage: float, chosen: Sequence[str] = ()
+        self,
+        table: Table,
+        path: Path,
+        nominal_voltage: float,
+        chosen: Sequence[str] = (),
+        *,
+        battery: bool = True,
     ) -> None:
         """Look through the table.
 
         The path is for messages, and a date in its name. Power alone becomes current at
-        `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`.
+        `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`;
+        without `battery` none of its columns is needed.
 
         Raises:
             InputError: empty, columns are missing, a choice is wrong or a unit is not known.
@@ -86,7 +93,7 @@ class TableDrive(Source):
                 self._head = find_head(self._table)
             header = self._head.names
             found = columns_by_name(header, chosen)
-            check_columns(found, header)
+            check_columns(found, header, battery=battery)
         except InputError as error:
             text = str(error)
             raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error

@@ -18,13 +18,15 @@ import numpy as np
 
 from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.energy.plan import Legs, Plan, PlanError, points_of
 from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.states import SIZE
+from evpinn_ros.estimation.unevenness import Path
 from evpinn_ros.vehicle.files import Vehicle
 
 DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
-UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 4)
+UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
+COARSE = 5.0  # s between points, in the middle of a plan, from which on legs are uneven
 CHUNK = 64  # profiles computed together, so that what they need stays in the cache
 
 
@@ -111,12 +113,15 @@ def forecast(
 
 
 def forecast_plan(
-    plan: Plan, model: PowerModel, weather: Weather, head_wind: float = 0.0
+    plan: Plan | Legs, model: PowerModel, weather: Weather, head_wind: float = 0.0
 ) -> Forecast:
     """Energy, power and 1-sigma along a plan.
 
+    Where its points lie further apart than some seconds, what drivers do between them is expected,
+    as this car's drives had it (`estimation.unevenness`).
+
     Args:
-        plan: one trip, or many.
+        plan: one trip, legs of one, or many trips.
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground. Few plans say where they lead,
@@ -125,24 +130,44 @@ def forecast_plan(
     Raises:
         PlanError: the model gives no finite energy.
     """
-    along = plan.distance - plan.distance[..., :1]
+    points = points_of(plan) if isinstance(plan, Legs) else plan
+    along = points.distance - points.distance[..., :1]
     wind = head_wind * np.exp(-along / DIRECTION_LENGTH)
-    motion = motion_of(plan, wind)
-    rows = _accumulated(model.rows(motion, weather), axis=-2)
-    elapsed = plan.time - plan.time[..., :1]
-    square = _accumulated(motion.distance**2 / motion.duration, axis=-1)
-    flat = np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0
-    unseen = along * flat
-    energy, sigma = model.predicted(rows, elapsed, square, unseen)
-    power = np.diff(energy) / motion.duration
+    duration, length = np.diff(points.time), np.diff(points.distance)
+    if isinstance(plan, Legs):
+        unknown = plan.length * ~plan.height_known
+    else:
+        unknown = length * (np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0)
+    uneven = np.zeros_like(points.time)
+    if duration.ndim == 1 and float(np.median(duration)) > COARSE:
+        path = _path(points, weather.air_density, (wind[1:] + wind[:-1]) / 2.0)
+        steps, beyond = model.leg_rows(path, weather)
+        uneven = _accumulated(beyond @ model.car.mean, axis=-1)
+    else:
+        steps = model.rows(motion_of(points, wind), weather)
+    rows = _accumulated(steps, axis=-2)
+    elapsed = points.time - points.time[..., :1]
+    square = _accumulated(length**2 / duration, axis=-1)
+    unseen = _accumulated(unknown, axis=-1)
+    energy, sigma = model.predicted(rows, elapsed, square, unseen, uneven)
+    power = np.diff(energy) / duration
     power = np.concatenate((power, power[..., -1:]), axis=-1)
     if not np.isfinite(energy + power + sigma).all():
         raise PlanError("by the model of the car its energy is not finite")
     end = UNKNOWN_END
     if energy.ndim == 1:
         noise = float(model.noise(elapsed[-1], square[-1]))
-        end = PlanEnd(rows[-1], float(elapsed[-1]), float(along[-1]), noise, float(unseen[-1]))
-    return Forecast(time=plan.time, energy=energy, power=power, sigma=sigma, end=end)
+        sums = (float(each[-1]) for each in (elapsed, along))
+        end = PlanEnd._make((rows[-1], *sums, noise, float(unseen[-1]), float(uneven[-1])))
+    return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
+
+
+def _path(points: Plan, density: float, wind: np.ndarray) -> Path:
+    """Legs between points of one trip, shape (n - 1,), with the wind against each, m/s."""
+    duration, length = np.diff(points.time), np.diff(points.distance)
+    zero = np.zeros_like(duration)
+    climb = np.diff(points.elevation)
+    return Path(duration, length, zero, zero, climb, density + zero, wind)
 
 
 def motion_of(plan: Plan, head_wind: Any = 0.0) -> Motion:

@@ -1,7 +1,8 @@
-"""Plan of a planner: time, distance, speed and elevation along one trip or many.
+"""Plan of a planner: points along one trip or many, or legs of a trip, and its conditions.
 
 Between two points distance is the cubic that has the given speeds at its ends, so that legs agree
-with their length, their climb and their speeds at once.
+with their length, their climb and their speeds at once. Of a leg no more than its length and its
+duration is known.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.signals.road import MAX_WIND
 
 MAX_SPEED = 100.0  # m/s: faster is a teleport
 MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m
@@ -26,8 +28,16 @@ BEND = 10.0  # m before and after a point, over which the bend of the path is ta
 NOMINAL_STEP = 25.0  # m between points of a nominal profile, where the path has fewer
 UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
 LEAST_LENGTH = 50.0  # m of a profile from which that can be seen
+SLOWEST_TRIP = 0.1  # m/s while it moves: no jam is slower, but lengths in km are
 TINY = 1e-6  # m^2/s^2
 CLIMB_TOLERANCE = 1e-6  # m: rounding of climb against length
+CONDITION_RANGES = {
+    "temperature": (-60.0, 60.0),  # degrees Celsius
+    "heating": (0.0, 20e3),  # W, more than the heaters of any car
+    "head_wind": (-MAX_WIND, MAX_WIND),  # m/s
+    "payload": (0.0, 5000.0),  # kg
+    "charge": (0.0, 1.0),
+}
 
 
 class PlanError(InputError):
@@ -64,6 +74,77 @@ class Plan:
         _refuse(length < 0, "distance goes back")
         _refuse(length > MAX_SPEED * duration, f"faster than {MAX_SPEED:g} m/s")
         _refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Legs:
+    """Legs of road that a car drives, checked when made; `legs_of_trip` makes those of a trip.
+
+    Attributes:
+        length: shape (n,), m along the road; a leg without length is a stop. So are the others:
+        duration: s, above 0.
+        climb: m from its start to its end; 0 where unknown.
+        limit: speed limit, m/s; NaN where unknown.
+        height_known: True where `climb` is known.
+        start_speed: m/s; NaN where unknown.
+        end_speed: m/s; NaN where unknown.
+
+    Raises:
+        PlanError: the arrays are no legs.
+    """
+
+    length: np.ndarray
+    duration: np.ndarray
+    climb: np.ndarray
+    limit: np.ndarray
+    height_known: np.ndarray
+    start_speed: np.ndarray
+    end_speed: np.ndarray
+
+    def __post_init__(self) -> None:
+        shapes = {getattr(self, name).shape for name in self.__slots__}
+        if len(shapes) != 1 or len(self.length.shape) != 1 or not self.length.size:
+            raise PlanError(f"legs need arrays of one length, shapes are {sorted(shapes)}")
+        for name in ("length", "duration", "climb"):
+            _refuse(~np.isfinite(getattr(self, name)), f"{name} is not finite", "leg")
+        _refuse(self.length < 0, "length is negative", "leg")
+        _refuse(self.duration <= 0, "duration is not above 0", "leg")
+        fast = self.length > MAX_SPEED * self.duration
+        _refuse(fast, f"faster than {MAX_SPEED:g} m/s (lengths in m, durations in s?)", "leg")
+        _refuse(np.abs(self.climb) > self.length + CLIMB_TOLERANCE, "climbs more than it is long",
+                "leg")  # fmt: skip
+        for name in ("limit", "start_speed", "end_speed"):
+            speed = getattr(self, name)
+            wrong = ~np.isnan(speed) & ~((speed >= 0) & (speed <= MAX_SPEED))
+            _refuse(wrong, f"{name} is not between 0 and {MAX_SPEED:g} m/s", "leg")
+
+
+@dataclass(frozen=True, slots=True)
+class PlanConditions:
+    """Conditions of a planned trip as its planner expects them; None where not given.
+
+    Attributes:
+        temperature: of the air outside, degrees Celsius.
+        heating: electric power of heating and air conditioning, W.
+        head_wind: against the car at the start, m/s over ground; negative from behind.
+        payload: people and luggage, kg.
+        charge: state of charge at the start, 0..1.
+
+    Raises:
+        PlanError: a number that no trip has.
+    """
+
+    temperature: float | None = None
+    heating: float | None = None
+    head_wind: float | None = None
+    payload: float | None = None
+    charge: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in CONDITION_RANGES.items():
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise PlanError(f"{name} is {value:g}, not {least:g} to {most:g}")
 
 
 class Question(NamedTuple):
@@ -122,11 +203,11 @@ def plan_from_path(
     kept = np.concatenate(([True], (duration > 0) | (np.diff(distance) > 0)))
     time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
     _refuse(np.diff(distance) > MAX_SPEED * np.diff(time), f"faster than {MAX_SPEED:g} m/s")
-    speed = _monotone_slopes(time, distance)
+    speed = monotone_slopes(time, distance)
     return Plan(time, distance, np.clip(speed, 0.0, MAX_SPEED), elevation)
 
 
-def _monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Slopes at the points, shape (n,), of the monotone cubic through y that never falls.
 
     Fritsch and Butland (1984): zero beside a stretch where y rests, else a harmonic mean. As
@@ -169,6 +250,51 @@ def plan_from_speed_profile(
     if distance.shape == time.shape and (np.diff(time) > 0).all():
         _check_units(float(made[-1]), float(distance[-1] - distance[0]))
     return Plan(time - time[:1], distance - distance[:1], speed, height)
+
+
+def legs_of_trip(
+    length: np.ndarray,
+    duration: np.ndarray,
+    climb: np.ndarray | None = None,
+    *,
+    limit: np.ndarray | None = None,
+    start_speed: np.ndarray | None = None,
+    end_speed: np.ndarray | None = None,
+) -> Legs:
+    """The legs of one trip, in order; arrays of shape (n,), in SI, as `Legs` describes them.
+
+    NaN in `climb` stands for a height that is not known, NaN in the others for a speed.
+
+    Raises:
+        PlanError: the legs are no trip, or so slow that their lengths are in km.
+    """
+    length, duration = _array(length), _array(duration)
+    _check_size(length.size)
+    climb, limit, start_speed, end_speed = (
+        np.full(length.shape, np.nan) if each is None else _array(each)
+        for each in (climb, limit, start_speed, end_speed)
+    )
+    known = ~np.isnan(climb)
+    legs = Legs(
+        length, duration, np.where(known, climb, 0.0), limit, known, start_speed, end_speed
+    )
+    total, driven = float(duration.sum()), float(duration[length > 0].sum())
+    if total > LONGEST:
+        raise PlanError(f"it takes {total / 86_400:.3g} days; the most are {LONGEST / 86_400:g}")
+    if float(length.sum()) < SLOWEST_TRIP * driven:
+        speed = float(length.sum()) / driven
+        raise PlanError(f"it drives {speed:.2g} m/s on the whole (lengths in m, durations in s?)")
+    return legs
+
+
+def points_of(legs: Legs) -> Plan:
+    """Points at the ends of legs, in order; the speed at a point is the mean about it."""
+    time, distance, height = (
+        np.concatenate(([0.0], np.cumsum(each)))
+        for each in (legs.duration, legs.length, legs.climb)
+    )
+    mean = np.concatenate(([0.0], legs.length / legs.duration, [0.0]))
+    return Plan(time, distance, (mean[1:] + mean[:-1]) / 2.0, height)
 
 
 def _check_units(by_speed: float, length: float) -> None:
@@ -243,7 +369,7 @@ def _check_arrays(named: dict[str, np.ndarray]) -> None:
         _refuse(~np.isfinite(array), f"{name} is not finite")
 
 
-def _refuse(wrong: np.ndarray, reason: str) -> None:
+def _refuse(wrong: np.ndarray, reason: str, what: str = "point") -> None:
     if wrong.any():
         where = np.argwhere(wrong)[0]
-        raise PlanError(f"{reason} at point {', '.join(str(int(i)) for i in where)}")
+        raise PlanError(f"{reason} at {what} {', '.join(str(int(i)) for i in where)}")

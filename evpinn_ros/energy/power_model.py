@@ -32,6 +32,7 @@ from evpinn_ros.estimation.terms import (
     climate_powers,
     coldness,
 )
+from evpinn_ros.estimation.unevenness import Path, even_rows
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 
@@ -85,6 +86,7 @@ class PlanEnd(NamedTuple):
         distance: m.
         noise: variance of what no state explains, J^2.
         unseen: m of road whose height is not known.
+        uneven: energy expected of uneven speed, J.
     """
 
     row: np.ndarray
@@ -92,6 +94,7 @@ class PlanEnd(NamedTuple):
     distance: float
     noise: float
     unseen: float
+    uneven: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,28 @@ class PowerModel:
             rows[..., state] = power * duration
         return rows
 
+    def leg_rows(self, legs: Path, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
+        """Energy of legs whose mean speed alone is known, J per unit, shape (n, SIZE) each.
+
+        Args:
+            legs: of one trip.
+            weather: on the way.
+
+        Returns:
+            The whole, and the part of it that is expected of uneven speed.
+        """
+        equation, duration = self.car.equation, legs.duration
+        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
+        beyond = self.car.unevenness.of_legs(equation, legs)
+        rows = even_rows(equation, legs) + beyond
+        tyres = float(equation.mean[State.ROLLING]) * rows[:, State.ROLLING]
+        rows[:, State.ROLLING_DRIVE] = tyres
+        rows[:, State.ROLLING_COLD] = tyres * coldness(celsius)
+        rows[:, State.ROLLING_START] = tyres * warmth.tyres
+        for state, power in self._loads(weather.heating, celsius, warmth).items():
+            rows[:, state] = power * duration
+        return rows, beyond
+
     def summed_rows(self, motion: Motion, weather: Weather) -> np.ndarray:
         """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
         equation, duration = self.car.equation, motion.duration
@@ -125,7 +150,9 @@ class PowerModel:
             rows[:, state] = (power * duration).sum(-1)
         return rows
 
-    def predicted(self, rows: Any, elapsed: Any, square: Any, unseen: Any) -> tuple[Any, Any]:
+    def predicted(
+        self, rows: Any, elapsed: Any, square: Any, unseen: Any, uneven: Any = 0.0
+    ) -> tuple[Any, Any]:
         """Energy, J, and its 1-sigma, J, of journeys of any shape (...).
 
         Args:
@@ -133,6 +160,7 @@ class PowerModel:
             elapsed: s since the start.
             square: integral of speed squared, m^2/s.
             unseen: m of road whose height is not known.
+            uneven: energy expected of uneven speed, J.
         """
         car, xp = self.car, namespace(rows)
         _, rows[..., State.LOAD], rest = wandered(elapsed)
@@ -140,6 +168,7 @@ class PowerModel:
         variance = ((rows @ covariance) * rows).sum(-1) + car.load_variance * rest
         variance = variance + self.noise(elapsed, square)
         variance = variance + car.growth * car.weight_over_eta**2 * unseen
+        variance = variance + (car.unevenness.share * uneven) ** 2
         return rows @ mean, xp.sqrt(within(car.trust * variance, 0.0, math.inf))
 
     def noise(self, elapsed: Any, square: Any) -> Any:
@@ -164,6 +193,7 @@ class PowerModel:
         variance += one.noise + other.noise
         if abs(one.distance - other.distance) > SAME_LENGTH:
             variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
+        variance += (car.unevenness.share * (one.uneven - other.uneven)) ** 2
         return float(row @ car.mean), math.sqrt(max(car.trust * variance, 0.0))
 
     def with_payload(self, payload: float) -> PowerModel:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
+from evpinn_ros.energy.driven import drive_plan
 from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
+from evpinn_ros.energy.plan import PlanError
 from evpinn_ros.energy.power_model import (
     PowerModel,
     Weather,
@@ -23,9 +23,6 @@ from evpinn_ros.replays.history import Drive, KnownModel
 from evpinn_ros.replays.scoring import Span, longest_step, measured_energy
 from evpinn_ros.vehicle.files import Vehicle
 
-PLAN_STEP = 1.0  # s between points of a plan
-ELEVATION_STEP = 5.0  # m
-ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
 SHORTEST = 30.0  # s of a part of a drive that is worth a forecast
 
 
@@ -76,30 +73,6 @@ def forecast_outcome(
     result = forecast_plan(plan, PowerModel(known.model), Weather(air_density))
     measured = measured_energy(drive, [driven])
     return ForecastOutcome(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
-
-
-def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
-    """The plan that a drive would have been: speed once a second, and elevation.
-
-    Args:
-        speed: time, s, rising, and m/s, shape (n, 2), some seconds long.
-        altitude: time, s, and m, shape (m, 2); empty for a flat road.
-    """
-    time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
-    grid = np.arange(0.0, time[-1], PLAN_STEP)
-    at = np.maximum(np.interp(grid, time, speeds), 0.0)
-    # Distance as the plan's speeds make it, so that both agree.
-    distance = np.concatenate(([0.0], np.cumsum(np.diff(grid) * (at[1:] + at[:-1]) / 2)))
-    if not len(altitude):
-        return plan_from_speed_profile(grid, distance, at)
-    travelled = np.concatenate(([0.0], np.cumsum(np.diff(time) * (speeds[1:] + speeds[:-1]) / 2)))
-    road = np.arange(0.0, travelled[-1] + ELEVATION_STEP, ELEVATION_STEP)
-    seen = np.interp(altitude[:, 0] - speed[0, 0], time, travelled)
-    first = np.concatenate(([True], np.diff(seen) > 0))
-    smooth = gaussian_filter1d(
-        np.interp(road, seen[first], altitude[first, 1]), ELEVATION_SMOOTHING / ELEVATION_STEP
-    )
-    return plan_from_speed_profile(grid, distance, at, np.interp(distance, road, smooth))
 
 
 def known_model(

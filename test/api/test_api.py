@@ -205,7 +205,7 @@ def test_a_plan_costs_what_the_batch_forecast_says(result):
 @pytest.mark.parametrize(
     ("trip", "reason"),
     [
-        ({"t_s": [0.0, 1.0]}, "columns t_s and speed_mps; there are: t_s"),
+        ({"t_s": [0.0, 1.0]}, "columns t_s and speed_mps, or those of legs.*; there are: t_s$"),
         ({}, "there are: none"),
         (None, "not None"),
         ([0.0, 1.0], "not list"),

@@ -1,4 +1,4 @@
-"""`evpinn forecast`: plans in CSV files, with the car of a state file."""
+"""`evpinn forecast`: plans in files of any kind, with the car of a state file."""
 
 import json
 
@@ -6,8 +6,13 @@ import pandas as pd
 import pytest
 
 import evpinn_ros as ev
+from test.conftest import ROOT
+from test.plans import samples
+from test.plans.test_table import LEGS
+from test.plans.test_track import gpx
 
 CAR = "tesla_model_3_lr"
+URBAN = ROOT / "bags" / "urban"
 SLOW = "t_s,speed_mps,elevation_m\n0,0,0\n15,20,0\n400,20,60\n420,0,60\n"
 FAST = "t_s,speed_mps,elevation_m\n0,0,0\n20,28,0\n270,28,60\n300,0,60\n"
 
@@ -42,6 +47,33 @@ def test_the_command_is_the_call_to_the_bit(evpinn, folder):
     assert found[0]["more_than_first_j"] is None
 
 
+def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
+    """And each is forecast as Python does, whose conditions are those of the command."""
+    (folder / "legs.csv").write_text(LEGS)
+    (folder / "track.gpx").write_text(gpx())
+    (folder / "route.json").write_text(json.dumps(samples.graphhopper(["time"])))
+    plans = ("slow.csv", "legs.csv", "track.gpx", "route.json", URBAN)
+    given = ("--temperature", -10, "--head-wind", 5, "--charge", 60)
+    done = evpinn("forecast", *plans, "--vehicle", CAR, *given, "--json", "f.json", cwd=folder)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    found = json.loads((folder / "f.json").read_text())
+    assert [round(row["distance_m"] / 100) for row in found] == [80, 162, 9, 80, 26]
+    conditions = {"temperature_c": -10.0, "head_wind": 5.0, "charge_pct": 60.0}
+    for row in found:
+        end = ev.forecast(folder / row["plan"], CAR, **conditions).iloc[-1]
+        assert row["energy_j"] == end["energy_j"] and row["charge_pct"] == end["charge_pct"]
+        mild = ev.forecast(folder / row["plan"], CAR).iloc[-1]
+        assert row["energy_j"] > mild["energy_j"]
+
+
+def test_what_is_not_in_the_forecast_yet_is_said(evpinn, folder):
+    done = evpinn("forecast", "slow.csv", "--heating", 2000, "--payload", 300, cwd=folder)
+    assert "--heating is not in the forecast yet" in done.stderr
+    assert "--payload is not in the forecast yet" in done.stderr
+    refused = evpinn("forecast", "slow.csv", "--temperature", 100, cwd=folder)
+    assert refused.returncode == 2 and "--temperature" in refused.stderr
+
+
 def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
     done = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
     assert "empty at 7.8" in done.stdout and "by its vehicle file alone" in done.stdout
@@ -67,14 +99,14 @@ def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_
 @pytest.mark.parametrize(
     ("plan", "reason"),
     [
-        ("", "no table with commas"),
-        ("t_s;speed_mps\n0;0\n15;20,5\n", "no table with commas"),
+        ("", "the file is empty"),
+        ("t_s;speed_mps\n0;0\n15;20,5\n30;1,x\n", "holds what is no number, '1,x' in row 3"),
         ("t_s,speed_mps\n", "needs at least two points"),
         ("t_s,speed_mps\n0,0\n15,nan\n30,0\n", "speed is not finite at point 1"),
         ("t_s,speed_mps\n0,0\n15,x\n30,0\n", "speed_mps holds what is no number"),
         ("t_s,speed_mps\n0,0\n30,20\n15,0\n", "time does not rise at point 1"),
         ("t_s,speed_mps\n0,0\n30,111\n90,0\n", "speed is above 100 m/s at point 1"),
-        ("t_s,speed_kmh\n0,0\n30,72\n", "columns t_s and speed_mps; there are: t_s, speed_kmh"),
+        ("t_s,elevation_m\n0,0\n", "which has the columns t_s and speed_mps"),
         ("t_s,speed_mps,distance_m\n0,20,0\n60,20,1.2\n", "speeds make 1200 m"),
         (None, "No such file"),
     ],

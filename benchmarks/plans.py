@@ -1,0 +1,242 @@
+"""Plans as planners have them, made of driven trips: what they were forecast to take, and took.
+
+Each drive of a car becomes plans of several resolutions with exact mean speeds, times and climbs;
+each is forecast from what the drives before it taught, at the mean temperature of the drive and
+with its loads unknown. Beside it stand the energy per kilometre of the drives before, the same by
+mean speed, and our forecast that knows nothing of what lies between two points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+
+from benchmarks.unseen.drives import UnseenCar, UnseenDrive, load_car
+from benchmarks.unseen.scores import QUANTILE_90
+from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.plan import Legs, Plan, PlanError, plan_from_speed_profile
+from evpinn_ros.energy.power_model import PowerModel, Weather
+from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.learner import gate_interval
+from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.estimation.unevenness import Unevenness
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
+
+CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun")
+RESOLUTIONS = ("1 s", "10 s", "60 s", "200 m", "500 m", "2000 m", "trip")
+METHODS = ("forecast", "even speed", "per km", "per km by speed")
+LEAST_DISTANCE = 1000.0  # m of a drive that is a plan
+SPEED_CLASS = 5.0  # m/s, of consumption by mean speed
+SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedDrive:
+    """A drive as a plan by one method: J; sigma NaN where the method has none."""
+
+    resolution: str
+    method: str
+    forecast: float
+    sigma: float
+    measured: float
+    gross: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlanScore:
+    """Scores of all drives of a car at one resolution by one method, in percent."""
+
+    car: str
+    resolution: str
+    method: str
+    drives: int
+    bias: float
+    median: float
+    mean: float
+    crps: float
+    covered: float
+    width: float
+
+
+PLAN_COLUMNS = (
+    ("car", "{0.car}"),
+    ("plan", "{0.resolution}"),
+    ("method", "{0.method}"),
+    ("drives", "{0.drives}"),
+    ("bias %", "{0.bias:+.1f}"),
+    ("median; mean %", "{0.median:.1f}; {0.mean:.1f}"),
+    ("CRPS, % of gross", "{0.crps:.2f}"),
+    ("in 90 %", "{0.covered:.0f}"),
+    ("width %", "{0.width:.0f}"),
+)
+
+
+def plan_scores(data: str, key: str, seed: int = 0) -> list[PlanScore]:
+    """Every drive of a car as plans, from what the drives before it taught."""
+    car = load_car(data, key)
+    rows = list(_planned(car, seed))
+    found = []
+    for resolution in RESOLUTIONS:
+        for method in METHODS:
+            own = [row for row in rows if (row.resolution, row.method) == (resolution, method)]
+            if own:
+                found.append(_score(key, own))
+    return found
+
+
+def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
+    learned = LearnedCar.new(Equation(car.vehicle, seed))
+    before: list[tuple[float, float, float]] = []  # energy J, distance m, duration s
+    for drive in car.drives:
+        intervals = list(_intervals(car, drive))
+        if before:
+            learned = learned.begin_drive()
+        done = [each for each in intervals if not math.isnan(each.energy)]
+        driven = np.array([(e.energy, abs(e.distance), e.duration) for e in done])
+        if not len(driven):
+            continue
+        totals = tuple(driven.sum(0).tolist())
+        if before and totals[1] >= LEAST_DISTANCE:
+            yield from _forecasts(learned, done, before, float(np.abs(driven[:, 0]).sum()))
+        learned = learned.after(intervals)
+        before.append((totals[0], totals[1], totals[2]))
+
+
+def _intervals(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
+    stream = SampleStream(
+        StreamSettings(), car.vehicle.air_density, car.vehicle.motor_ratio, intervals_alone=True
+    )
+    for reading in drive.readings:
+        for event in stream.add_reading(reading):
+            if isinstance(event, Interval) and gate_interval(event) is None:
+                yield event
+
+
+def _forecasts(
+    learned: LearnedCar,
+    done: list[Interval],
+    before: list[tuple[float, float, float]],
+    gross: float,
+) -> Iterator[PlannedDrive]:
+    measured = sum(each.energy for each in done)
+    model = replace(learned.state.model(learned.equation), unevenness=learned.unevenness)
+    even = replace(model, unevenness=_even())
+    celsius = [e.conditions.celsius for e in done if e.conditions.celsius is not None]
+    density = float(np.mean([each.conditions.air_density for each in done]))
+    weather = Weather(density, float(np.mean(celsius)) if celsius else None)
+    steps = _Steps.of(done)
+    for resolution in RESOLUTIONS:
+        try:
+            plan = steps.plan(resolution)
+        except PlanError:
+            continue
+        for method, each in (("forecast", model), ("even speed", even)):
+            found = forecast_plan(plan, PowerModel(each), weather)
+            energy, sigma = float(found.energy[-1]), float(found.sigma[-1])
+            yield PlannedDrive(resolution, method, energy, sigma, measured, gross)
+        for method, energy in _by_distance(before, done):
+            yield PlannedDrive(resolution, method, energy, math.nan, measured, gross)
+
+
+def _even() -> Unevenness:
+    """Knows of no unevenness, as if it had driven for ever at even speed."""
+    none = Unevenness.none()
+    return replace(none, metres=none.metres + 1e15, squares=0.0)
+
+
+def _by_distance(
+    before: list[tuple[float, float, float]], done: list[Interval]
+) -> Iterator[tuple[str, float]]:
+    energy, distance, duration = np.array(before).T
+    length = sum(abs(each.distance) for each in done)
+    yield "per km", float(length * energy.sum() / distance.sum())
+    speed = length / sum(each.duration for each in done)
+    alike = np.abs(distance / duration - speed) <= SPEED_CLASS
+    if not alike.any():
+        alike[:] = True
+    yield "per km by speed", float(length * energy[alike].sum() / distance[alike].sum())
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Steps of a drive as columns: s, m, m^2/s^2, m; whether height is known."""
+
+    duration: np.ndarray
+    distance: np.ndarray
+    kinetic: np.ndarray
+    climb: np.ndarray
+    known: bool
+
+    @classmethod
+    def of(cls, done: list[Interval]) -> _Steps:
+        columns = (
+            np.concatenate([np.abs(getattr(each.steps, name)) if name == "distance"
+                            else getattr(each.steps, name) for each in done])
+            for name in ("duration", "distance", "kinetic", "climb")
+        )  # fmt: skip
+        return cls(*columns, known=all(each.height_known for each in done))
+
+    def plan(self, resolution: str) -> Plan | Legs:
+        """The drive as a plan: of points each second, else of legs."""
+        if resolution == "1 s":
+            return self._dense()
+        owner = np.zeros(len(self.duration), np.int64)
+        if resolution != "trip":
+            size, unit = resolution.split()
+            along = np.cumsum(self.duration if unit == "s" else self.distance)
+            owner = np.maximum((along - 1e-9) // float(size), 0.0).astype(np.int64)
+        count = int(owner[-1]) + 1
+        duration, length, climb = (
+            np.bincount(owner, column, count)
+            for column in (self.duration, self.distance, self.climb)
+        )
+        there = duration > 0.0
+        duration, length, climb = duration[there], length[there], climb[there]
+        climb = np.clip(climb, -length, length)
+        unknown = np.full(len(duration), math.nan)
+        known = np.full(len(duration), self.known)
+        return Legs(length, duration, climb, unknown, known, unknown, unknown)
+
+    def _dense(self) -> Plan:
+        """Points at the ends of the steps, speeds by their kinetic energy."""
+        time, distance, height = (
+            np.concatenate(([0.0], np.cumsum(each)))
+            for each in (self.duration, self.distance, self.climb)
+        )
+        mean = self.distance / self.duration
+        speed = np.concatenate((mean[:1], (mean[1:] + mean[:-1]) / 2.0, mean[-1:]))
+        steep = np.clip(np.diff(height), -self.distance, self.distance)
+        height = np.concatenate(([0.0], np.cumsum(steep)))
+        return plan_from_speed_profile(time, distance, speed, height if self.known else None)
+
+
+def _score(car: str, rows: list[PlannedDrive]) -> PlanScore:
+    error = np.array([row.forecast - row.measured for row in rows])
+    measured, gross = (np.array([getattr(row, n) for row in rows]) for n in ("measured", "gross"))
+    sigma = np.array([row.sigma for row in rows])
+    share = 100.0 * np.abs(error / measured)
+    return PlanScore(
+        car=car,
+        resolution=rows[0].resolution,
+        method=rows[0].method,
+        drives=len(rows),
+        bias=float(100.0 * error.sum() / measured.sum()),
+        median=float(np.median(share)),
+        mean=float(np.mean(share)),
+        crps=float(np.mean(100.0 * _crps(error, sigma) / gross)),
+        covered=float(100.0 * np.mean(np.abs(error) <= QUANTILE_90 * sigma)),
+        width=float(np.median(200.0 * QUANTILE_90 * sigma / gross)),
+    )
+
+
+def _crps(error: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """CRPS of normal predictions, J; of sure ones (sigma NaN) the size of the error."""
+    away = error / sigma
+    density = np.exp(-(away**2) / 2.0) / math.sqrt(2.0 * math.pi)
+    erf = np.array([math.erf(each / math.sqrt(2.0)) for each in away])
+    found = sigma * (away * erf + 2.0 * density - 1.0 / math.sqrt(math.pi))
+    return np.where(np.isnan(sigma), np.abs(error), found)

@@ -1,0 +1,92 @@
+"""A recorded drive as a plan: its speed and its height; its battery is ignored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import open_source
+from evpinn_ros.energy.driven import PLAN_STEP, drive_plan, travelled
+from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.plans.way import plausible_heights
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    GradeReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.vehicle.files import Vehicle
+
+FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
+LEAST_GAP = 60.0  # s between two speeds
+GAP_STEPS = 10.0  # mean steps, which a gap exceeds as well: some plans have few rows
+LONG_GAP = 600.0  # s, after which the log is of another drive
+STANDING = 0.5  # m/s before a gap and after it
+SHORTEST = 2.0  # s
+
+
+def driven_plan(path: Path, vehicle: Vehicle) -> Plan:
+    """The plan that a recorded drive would have been, of any kind that `evpinn replay` reads.
+
+    Raises:
+        InputError: it cannot be read; `PlanError`: it is no trip.
+    """
+    source = open_source(path, vehicle, battery=False)
+    readings = [reading for reading in source.readings() if type(reading) in FIELDS]
+    if source.problem:
+        raise InputError(source.problem)
+    if (late := source.dropped["time_not_increasing"]) > len(readings):
+        raise PlanError(f"the times of {late} readings of it do not rise, so they are no times")
+    return plan_of_readings(readings)
+
+
+def plan_of_readings(readings: Iterable[Reading]) -> Plan:
+    """The plan of a drive's speeds, and of its altitudes or, where there is none, its grades.
+
+    What was not recorded is not in the plan, as in a replay: after the pauses of a log it goes on
+    at once.
+
+    Raises:
+        PlanError: too short.
+    """
+    rows: dict[type, list[tuple[int, float]]] = {kind: [] for kind in FIELDS}
+    for reading in readings:
+        if (kind := type(reading)) in FIELDS:
+            rows[kind].append((reading.stamp_ns, getattr(reading, FIELDS[kind])))
+    start = min((stamp for stamp, _ in rows[SpeedReading]), default=0)
+    speed, altitude, grade = (_series(rows[kind], start) for kind in FIELDS)
+    if len(speed) < 2 or speed[-1, 0] < SHORTEST:
+        raise PlanError(f"a drive of less than {SHORTEST:g} s is no plan")
+    time = _driven(speed)
+    for series in (altitude, grade, speed):
+        series[:, 0] = np.interp(series[:, 0], speed[:, 0], time)
+    if len(altitude):
+        along = np.interp(altitude[:, 0], time, travelled(time, speed[:, 1]))
+        altitude[:, 1] = plausible_heights(along, altitude[:, 1])
+    elif len(grade):
+        slope = np.sin(np.interp(time, *grade.T))
+        altitude = np.column_stack((time, travelled(time, speed[:, 1] * slope)))
+    return drive_plan(speed, altitude)
+
+
+def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
+    """Time, s, and value, each moment once and in order, shape (n, 2)."""
+    found = dict(sorted(row for row in rows if np.isfinite(row[1])))
+    seconds = [((stamp - start) / NANOSECONDS, value) for stamp, value in found.items()]
+    return np.array(seconds, float).reshape(-1, 2)
+
+
+def _driven(speed: np.ndarray) -> np.ndarray:
+    """Times since the first speed, s, shape (n,), without the gaps in which the drive is unknown.
+
+    Speed is a straight line over short gaps, and over those of up to `LONG_GAP` at a standstill.
+    """
+    steps = np.diff(speed[:, 0])
+    gap = steps > max(LEAST_GAP, GAP_STEPS * float(np.minimum(steps, LONG_GAP).mean()))
+    moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING
+    left_out = gap & (moving | (steps > LONG_GAP))
+    return np.concatenate(([0.0], np.cumsum(np.where(left_out, PLAN_STEP, steps))))

@@ -1,0 +1,189 @@
+"""Answers of route services become the same legs, whoever answers and in whatever form."""
+
+from contextlib import suppress
+from copy import deepcopy
+import json
+from random import Random
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from benchmarks.fuzz_structures import mutate_json
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.energy.plan import PlanError
+from evpinn_ros.plans import read_plan
+from evpinn_ros.plans.polyline import decode_polyline
+from test.plans import samples
+
+NONE = [np.nan] * 4
+ALL = [limit / 3.6 for limit in samples.LIMITS]
+THREE = [*ALL[:3], np.nan]
+CLIMBS = np.diff(samples.HEIGHTS)
+ANSWERS = {
+    "valhalla": (samples.valhalla(), NONE, True),
+    "valhalla in miles": (samples.valhalla("miles"), NONE, True),
+    "osrm with annotation": (samples.osrm(), THREE, False),
+    "osrm with steps": (samples.osrm(annotated=False), NONE, False),
+    "graphhopper with instructions": (samples.graphhopper(), NONE, True),
+    "graphhopper with details": (samples.graphhopper(["time", "max_speed"]), THREE, True),
+    "graphhopper by speed, not encoded": (
+        samples.graphhopper(["average_speed"], encode=False), NONE, True),
+    "graphhopper in the plane": (samples.graphhopper(["time"], up=False), NONE, False),
+    "openrouteservice": (samples.openrouteservice(), NONE, True),
+    "openrouteservice as geojson in km": (samples.openrouteservice("geojson", "km"), NONE, True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("answer", "limits", "heights"), ANSWERS.values(), ids=ANSWERS)
+def test_every_service_gives_the_legs_of_the_road(read, answer, limits, heights):
+    legs = read(answer)
+    assert legs.length == pytest.approx(samples.LENGTHS, abs=1.0)
+    assert legs.duration == pytest.approx(samples.DURATIONS)
+    np.testing.assert_allclose(legs.limit, limits, rtol=1e-6)
+    assert (legs.height_known == heights).all()
+    # Heights are smoothed over 50 m, which rounds the road at the ends of its legs.
+    assert legs.climb == pytest.approx(CLIMBS if heights else 0 * CLIMBS, abs=1.5)
+    assert np.isnan(legs.start_speed).all() and np.isnan(legs.end_speed).all()
+
+
+@pytest.mark.parametrize("timed", [True, False], ids=["by elapsed time", "by speed"])
+def test_edges_of_valhalla_have_limits_and_mean_heights(read, timed):
+    legs = read(samples.valhalla_edges(timed))
+    assert legs.length == pytest.approx(samples.LENGTHS)
+    assert legs.duration == pytest.approx(samples.DURATIONS)
+    assert legs.limit == pytest.approx(ALL)
+    assert legs.height_known.tolist() == [True, True, True, False]  # 32768 of the last is unknown
+    assert legs.climb[2] > 30.0
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        samples.osrm(annotated=False, steps=False),
+        samples.openrouteservice(units="mi", steps=False),
+        {"paths": [{"distance": samples.TOTAL, "time": 1000 * samples.DURATION}]},
+        {"trip": {"legs": [{"summary": {"length": samples.TOTAL / 1000, "time": 404}}]}},
+    ],
+    ids=["osrm", "openrouteservice", "graphhopper", "valhalla"],
+)
+def test_without_steps_the_route_is_one_leg(read, answer):
+    legs = read(answer)
+    assert legs.length == pytest.approx([samples.TOTAL])
+    assert legs.duration == pytest.approx([samples.DURATION])
+
+
+def test_speed_limits_are_in_the_units_of_the_answer(read):
+    answer = samples.osrm()
+    answer["routes"][0]["legs"][0]["annotation"]["maxspeed"][0] = {"speed": 30, "unit": "mph"}
+    assert read(answer).limit[0] == pytest.approx(30 * 0.44704)
+    edges = samples.valhalla_edges() | {"units": "miles"}
+    assert read(edges).limit[0] == pytest.approx(50 * 0.44704)
+    edges["edges"][0]["speed_limit"] = 255  # none, as on an autobahn
+    assert np.isnan(read(edges).limit[0])
+
+
+def test_a_part_without_duration_belongs_to_the_next(read):
+    """As Valhalla rounds short maneuvers; the whole keeps its length."""
+    answer = samples.valhalla()
+    maneuvers = answer["trip"]["legs"][0]["maneuvers"]
+    maneuvers.insert(0, {"length": 0.1, "time": 0})
+    maneuvers.append({"length": 0.02, "time": 0})
+    legs = read(answer)
+    assert legs.length == pytest.approx([500.0, 800.0, 5000.0, 1820.0])
+    assert legs.duration == pytest.approx(samples.DURATIONS)
+
+
+def test_legs_of_several_waypoints_follow_each_other(read):
+    answer = samples.valhalla()
+    (leg,) = answer["trip"]["legs"]
+    answer["trip"]["legs"] = [leg, deepcopy(leg)]
+    legs = read(answer)
+    assert legs.length == pytest.approx(samples.LENGTHS * 2)
+    assert legs.climb[5:7].sum() == pytest.approx(CLIMBS[1:3].sum(), abs=3.0)
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ({"code": "NoRoute", "message": "Impossible route"}, "no route: Impossible route"),
+        ({"error_code": 442, "error": "No path could be found", "status_code": 400}, "No path"),
+        ({"error": {"code": 2010, "message": "no routable point"}}, "no route: no routable point"),
+        ({"message": "Cannot find point 2", "hints": []}, "no route: Cannot find point 2"),
+        ({"routes": [], "code": "Ok"}, "no route"),
+        ({"vehicle": "bmw_i3"}, "known are GeoJSON and the answers of Valhalla"),
+        ({"routes": [{"legs": [{"steps": []}]}]}, "lacks 'distance'"),
+        ({"routes": [{"legs": [{"distance": "x", "duration": 3}]}]}, "JSON is damaged"),
+        ({"routes": [{"legs": [{"distance": 9.0, "duration": 0}]}]}, "takes no time"),
+        ({"routes": [{"legs": [{"distance": 9e3, "duration": 2}]}]}, "lengths in m, durations"),
+        ({"routes": [{"legs": [{"distance": 9.0, "duration": 900}]}]}, "drives 0.01 m/s"),
+        ({"routes": [{"legs": [{"distance": 1e400, "duration": 900}]}]}, "above 120960 km"),
+        ({"routes": [{"legs": [{"distance": 9.0, "duration": 1e400}]}]}, "a time is not finite"),
+        (
+            {
+                "trip": {
+                    "legs": [
+                        {
+                            "summary": {"length": 1e300, "time": 9},
+                            "elevation": [1, 2],
+                            "elevation_interval": 1e300,
+                        }
+                    ]
+                }
+            },
+            "above 120960 km",
+        ),
+        ({"paths": [{"distance": 9.0, "time": 9, "points": "~"}]}, "polyline is damaged"),
+        ({"trip": {"units": "furlongs", "legs": []}}, "lacks 'furlongs'"),
+        ('{"routes": [', "JSON is damaged"),
+        ('{"routes": ' + "[" * 100_000, "JSON is damaged"),
+    ],
+)
+def test_what_is_no_route_is_refused_with_the_reason(read, answer, reason):
+    with pytest.raises(PlanError, match=reason) as error:
+        read(answer, "route.json")
+    assert "route.json: " in str(error.value) and "\n" not in str(error.value)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(kind=st.sampled_from(sorted(ANSWERS)), seed=st.integers(0, 10**6))
+def test_a_damaged_answer_is_legs_or_an_input_error(tmp_path, kind, seed):
+    path = tmp_path / "route.json"
+    path.write_bytes(mutate_json(json.dumps(ANSWERS[kind][0]).encode(), Random(seed)))
+    with suppress(InputError):
+        legs = read_plan(path)
+        assert np.isfinite(legs.length).all() and (legs.duration > 0).all()
+
+
+def test_a_polyline_is_that_of_its_documentation():
+    """The example of Google's page on the algorithm."""
+    places = decode_polyline("_p~iF~ps|U_ulLnnqC_mqNvxq`@", 1e5, 2)
+    assert places.tolist() == [[38.5, -120.2], [40.7, -120.95], [43.252, -126.453]]
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-400, 9000)), min_size=1
+    ),
+    st.sampled_from([1e5, 1e6]),
+    st.sampled_from([2, 3]),
+)
+def test_a_polyline_comes_back(points, scale, dimensions):
+    rows = [point[:dimensions] for point in points]
+    scales = [scale, scale, 100.0][:dimensions]
+    found = decode_polyline(samples.encoded(rows, scales), scale, dimensions)
+    np.testing.assert_allclose(found, rows, atol=0.51 / min(scales[-1], scale), rtol=0)
+
+
+@given(st.text(max_size=40), st.sampled_from([2, 3]))
+def test_any_text_is_a_polyline_or_refused(text, dimensions):
+    with suppress(PlanError):
+        assert decode_polyline(text, 1e5, dimensions).shape[1] == dimensions
+
+
+def test_a_polyline_that_is_too_long_is_refused():
+    with pytest.raises(PlanError, match="more than 800000 characters"):
+        decode_polyline("?" * 800_001, 1e5, 2)
