@@ -173,12 +173,12 @@ class _Steps:
 
     @classmethod
     def of(cls, done: list[Interval]) -> _Steps:
-        columns = (
-            np.concatenate([np.abs(getattr(each.steps, name)) if name == "distance"
-                            else getattr(each.steps, name) for each in done])
+        duration, distance, kinetic, climb = (
+            np.concatenate([getattr(each.steps, name) for each in done])
             for name in ("duration", "distance", "kinetic", "climb")
-        )  # fmt: skip
-        return cls(*columns, known=all(each.height_known for each in done))
+        )
+        known = all(each.height_known for each in done)
+        return cls(duration, np.abs(distance), kinetic, climb, known)
 
     def plan(self, resolution: str) -> Plan | Legs:
         """The drive as a plan: of points each second, else of legs."""
@@ -208,7 +208,9 @@ class _Steps:
             for each in (self.duration, self.distance, self.climb)
         )
         mean = self.distance / self.duration
-        speed = np.concatenate((mean[:1], (mean[1:] + mean[:-1]) / 2.0, mean[-1:]))
+        half = np.where(mean > 0.1, self.kinetic / np.maximum(mean, 0.1) / 2.0, 0.0)
+        starts, ends = np.maximum(mean - half, 0.0), np.maximum(mean + half, 0.0)
+        speed = np.concatenate((starts[:1], (starts[1:] + ends[:-1]) / 2.0, ends[-1:]))
         steep = np.clip(np.diff(height), -self.distance, self.distance)
         height = np.concatenate(([0.0], np.cumsum(steep)))
         return plan_from_speed_profile(time, distance, speed, height if self.known else None)
@@ -239,4 +241,4 @@ def _crps(error: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     density = np.exp(-(away**2) / 2.0) / math.sqrt(2.0 * math.pi)
     erf = np.array([math.erf(each / math.sqrt(2.0)) for each in away])
     found = sigma * (away * erf + 2.0 * density - 1.0 / math.sqrt(math.pi))
-    return np.where(np.isnan(sigma), np.abs(error), found)
+    return np.asarray(np.where(np.isnan(sigma), np.abs(error), found))

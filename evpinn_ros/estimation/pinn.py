@@ -89,7 +89,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._seen_ns: int | None = None  # of what was predicted
         self._powers: deque[tuple[Sample, float]] = deque(maxlen=POWERS_KEPT)
         self.gated: Counter[str] = Counter()
-        self._tail = Tail()
+        self._tail = Tail(self._equation)
         self._measured_ns: int | None = None  # newest measured sample
         self._before: Journey | None = None  # from the last interval measured to that sample
         self._use(LearnedCar.new(self._equation))
@@ -124,8 +124,7 @@ class PinnLearner(Saveable[SavedPinn]):
         if sample.newest:
             return PowerPrediction(power + correction.power, sigma)
         self._powers.append((sample, power))
-        row[State.LOAD] = 1.0
-        self._tail.add(sample.stamp_ns, row, sample.speed, height=sample.grade != 0.0)
+        self._tail.add(sample)
         energy = self._energy_since_battery(sample.stamp_ns)
         return PowerPrediction(power + correction.power, sigma, *energy)
 
@@ -251,21 +250,24 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""
-        self._tail, self._measured_ns, self._before = Tail(), None, None
+        self._tail, self._measured_ns, self._before = Tail(self._equation), None, None
 
     def _energy_since_battery(self, stamp_ns: int) -> tuple[float, float]:
         """Energy predicted since the battery was last measured, J, its 1-sigma; NaN before."""
-        car, tail = self._car, self._tail
-        begin_ns = self._measured_ns
+        car, begin_ns = self._car, self._measured_ns
         if begin_ns is not None and stamp_ns - begin_ns < SILENT_NS:
             return math.nan, math.nan
         if car.measured:
-            return self._model.predicted(tail.between(begin_ns or 0, stamp_ns))
+            return self._model.predicted(self._driven(begin_ns or 0, stamp_ns))
         # Intervals begin where the battery was last known, a little before its last sample.
-        before = self._before or tail.between(car.known_ns, begin_ns or 0)
-        since = tail.between(car.end_ns, stamp_ns)
+        before = self._before or self._driven(car.known_ns, begin_ns or 0)
         self._before = before
+        since = self._driven(car.end_ns, stamp_ns)
         return self._model.predicted(car.dropout.plus(since).less(before))
+
+    def _driven(self, start_ns: int, end_ns: int) -> Journey:
+        """Journey of the newest samples between two stamps."""
+        return self._tail.between(start_ns, end_ns, self._warmth)
 
     def _power(self, sample: Sample) -> float:
         """Power of the car alone, W, that of the prediction where the car is the same."""

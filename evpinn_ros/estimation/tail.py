@@ -3,49 +3,87 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+import math
 
 import numpy as np
 
 from evpinn_ros.estimation.posterior import NOWHERE, Journey, unexplained
+from evpinn_ros.estimation.terms import Equation, Warmth, conditions_of
+from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.sample import Sample
 
 MAX_STEP = 10.0  # s that one sample may stand for
 KEPT = 1000  # samples that are remembered at least: intervals wait up to a minute for heights
 
 
 class Tail:
-    """Sums of the samples so far, of which journeys are differences."""
+    """Sums of the steps between samples, of which journeys are differences.
 
-    def __init__(self) -> None:
-        """Nothing driven."""
+    A step's kinetic energy is an exact difference, as an interval's is. Nothing is computed
+    before a journey is asked for, which is in dropouts alone.
+    """
+
+    def __init__(self, equation: Equation) -> None:
+        """Nothing driven by a car."""
+        self._equation = equation
+        self._samples: list[Sample] = []
         self._stamps: list[int] = []
         self._sums: list[Journey] = []
 
-    def add(self, stamp_ns: int, row: np.ndarray, speed: float, *, height: bool) -> None:
-        """Take a sample: its row of power, W per unit, shape (SIZE,), and speed, m/s.
+    def add(self, sample: Sample) -> None:
+        """Take the next sample."""
+        if self._stamps and sample.stamp_ns <= self._stamps[-1]:
+            return
+        self._samples.append(sample)
+        self._stamps.append(sample.stamp_ns)
+        if len(self._stamps) >= 2 * KEPT:
+            for each in (self._samples, self._stamps, self._sums):
+                del each[:KEPT]
+
+    def between(self, start_ns: int, end_ns: int, warmth: Warmth) -> Journey:
+        """Journey from one stamp to another, as far as it is remembered.
 
         Args:
-            stamp_ns: of the sample.
-            row: of `Equation.row_of`.
-            speed: m/s.
-            height: whether the grade is known.
+            start_ns: begin.
+            end_ns: end.
+            warmth: of tyres and cabin.
         """
-        step, whole = 0.0, NOWHERE
-        if self._stamps:
-            whole = self._sums[-1]
-            step = min(max((stamp_ns - self._stamps[-1]) / NANOSECONDS, 0.0), MAX_STEP)
-        unseen = 0.0 if height else abs(speed) * step
-        own = Journey(row * step, step, unexplained(step, speed**2 * step), unseen)
-        self._stamps.append(stamp_ns)
-        self._sums.append(whole.plus(own))
-        if len(self._stamps) >= 2 * KEPT:
-            del self._stamps[:KEPT], self._sums[:KEPT]
-
-    def between(self, start_ns: int, end_ns: int) -> Journey:
-        """Journey from one stamp to another, as far as it is remembered."""
-        if not self._sums:
+        if not self._stamps:
             return NOWHERE
+        for index in range(len(self._sums), len(self._samples)):
+            before = self._sums[-1] if self._sums else NOWHERE
+            step = self._step(index, warmth) if self._sums else NOWHERE
+            self._sums.append(before.plus(step))
         return self._until(end_ns).less(self._until(start_ns))
+
+    def _step(self, index: int, warmth: Warmth) -> Journey:
+        """The step that ends with a sample."""
+        begin, end = self._samples[index - 1 : index + 1]
+        seconds = min((end.stamp_ns - begin.stamp_ns) / NANOSECONDS, MAX_STEP)
+        speed = (begin.speed + end.speed) / 2.0
+        way, wind = abs(speed) * seconds, end.head_wind
+
+        def drag(v: float) -> float:
+            return (v + wind) * abs(v + wind) * abs(v)
+
+        air = (drag(begin.speed) + 4.0 * drag(speed) + drag(end.speed)) / 6.0 * seconds
+        motor = end.motor_power * seconds
+        motor_known = not math.isnan(motor)
+        moved = (
+            seconds,
+            way,
+            air,
+            (end.speed**2 - begin.speed**2) / 2.0,
+            speed * seconds * math.sin((begin.grade + end.grade) / 2.0),
+            max(motor, 0.0) if motor_known else math.nan,
+            max(-motor, 0.0) if motor_known else math.nan,
+        )
+        steps = Steps._make((*(np.array([each]) for each in moved), end.motor_scaled))
+        rows = self._equation.rows(steps, conditions_of(end), warmth)
+        unseen = 0.0 if end.grade else way
+        noise = unexplained(seconds, speed**2 * seconds, motor=steps.motor_known)
+        return Journey(rows[0], seconds, noise, unseen)
 
     def _until(self, stamp_ns: int) -> Journey:
         """The sum up to a stamp, with its share of the step that spans it."""

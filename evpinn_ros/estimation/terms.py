@@ -362,7 +362,19 @@ def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
         np.maximum(motor, 0.0),
         np.maximum(-motor, 0.0),
     )
-    conditions = Conditions(
+    arrays = (np.array([column]) for column in columns)
+    steps = Steps._make((*arrays, sample.motor_scaled))
+    return steps, conditions_of(sample)
+
+
+def coldness(celsius: float | None) -> float:
+    """Tens of K below a mild day."""
+    return 0.0 if celsius is None else max(0.0, MILD_CELSIUS - celsius) / 10.0
+
+
+def conditions_of(sample: Sample) -> Conditions:
+    """Surroundings of a sample."""
+    return Conditions(
         sample.air_density,
         sample.head_wind,
         sample.celsius,
@@ -370,11 +382,3 @@ def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
         sample.known_auxiliary > 0.0 or sample.doubted_load > 0.0,
         sample.doubted_load,
     )
-    arrays = (np.array([column]) for column in columns)
-    steps = Steps._make((*arrays, sample.motor_scaled))
-    return steps, conditions
-
-
-def coldness(celsius: float | None) -> float:
-    """Tens of K below a mild day."""
-    return 0.0 if celsius is None else max(0.0, MILD_CELSIUS - celsius) / 10.0
