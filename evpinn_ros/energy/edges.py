@@ -1,0 +1,116 @@
+"""Energy of the edges of a road network, for a router: many legs at once.
+
+An edge is a leg at even speed plus what uneven speed takes on such legs; between edges the speed
+is taken to go on. Downhill an edge may give energy back: a router needs potentials or
+Bellman-Ford's algorithm. What is not known of the car is the same on every edge, so the energies
+of routes are added up by `Edges.route`, and compared by the sigma of their difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.plan import Legs
+from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.estimation.unevenness import Path
+
+LEAST_SHARE = 1e-6  # of the variance of all edges; a direction with less is rounding
+CHUNK = 16_384  # edges computed together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Energies of n edges.
+
+    Attributes:
+        energy: J, shape (n,).
+        directions: what is not known of the car, one sigma each, J, shape (n, k): the same
+            direction is off in the same sense on every edge.
+        own: variance that is of an edge alone, J^2, shape (n,).
+        uneven: 1-sigma of the energy of uneven speed, J, shape (n,): off in the same sense too.
+    """
+
+    energy: np.ndarray
+    directions: np.ndarray
+    own: np.ndarray
+    uneven: np.ndarray
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """1-sigma of each edge, J, shape (n,)."""
+        return np.asarray(np.sqrt((self.directions**2).sum(1) + self.own + self.uneven**2))
+
+    def route(self, edges: Sequence[int] | np.ndarray) -> Uncertain:
+        """Energy of a route, J, and its 1-sigma; edges: their numbers, once for each time."""
+        return self._sum(np.bincount(np.asarray(edges), minlength=len(self.energy)))
+
+    def difference(
+        self, one: Sequence[int] | np.ndarray, other: Sequence[int] | np.ndarray
+    ) -> Uncertain:
+        """Energy that one route takes more than another, J, with the 1-sigma of that.
+
+        What both share cancels: edges that both drive, and the car.
+        """
+        count = len(self.energy)
+        times = [np.bincount(np.asarray(each), minlength=count) for each in (one, other)]
+        return self._sum(times[0] - times[1])
+
+    def _sum(self, times: np.ndarray) -> Uncertain:
+        variance = ((times @ self.directions) ** 2).sum() + np.abs(times) @ self.own
+        variance += (times @ self.uneven) ** 2
+        return Uncertain(float(times @ self.energy), math.sqrt(variance))
+
+
+def edge_energies(
+    legs: Legs, model: PowerModel, weather: Weather, head_wind: float = 0.0
+) -> Edges:
+    """Energies of legs that need not follow one another.
+
+    Args:
+        legs: of the network.
+        model: of the car; its tyres and cabin are taken as warm unless `weather` has a start.
+        weather: on the way.
+        head_wind: against the car on every edge, m/s.
+    """
+    warm = weather._replace(start_s=math.inf) if weather.start_s is None else weather
+    parts = [
+        _rows(legs, slice(begin, begin + CHUNK), model, warm, head_wind)
+        for begin in range(0, len(legs.length), CHUNK)
+    ]
+    rows, uneven = (np.concatenate(each) for each in zip(*parts, strict=True))
+    car = model.car
+    variance, vectors = np.linalg.eigh(car.covariance)
+    directions = rows @ (vectors * np.sqrt(np.maximum(variance, 0.0)))
+    size = (directions**2).sum(0)
+    counts = size > LEAST_SHARE * size.sum()
+    square = legs.length**2 / legs.duration
+    own = model.noise(legs.duration, square)
+    own += car.load_variance * legs.duration**2
+    own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
+    trust = math.sqrt(car.trust)
+    return Edges(
+        energy=rows @ car.mean,
+        directions=trust * directions[:, counts],
+        own=car.trust * own,
+        uneven=trust * car.unevenness.share * np.abs(uneven),
+    )
+
+
+def _rows(
+    legs: Legs, part: slice, model: PowerModel, weather: Weather, head_wind: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of some edges, and the energy that is expected of uneven speed, J."""
+    duration, length, climb = legs.duration[part], legs.length[part], legs.climb[part]
+    speed, zero = length / duration, np.zeros_like(duration)
+    flow = speed + head_wind
+    motion = Motion(duration, length, flow * np.abs(flow) * length, zero, climb)
+    rows = model.rows(motion, weather)
+    density = np.full_like(duration, weather.air_density)
+    path = Path(duration, length, zero, zero, climb, density, zero)
+    beyond = model.car.unevenness.of_legs(model.car.equation, path)
+    return rows + beyond, beyond @ model.car.mean
