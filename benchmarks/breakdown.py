@@ -17,8 +17,8 @@ from benchmarks.ledger import true_parts
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
-from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.pinn import LearnedCar
+from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind

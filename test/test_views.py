@@ -16,8 +16,8 @@ from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.terms import COUNT
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
+from evpinn_ros.estimation.terms import COUNT
 from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
 from evpinn_ros.topics.estimates import (
     breakdown_messages,
