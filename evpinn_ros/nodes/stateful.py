@@ -49,6 +49,7 @@ class StatefulNode(GuardedNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
+        self._clock_went_back = False  # since the last jump
         self.on_clock_going_back(self._on_clock_going_back)
         return self.state_file.start or self.ANEW
 
@@ -110,14 +111,20 @@ class StatefulNode(GuardedNode):
         return self.save()
 
     def _on_clock_going_back(self) -> None:
+        self._clock_went_back = True
         for guard in self.stamp_guards():
             guard.clock_went_back()
 
     def _on_jump(self, jump: Jump) -> None:
-        policy = self.values["time_jump_policy"]
-        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
+        policy = JumpPolicy(self.values["time_jump_policy"])
+        if policy is JumpPolicy.AUTO:
+            policy = JumpPolicy.RESET if self._clock_went_back else JumpPolicy.HOLD
+        self._clock_went_back = False
+        self.get_logger().warning(
+            text := f"time went back by {jump.seconds:.1f} s: {policy.value}"
+        )
         self.notice("jump", text)
-        if policy == JumpPolicy.RESET.value:
+        if policy is JumpPolicy.RESET:
             self.begin_anew()
         else:
             self.hold()
