@@ -105,8 +105,7 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
     def done(self, response: Any, text: str, problem: str | None = None) -> Any:
         """The response of a service, logged."""
         response.success, response.message = problem is None, problem or text
-        log = self.get_logger().info if problem is None else self.get_logger().warning
-        log(printable(response.message))
+        self.log(Level.OK if problem is None else Level.WARN, response.message)
         return response
 
     def begin(self) -> None:
@@ -136,7 +135,7 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         if self.active:
             self.active = False
             if problem := self.end():
-                self.get_logger().warning(printable(problem))
+                self.log(Level.WARN, problem)
 
     def close(self) -> str | None:
         """Let go of threads and files; called once, when the node has stopped spinning.
@@ -199,7 +198,10 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
                 return callback(request, response)
             except Exception as error:
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
-                return kind.Response()
+                failed = kind.Response()
+                if hasattr(failed, "message"):
+                    failed.message = f"internal fault: {type(error).__name__}"
+                return failed
 
         return super().create_service(kind, name, safe, **options)
 
@@ -337,14 +339,14 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             self._phases[phase.name] = phase.text
             if lasts and phase.text != self._logged.get(phase.name):
                 self._logged[phase.name] = phase.text
-                self._log(phase)
+                self.log(phase.level, phase.text)
 
-    def _log(self, phase: Status) -> None:
-        # Each call has a line of its own: rclpy ties the severity to the place.
-        logger, text = self.get_logger(), printable(phase.text)
-        if phase.level is Level.ERROR:
+    def log(self, level: Level, text: str) -> None:
+        """Log a line. rclpy ties the severity to the place of the call, so each has its own."""
+        logger, text = self.get_logger(), printable(text)
+        if level is Level.ERROR:
             logger.error(text)
-        elif phase.level is Level.WARN:
+        elif level is Level.WARN:
             logger.warning(text)
         else:
             logger.info(text)
