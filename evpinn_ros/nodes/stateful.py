@@ -13,6 +13,7 @@ from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic
+from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.settings import jump_rule
 
 SAVE_PERIOD = 60.0  # s
