@@ -12,7 +12,6 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 
 from evpinn_ros import topics
@@ -34,18 +33,20 @@ NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
-class GuardedNode(ABC, LifecycleNodeMixin, Node):
+class GuardedNode(ABC, Node):
     """A node whose callbacks never raise and which reports its health once a second.
 
-    With the parameter `managed` it has the transitions of a lifecycle node; else none of that.
-
     Attributes:
-        active: whether it works: always, or between `activate` and `deactivate`.
+        active: whether it works; a managed node does between `activate` and `deactivate`.
+        configured: whether its parameters are in use, and fixed but for those that may change.
         values: of the parameters, by name; they follow changes.
         received: messages by input.
         published: messages by output.
         bad: messages and outputs that were not used, by topic and reason.
+        calls: of services, by name.
     """
+
+    active, configured = True, False
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         """Declare the parameters of the table `name`; `kwargs` go to rclpy's Node.
@@ -53,14 +54,10 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         Raises:
             InputError: a parameter is wrong.
         """
+        self.calls: Counter[str] = Counter()
+        self._made: list[Callable[[], object]] = []  # what undoes each endpoint and timer
         Node.__init__(self, name, **kwargs)
         self.values = declare(self, TABLES.get(name, ()))
-        # A vehicle may be named by the path of its file.
-        self._car = Path(str(self.values.get("vehicle", ""))).stem
-        managed = bool(self.values.get("managed"))
-        self.active = not managed
-        if managed:
-            LifecycleNodeMixin.__init__(self)
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
@@ -108,35 +105,6 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         self.log(Level.OK if problem is None else Level.WARN, response.message)
         return response
 
-    def begin(self) -> None:
-        """Open what a node holds while it works; called at the start, or when it is activated."""
-
-    def end(self) -> str | None:
-        """Let go of that; gives what could not be kept and why."""
-        return None
-
-    def on_activate(self, state: Any) -> Any:
-        """Work; what lifecycle nodes do is logged by what changes then."""
-        self.active = True
-        self.begin()
-        return super().on_activate(state)
-
-    def on_deactivate(self, state: Any) -> Any:
-        """Stop working; what was learned is kept, in the file too."""
-        self._stop_working()
-        return super().on_deactivate(state)
-
-    def on_shutdown(self, state: Any) -> Any:
-        """Likewise, for good."""
-        self._stop_working()
-        return super().on_shutdown(state)
-
-    def _stop_working(self) -> None:
-        if self.active:
-            self.active = False
-            if problem := self.end():
-                self.log(Level.WARN, problem)
-
     def close(self) -> str | None:
         """Let go of threads and files; called once, when the node has stopped spinning.
 
@@ -149,7 +117,9 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         """Make publishers for `publish`."""
         beside = [TYPED[topic] for topic in outputs if topic in TYPED] if is_installed() else []
         for topic in (*outputs, *beside):
-            self._outlets[topic] = factory.advertise(self, topic, partial(self._refused_by, topic))
+            outlet = factory.advertise(self, topic, partial(self._refused_by, topic))
+            self._outlets[topic] = outlet
+            self._made.append(partial(self.destroy_publisher, outlet))
 
     def advertises(self, topic: Topic) -> bool:
         """True if there is a publisher for a topic."""
@@ -180,8 +150,9 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             topic,
             lambda message, info: safe(message, info),
             raw=raw,
-            on_mismatch=partial(self._mismatched.__setitem__, topic),
+            on_mismatch=partial(self._cannot_hear, topic),
         )
+        self._made.append(partial(self.destroy_subscription, subscription))
         if not raw:
             self._inputs[topic] = subscription.topic_name
 
@@ -194,6 +165,7 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         """
 
         def safe(request: Any, response: Any) -> Any:
+            self.calls[name] += 1
             try:
                 return callback(request, response)
             except Exception as error:
@@ -203,12 +175,15 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
                     failed.message = f"internal fault: {type(error).__name__}"
                 return failed
 
-        return super().create_service(kind, name, safe, **options)
+        service = super().create_service(kind, name, safe, **options)
+        self._made.append(partial(self.destroy_service, service))
+        return service
 
     def every(self, seconds: float, callback: Callable[[], object]) -> None:
         """Call back by the monotonic clock."""
         safe = self.guarded(callback, getattr(callback, "__name__", "timer"))
-        self.create_timer(seconds, safe, clock=self._steady)
+        timer = self.create_timer(seconds, safe, clock=self._steady)
+        self._made.append(partial(self.destroy_timer, timer))
 
     def on_clock_going_back(self, callback: Callable[[], None]) -> None:
         """Call back when the node's clock jumps back, as /clock does when a bag starts over."""
@@ -220,9 +195,10 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             self._arrivals.clear()
             callback()
 
-        self._jump_handle = self.get_clock().create_jump_callback(
+        handle = self.get_clock().create_jump_callback(
             threshold, post_callback=self.guarded(jumped, "clock jump")
         )
+        self._made.append(handle.unregister)
 
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
@@ -238,6 +214,15 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             if (beside := TYPED.get(topic)) in self._outlets:
                 self._outlets[beside].publish(typed_message(new_message, topic, message))
                 self.published[beside] += 1
+
+    def forget_endpoints(self) -> None:
+        """Destroy what was made since the list of it was cleared."""
+        while self._made:
+            self._made.pop()()
+        for kept in (self._arrivals, self._inputs, self._mismatched, self._by_turns):
+            kept.clear()
+        self._outlets = {k: v for k, v in self._outlets.items() if k is topics.DIAGNOSTICS}
+        self._numbers = MessageNumbers()
 
     def now_ns(self) -> int:
         """The node's clock, for stamps of frames, /diagnostics and checks of stamps."""
@@ -269,7 +254,8 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         shown = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
         fault, at = self._newest_fault
         recent = fault if at > self.steady_s() - LATELY else None
-        return Health(bad, dict(self._faults), tuple(self._detections(shown)), recent)
+        notices = tuple(self._detections(shown))
+        return Health(bad, dict(self._faults), notices, recent, dict(self.calls))
 
     def _detections(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
@@ -288,7 +274,13 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             yield unused
 
     def _refused_by(self, topic: Topic, policy: str) -> None:
-        self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
+        text = f"a subscriber of {topic.name} wants another QoS: {policy}"
+        self.notice(topic.name, text)
+        self.log(Level.WARN, text)
+
+    def _cannot_hear(self, topic: Topic, policy: str) -> None:
+        self._mismatched[topic] = policy
+        self.log(Level.WARN, f"incompatible QoS of {topic.name}: {policy}")
 
     def age(self, *either: Topic) -> float:
         """Seconds since the last usable message of one of these inputs, NaN before the first."""
@@ -326,7 +318,9 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             (f"{node}: {status.name}", status.level, status.text, status.values)
             for status in statuses
         ]
-        hardware = f"{self._car} {self.get_namespace()}".strip()
+        # A vehicle may be named by the path of its file.
+        car = Path(str(self.values.get("vehicle", ""))).stem
+        hardware = f"{car} {self.get_namespace()}".strip()
         return diagnostics(new_message, self.now_ns(), named, hardware)
 
     def _log_changes(self) -> None:

@@ -8,18 +8,17 @@ from typing import Any, ClassVar
 
 from std_srvs.srv import Trigger
 
-from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Condition, Health
+from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.settings import jump_rule
 
 SAVE_PERIOD = 60.0  # s
 
 
-class StatefulNode(GuardedNode):
+class StatefulNode(ManagedNode):
     """A node with a core that goes on where it was, after a restart and when time jumps.
 
     Attributes:
@@ -104,10 +103,6 @@ class StatefulNode(GuardedNode):
         return self.state_file.save() if self.values[self.FILE] else None
 
     def end(self) -> str | None:
-        """Save."""
-        return self.save()
-
-    def close(self) -> str | None:
         """Save."""
         return self.save()
 

@@ -35,3 +35,7 @@ def test_every_service_in_every_order_answers_what_was_done(
             assert answer.success == works, (order, name, answer.message)
             assert answer.message
             assert "internal fault" not in answer.message
+    counted = bench.diagnosis(node)
+    values = next(iter(counted.values()))[2]
+    for _, name, _ in calls:
+        assert int(values[f"calls.~/{name}"]) >= 2
