@@ -250,9 +250,9 @@ def linked(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (space / "src").mkdir()
     shutil.copytree(source, space / "src" / "evpinn_ros")
     (space / "src" / "evpinn_msgs").symlink_to("evpinn_ros/evpinn_msgs")
+    without_messages = ("--packages-skip", "evpinn_msgs")  # `make test` compiles them, a minute
     done = subprocess.run(
-        [sys.executable, "-m", "colcon", "build", "--symlink-install"]
-        + ["--packages-skip", "evpinn_msgs"],  # a minute of compiling, done by `make test`
+        [sys.executable, "-m", "colcon", "build", "--symlink-install", *without_messages],
         cwd=space, env=os.environ | {"COLCON_HOME": str(space)}, stdin=subprocess.DEVNULL,
         capture_output=True, text=True,
     )  # fmt: skip
