@@ -1,12 +1,16 @@
 """Managed nodes, driven by `ros2 lifecycle`."""
 
 import json
+from pathlib import Path
+import time
 
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import message_class, qos_profile
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def hear(bench, topic):
@@ -138,3 +142,22 @@ def test_a_fault_of_ours_leads_to_where_the_node_can_be_configured_anew(bench, m
     monkeypatch.undo()
     assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
     node._faults.clear()  # the bench demands that there are none
+
+
+def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2):
+    given = ("vehicle:=tesla_model_3_lr", "can_interface:=virtual", "can_channel:=none")
+    with ros2.running("launch", "evpinn_ros", "managed.launch.py", *given):
+        for name in ("estimator", "energy", "can_bridge"):
+            end = time.monotonic() + 60.0
+            while "active [3]" not in (said := ros2.ask("lifecycle", "get", f"/ev/{name}")):
+                assert time.monotonic() < end, said
+
+
+def test_a_launch_of_two_cars_names_each(ros2, bench):
+    default = ROOT / "config" / "evpinn.param.yaml"
+    cars = ("first_vehicle:=bmw_i3", "second_vehicle:=tesla_model_3_lr")
+    given = (f"first:={default}", f"second:={default}", *cars)
+    names = [f"/{robot}/ev/energy/state" for robot in ("robot1", "robot2")]
+    with ros2.running("launch", "evpinn_ros", "two_cars.launch.py", *given):
+        bench.pump(lambda: all(bench.node.count_publishers(name) for name in names), 60.0)
+        assert "bmw_i3" in ros2.ask("param", "get", "/robot1/ev/energy", "vehicle")
