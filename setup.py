@@ -4,7 +4,10 @@ import re
 from setuptools import find_packages, setup
 
 NAME = "evpinn_ros"
-VERSION = re.search(r'^__version__ = "(.+)"$', Path(NAME, "__init__.py").read_text(), re.M)[1]
+# The checkout: `colcon build --symlink-install` runs a link to this file, in a folder of its own.
+ROOT = Path(__file__).resolve().parent
+CODE = (ROOT / NAME / "__init__.py").read_text("utf-8")
+VERSION = re.search(r'^__version__ = "(.+)"$', CODE, re.M)[1]
 
 
 def shared_files(*folders):
@@ -17,9 +20,8 @@ def shared_files(*folders):
 
 def long_description():
     """The README without what a package index cannot show: pictures, links into the checkout."""
-    text = re.sub(
-        r"^!\[.*\n+(\*[^*]+\*\n+)?", "", Path("README.md").read_text("utf-8"), flags=re.M
-    )
+    readme = (ROOT / "README.md").read_text("utf-8")
+    text = re.sub(r"^!\[.*\n+(\*[^*]+\*\n+)?", "", readme, flags=re.M)
     text = re.sub(r"^<!--.*-->\n", "", text, flags=re.M)
     return re.sub(r"\[([^]]+)\]\((?!https?:)[^)]+\)", r"\1", text)
 
@@ -117,6 +119,7 @@ setup(
         "dev": [
             "ELM327-emulator",
             "colcon-core",
+            "colcon-package-selection",
             "colcon-python-setup-py",
             "colcon-ros",
             "colcon-test-result",

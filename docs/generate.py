@@ -94,7 +94,7 @@ def topics_page() -> str:
         "`position` holds their values, `velocity` their rates and `effort` their 1-sigma: ROS 2",
         "has no standard stamped scalar, and PlotJuggler and Foxglove plot this one by name.",
         "",
-        "Inputs are subscribed best effort, outputs published reliable with depth 10, *latched*",
+        "Inputs are subscribed best effort, outputs published reliable with depth 100, *latched*",
         "ones transient local with depth 1. Every endpoint takes QoS overrides from parameters:",
         "`qos_overrides./ev/energy/state.publisher.depth`, `.history`, `.reliability`,",
         "`.durability`; another policy is refused.",

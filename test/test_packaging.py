@@ -7,6 +7,7 @@ from importlib import import_module
 import os
 from pathlib import Path
 import re
+import shutil
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -240,6 +241,41 @@ def test_installed_nodes_load(installed: Path) -> None:
     loaded = in_workspace(installed, sys.executable, "-c", code).split()
     assert len(loaded) == len(EXECUTABLES)
     assert all(Path(path).is_relative_to(installed) for path in loaded)
+
+
+@pytest.fixture(scope="module")
+def linked(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The install space of the guide's lines, with links in place of copies."""
+    space = tmp_path_factory.mktemp("linked")
+    (space / "src").mkdir()
+    shutil.copytree(source, space / "src" / "evpinn_ros")
+    (space / "src" / "evpinn_msgs").symlink_to("evpinn_ros/evpinn_msgs")
+    without_messages = ("--packages-skip", "evpinn_msgs")  # `make test` compiles them, a minute
+    done = subprocess.run(
+        [sys.executable, "-m", "colcon", "build", "--symlink-install", *without_messages],
+        cwd=space, env=os.environ | {"COLCON_HOME": str(space)}, stdin=subprocess.DEVNULL,
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "unknown package" not in done.stderr, done.stderr  # what is left out is there
+    return space / "install"
+
+
+def test_a_workspace_of_links_runs_what_is_in_its_source(linked: Path) -> None:
+    code = "from evpinn_ros.common import package_data as data; print(data.__file__)"
+    found = Path(in_workspace(linked, sys.executable, "-c", code).strip())
+    name = "evpinn_ros/common/package_data.py"
+    assert found.resolve() == (linked.parent / "src" / "evpinn_ros" / name).resolve()
+    assert "replay" in in_workspace(linked, "evpinn_ros/lib/evpinn_ros/evpinn", "--help")
+    shown = in_workspace(linked, "evpinn_ros/lib/evpinn_ros/evpinn", "vehicles")
+    assert "bmw_i3" in shown
+    assert (linked / "evpinn_ros/share/evpinn_ros/launch/evpinn.launch.py").is_symlink()
+
+
+def test_the_guides_build_is_the_one_that_is_tested() -> None:
+    guide = (ROOT / "docs" / "guides" / "ros.md").read_text()
+    assert "ln -s evpinn_ros/evpinn_msgs src/evpinn_msgs" in guide
+    assert "python -m colcon build --symlink-install\n" in guide
 
 
 def test_colcon_test_runs_the_tests(installed: Path, source: Path) -> None:

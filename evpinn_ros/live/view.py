@@ -26,7 +26,7 @@ from evpinn_ros.live.json_view import as_json
 from evpinn_ros.live.screen import plain_line, problem_lines, screen
 from evpinn_ros.live.state import NOTHING, WATCHED, LiveState
 from evpinn_ros.nodes.factory import message_class, qos_profile
-from evpinn_ros.topics import NAMESPACE, SUBSCRIBER_DEPTH, Qos
+from evpinn_ros.topics import NAMESPACE, QUEUE_DEPTH, Qos
 
 PERIOD = 0.1  # s between two pictures
 PLAIN_PERIOD = 1.0  # s between two lines
@@ -52,7 +52,7 @@ class LiveListener(Node):
             start_parameter_services=False,
         )
         self.state = LiveState(self.get_namespace())
-        profile = qos_profile(Qos(reliable=False, transient_local=False, depth=SUBSCRIBER_DEPTH))
+        profile = qos_profile(Qos(reliable=False, transient_local=False, depth=QUEUE_DEPTH))
         self._inputs = {
             topic: self.create_subscription(
                 message_class(topic.type_name), topic.name, self._never_called, profile
@@ -67,7 +67,7 @@ class LiveListener(Node):
         waking up costs more than reading ten.
         """
         for topic, subscription in self._inputs.items():
-            for _ in range(SUBSCRIBER_DEPTH):
+            for _ in range(QUEUE_DEPTH):
                 with subscription.handle:
                     taken = subscription.handle.take_message(subscription.msg_type, False)
                 if taken is None:

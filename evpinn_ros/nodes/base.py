@@ -6,13 +6,13 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from inspect import iscoroutinefunction
 import math
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 
 from evpinn_ros import topics
@@ -34,18 +34,20 @@ NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
-class GuardedNode(ABC, LifecycleNodeMixin, Node):
+class GuardedNode(ABC, Node):
     """A node whose callbacks never raise and which reports its health once a second.
 
-    With the parameter `managed` it has the transitions of a lifecycle node; else none of that.
-
     Attributes:
-        active: whether it works: always, or between `activate` and `deactivate`.
+        active: whether it works; a managed node does between `activate` and `deactivate`.
+        configured: whether its parameters are in use, and fixed but for those that may change.
         values: of the parameters, by name; they follow changes.
         received: messages by input.
         published: messages by output.
         bad: messages and outputs that were not used, by topic and reason.
+        calls: of services, by name.
     """
+
+    active, configured = True, False
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         """Declare the parameters of the table `name`; `kwargs` go to rclpy's Node.
@@ -53,14 +55,10 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         Raises:
             InputError: a parameter is wrong.
         """
+        self.calls: Counter[str] = Counter()
+        self._made: list[Callable[[], object]] = []  # what undoes each endpoint and timer
         Node.__init__(self, name, **kwargs)
         self.values = declare(self, TABLES.get(name, ()))
-        # A vehicle may be named by the path of its file.
-        self._car = Path(str(self.values.get("vehicle", ""))).stem
-        managed = bool(self.values.get("managed"))
-        self.active = not managed
-        if managed:
-            LifecycleNodeMixin.__init__(self)
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
@@ -105,38 +103,8 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
     def done(self, response: Any, text: str, problem: str | None = None) -> Any:
         """The response of a service, logged."""
         response.success, response.message = problem is None, problem or text
-        log = self.get_logger().info if problem is None else self.get_logger().warning
-        log(printable(response.message))
+        self.log(Level.OK if problem is None else Level.WARN, response.message)
         return response
-
-    def begin(self) -> None:
-        """Open what a node holds while it works; called at the start, or when it is activated."""
-
-    def end(self) -> str | None:
-        """Let go of that; gives what could not be kept and why."""
-        return None
-
-    def on_activate(self, state: Any) -> Any:
-        """Work; what lifecycle nodes do is logged by what changes then."""
-        self.active = True
-        self.begin()
-        return super().on_activate(state)
-
-    def on_deactivate(self, state: Any) -> Any:
-        """Stop working; what was learned is kept, in the file too."""
-        self._stop_working()
-        return super().on_deactivate(state)
-
-    def on_shutdown(self, state: Any) -> Any:
-        """Likewise, for good."""
-        self._stop_working()
-        return super().on_shutdown(state)
-
-    def _stop_working(self) -> None:
-        if self.active:
-            self.active = False
-            if problem := self.end():
-                self.get_logger().warning(printable(problem))
 
     def close(self) -> str | None:
         """Let go of threads and files; called once, when the node has stopped spinning.
@@ -150,7 +118,9 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         """Make publishers for `publish`."""
         beside = [TYPED[topic] for topic in outputs if topic in TYPED] if is_installed() else []
         for topic in (*outputs, *beside):
-            self._outlets[topic] = factory.advertise(self, topic, partial(self._refused_by, topic))
+            outlet = factory.advertise(self, topic, partial(self._refused_by, topic))
+            self._outlets[topic] = outlet
+            self._made.append(partial(self.destroy_publisher, outlet))
 
     def advertises(self, topic: Topic) -> bool:
         """True if there is a publisher for a topic."""
@@ -181,8 +151,9 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             topic,
             lambda message, info: safe(message, info),
             raw=raw,
-            on_mismatch=partial(self._mismatched.__setitem__, topic),
+            on_mismatch=partial(self._cannot_hear, topic),
         )
+        self._made.append(partial(self.destroy_subscription, subscription))
         if not raw:
             self._inputs[topic] = subscription.topic_name
 
@@ -194,19 +165,37 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         A parameter of a type that there is not raises in rclpy, and would end the node.
         """
 
+        def failed(error: Exception) -> Any:
+            self.count_fault(f"{name}: {type(error).__name__}", str(error))
+            response = kind.Response()
+            if hasattr(response, "message"):
+                response.message = f"internal fault: {type(error).__name__}"
+            return response
+
         def safe(request: Any, response: Any) -> Any:
+            self.calls[name] += 1
             try:
                 return callback(request, response)
             except Exception as error:
-                self.count_fault(f"{name}: {type(error).__name__}", str(error))
-                return kind.Response()
+                return failed(error)
 
-        return super().create_service(kind, name, safe, **options)
+        async def safe_later(request: Any, response: Any) -> Any:
+            self.calls[name] += 1
+            try:
+                return await callback(request, response)
+            except Exception as error:
+                return failed(error)
+
+        taken = safe_later if iscoroutinefunction(callback) else safe
+        service = super().create_service(kind, name, taken, **options)
+        self._made.append(partial(self.destroy_service, service))
+        return service
 
     def every(self, seconds: float, callback: Callable[[], object]) -> None:
         """Call back by the monotonic clock."""
         safe = self.guarded(callback, getattr(callback, "__name__", "timer"))
-        self.create_timer(seconds, safe, clock=self._steady)
+        timer = self.create_timer(seconds, safe, clock=self._steady)
+        self._made.append(partial(self.destroy_timer, timer))
 
     def on_clock_going_back(self, callback: Callable[[], None]) -> None:
         """Call back when the node's clock jumps back, as /clock does when a bag starts over."""
@@ -218,9 +207,10 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             self._arrivals.clear()
             callback()
 
-        self._jump_handle = self.get_clock().create_jump_callback(
+        handle = self.get_clock().create_jump_callback(
             threshold, post_callback=self.guarded(jumped, "clock jump")
         )
+        self._made.append(handle.unregister)
 
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
@@ -236,6 +226,15 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             if (beside := TYPED.get(topic)) in self._outlets:
                 self._outlets[beside].publish(typed_message(new_message, topic, message))
                 self.published[beside] += 1
+
+    def forget_endpoints(self) -> None:
+        """Destroy what was made since the list of it was cleared."""
+        while self._made:
+            self._made.pop()()
+        for kept in (self._arrivals, self._inputs, self._mismatched, self._by_turns):
+            kept.clear()
+        self._outlets = {k: v for k, v in self._outlets.items() if k is topics.DIAGNOSTICS}
+        self._numbers = MessageNumbers()
 
     def now_ns(self) -> int:
         """The node's clock, for stamps of frames, /diagnostics and checks of stamps."""
@@ -267,7 +266,8 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
         shown = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
         fault, at = self._newest_fault
         recent = fault if at > self.steady_s() - LATELY else None
-        return Health(bad, dict(self._faults), tuple(self._detections(shown)), recent)
+        notices = tuple(self._detections(shown))
+        return Health(bad, dict(self._faults), notices, recent, dict(self.calls))
 
     def _detections(self, lately: Mapping[str, int]) -> Iterator[str]:
         since = self.steady_s() - LATELY
@@ -286,7 +286,13 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             yield unused
 
     def _refused_by(self, topic: Topic, policy: str) -> None:
-        self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
+        text = f"a subscriber of {topic.name} wants another QoS: {policy}"
+        self.notice(topic.name, text)
+        self.log(Level.WARN, text)
+
+    def _cannot_hear(self, topic: Topic, policy: str) -> None:
+        self._mismatched[topic] = policy
+        self.log(Level.WARN, f"incompatible QoS of {topic.name}: {policy}")
 
     def age(self, *either: Topic) -> float:
         """Seconds since the last usable message of one of these inputs, NaN before the first."""
@@ -324,7 +330,9 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             (f"{node}: {status.name}", status.level, status.text, status.values)
             for status in statuses
         ]
-        hardware = f"{self._car} {self.get_namespace()}".strip()
+        # A vehicle may be named by the path of its file.
+        car = Path(str(self.values.get("vehicle", ""))).stem
+        hardware = f"{car} {self.get_namespace()}".strip()
         return diagnostics(new_message, self.now_ns(), named, hardware)
 
     def _log_changes(self) -> None:
@@ -337,14 +345,14 @@ class GuardedNode(ABC, LifecycleNodeMixin, Node):
             self._phases[phase.name] = phase.text
             if lasts and phase.text != self._logged.get(phase.name):
                 self._logged[phase.name] = phase.text
-                self._log(phase)
+                self.log(phase.level, phase.text)
 
-    def _log(self, phase: Status) -> None:
-        # Each call has a line of its own: rclpy ties the severity to the place.
-        logger, text = self.get_logger(), printable(phase.text)
-        if phase.level is Level.ERROR:
+    def log(self, level: Level, text: str) -> None:
+        """Log a line. rclpy ties the severity to the place of the call, so each has its own."""
+        logger, text = self.get_logger(), printable(text)
+        if level is Level.ERROR:
             logger.error(text)
-        elif phase.level is Level.WARN:
+        elif level is Level.WARN:
             logger.warning(text)
         else:
             logger.info(text)

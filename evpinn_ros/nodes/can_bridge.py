@@ -16,11 +16,11 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.log_player import LogPlayer
+from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.messages import Level
@@ -39,7 +39,7 @@ BEGINNINGS = (BusState.CLOSED.value, WAITING)  # how every bus begins is no news
 LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the process ends anyway
 
 
-class CanBridgeNode(GuardedNode):
+class CanBridgeNode(ManagedNode):
     """Decodes one bus, in one thread that owns it, and survives its unplugging.
 
     A second thread asks the car for what it does not broadcast, if `poll` allows that.
@@ -55,18 +55,19 @@ class CanBridgeNode(GuardedNode):
         Raises:
             InputError: a parameter is wrong, or the log is not there.
         """
+        self._record = record
         super().__init__("can_bridge", **kwargs)
+
+    def configure(self) -> None:
+        """Load the profile of the bus; it is opened by `begin`."""
         self._profile = self._load_profile()
         self._refuse_idle_poll()
         self._bridge = self._make_bridge()
-        self._record = record
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
         self._source: BusReader | LogPlayer | None = None
         self._threads: list[threading.Thread] = []
         self.begun(f"decoding {self._profile.key}; {self._where()}; waiting for frames")
-        if self.active:
-            self.begin()
 
     def begin(self) -> None:
         """Open the bus or the log, and read it."""
@@ -106,10 +107,6 @@ class CanBridgeNode(GuardedNode):
     def phases(self) -> list[Status]:
         """Messages of /diagnostics, but for how every bus begins."""
         return [each for each in self._statuses(WELL) if each.text not in BEGINNINGS]
-
-    def close(self) -> None:
-        """Stop asking and reading."""
-        self.end()
 
     def _start(self, run: Callable[[], None], name: str) -> threading.Thread:
         thread = threading.Thread(target=run, name=name, daemon=True)

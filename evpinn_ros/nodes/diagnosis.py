@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
 from typing import NamedTuple
 
@@ -36,12 +36,14 @@ class Health:
         faults: of our own, by text.
         notices: what a person should know now, a few words each.
         fault: the newest of our own, None when it is longer ago than `LATELY`.
+        calls: of services, by name.
     """
 
     bad: Mapping[str, int]
     faults: Mapping[str, int]
     notices: tuple[str, ...] = ()
     fault: str | None = None
+    calls: Mapping[str, int] = field(default_factory=dict)
 
 
 WELL = Health({}, {})
@@ -89,7 +91,10 @@ def unused_notice(lately: Mapping[str, int]) -> str | None:
 
 def with_health(status: Status, health: Health) -> Status:
     """A status with counters and notices of its node; a fault of our own outweighs all else."""
-    values = {**status.values, **flat("bad", health.bad), **flat("fault", health.faults)}
+    counters = {"bad": health.bad, "fault": health.faults, "calls": health.calls}
+    values = dict(status.values)
+    for name, counts in counters.items():
+        values |= flat(name, counts)
     if health.fault is None:
         text = "; ".join((status.text, *health.notices))
         level = max(status.level, Level.WARN) if health.notices else status.level

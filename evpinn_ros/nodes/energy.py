@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from functools import partial
 import math
-from typing import Any
+from typing import Any, NamedTuple
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.task import Future
 
 from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.battery_model import BatteryModel
+from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecaster import Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.nodes.base import NOT_ACTIVE
 from evpinn_ros.nodes.diagnosis import WELL, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     answered_status,
@@ -23,7 +30,8 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.nodes.plan_service import answer_plans
+from evpinn_ros.nodes.plan_desk import Job, PlanDesk
+from evpinn_ros.nodes.plan_service import answer_plans, refuse_plans
 from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
 from evpinn_ros.signals.readings import BatteryReading
@@ -48,6 +56,16 @@ from evpinn_ros.topics.plans import (
 from evpinn_ros.topics.readings import battery_message, to_reading
 from evpinn_ros.vehicle.files import load_vehicle
 
+
+class Moment(NamedTuple):
+    """Arguments of `Forecaster.answer` that are of one moment."""
+
+    charge: Uncertain
+    capacity: Uncertain
+    now_ns: int
+    battery: BatteryModel
+
+
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 
 
@@ -63,6 +81,9 @@ class EnergyNode(StatefulNode):
             InputError: a parameter is wrong.
         """
         super().__init__("energy", **kwargs)
+
+    def configure(self) -> None:
+        """Start from the energy file or at zero."""
         vehicle = load_vehicle(self.values["vehicle"])
         self.meter = EnergyMeter(
             load_rknn(),
@@ -71,7 +92,8 @@ class EnergyNode(StatefulNode):
         )
         self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
-        self.forecaster = Forecaster(vehicle)
+        # The one tells what forecasts rest on, the other answers in its thread.
+        self.forecaster, self._desk = Forecaster(vehicle), PlanDesk(Forecaster(vehicle))
         # Of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard = StampGuard(topics.SPEED)
         start = self.go_on(self.account, topics.POWER_SMOOTHED)
@@ -89,10 +111,12 @@ class EnergyNode(StatefulNode):
             self.listen(topic, partial(self._on_plan, read), raw=True)
         if is_installed():
             self.advertise(TYPED_FORECAST)
-            service = message_class(f"{PACKAGE}/srv/{PLAN_SERVICE}")
-            answer = partial(answer_plans, answer=self._answer)
-            self.create_service(service, "~/estimate_plan", answer)
+            self._serve_plans()
         self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
+
+    def let_go(self) -> None:
+        """Stop answering plans."""
+        self._desk.close()
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
@@ -147,7 +171,7 @@ class EnergyNode(StatefulNode):
     def _on_identifiable(self, message: Any) -> None:
         values, sigmas = read_identifiable(message)
         try:
-            self.forecaster.set_identifiable(values, sigmas)
+            self._learn(lambda forecaster: forecaster.set_identifiable(values, sigmas))
         except ValueError as error:
             raise BadMessage(str(error)) from error
 
@@ -158,14 +182,21 @@ class EnergyNode(StatefulNode):
             self.account.add_reading(admitted)
 
     def _on_model(self, message: Any) -> None:
-        self.forecaster.set_model(read_model(message, self._vehicle))
+        model = read_model(message, self._vehicle)
+        self._learn(lambda forecaster: forecaster.set_model(model))
 
     def _on_air(self, topic: Topic, message: Any) -> None:
         reading: Any = to_reading(topic.type_name, message)
         reason = why_impossible(reading)
         if reason is not None:
             raise BadMessage(reason)
-        self.forecaster.set_air(reading, self.now_ns())
+        now_ns = self.now_ns()
+        self._learn(lambda forecaster: forecaster.set_air(reading, now_ns))
+
+    def _learn(self, update: Job) -> None:
+        """Let both forecasters know something; what is wrong raises before the second has it."""
+        update(self.forecaster)
+        self._desk.tell(update)
 
     def _path(self, data: bytes) -> Plan:
         own = self._vehicle.nominal_speed
@@ -173,11 +204,22 @@ class EnergyNode(StatefulNode):
         return path_plan(data, self.values["nominal_speed"] or usual)
 
     def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
+        job = partial(self._answer_plan, read, data, self._moment())
+        if not self._desk.ask(self.guarded(job, "plan")):
+            self._refuse(request_header(new_message, data), "too many plans are waiting")
+
+    def _answer_plan(
+        self,
+        read: Callable[[bytes], Plan],
+        data: bytes,
+        moment: Moment,
+        forecaster: Forecaster,
+    ) -> None:
         """Answer a plan or refuse it with the reason, whatever happens."""
         header = new_message("std_msgs/msg/Header")
         try:
             header = request_header(new_message, data)
-            answer = self._answer(read(data), question(header))
+            answer = forecaster.answer(read(data), *moment, question(header))
             messages = list(self._plan_messages(header, answer))
         except (CdrError, PlanError) as error:
             self._refuse(header, str(error))
@@ -190,8 +232,8 @@ class EnergyNode(StatefulNode):
 
     def _refuse(self, header: Any, reason: str) -> None:
         """Answer a plan with the reason why there is no forecast."""
-        self._plans.refuse(reason)
         self.publish([self._plan_status(header, Status("plan", Level.WARN, reason, {}))])
+        self._plans.refuse(reason)
 
     def _plan_status(self, header: Any, status: Status) -> tuple[Topic, Any]:
         message = self.status_message([status])
@@ -217,7 +259,33 @@ class EnergyNode(StatefulNode):
             yield topics.FORECAST_BATTERY, battery
         yield self._plan_status(header, answered_status(answer))
 
-    def _answer(self, plan: Plan, asked: Question) -> PlanAnswer:
+    def _moment(self) -> Moment:
+        """What an answer needs of the battery now; the account goes on while a plan waits."""
         charge, capacity = self.account.charge(), self.account.gauge.capacity
-        known = self.account.battery
-        return self.forecaster.answer(plan, charge, capacity, self.now_ns(), known, asked)
+        return Moment(charge, capacity, self.now_ns(), deepcopy(self.account.battery))
+
+    def _serve_plans(self) -> None:
+        kind = message_class(f"{PACKAGE}/srv/{PLAN_SERVICE}")
+        # A call that waits for its answer keeps others of its group from being served.
+        group = MutuallyExclusiveCallbackGroup()
+        self.create_service(kind, "~/estimate_plan", self._on_estimate, callback_group=group)
+
+    async def _on_estimate(self, request: Any, response: Any) -> Any:
+        if not self.active:
+            return refuse_plans(request, response, NOT_ACTIVE)
+        moment, done = self._moment(), Future(executor=self.executor)
+
+        def job(forecaster: Forecaster) -> None:
+            def answer(plan: Plan, asked: Question) -> PlanAnswer:
+                return forecaster.answer(plan, *moment, asked)
+
+            try:
+                done.set_result(answer_plans(request, response, answer, self._plans))
+            except Exception as error:
+                fault = f"internal fault: {type(error).__name__}"
+                done.set_result(refuse_plans(request, response, fault))
+                raise
+
+        if not self._desk.ask(self.guarded(job, "estimate_plan")):
+            return refuse_plans(request, response, "too many plans are waiting")
+        return await done

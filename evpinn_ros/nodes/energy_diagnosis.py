@@ -118,8 +118,8 @@ def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
         "charge_after": rounded(plans.charge_after.value),
         "charge_after_sigma": rounded(plans.charge_after.sigma),
     }
-    if plans.problem is not None:
-        return Status("plan", Level.WARN, f"plan refused: {plans.problem}", values)
+    if plans.problem is not None:  # its asker has the reason, and the car is well
+        values["last_refusal"] = plans.problem
     if basis is Basis.VEHICLE_FILE:
         text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)

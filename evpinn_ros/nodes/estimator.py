@@ -44,6 +44,9 @@ class EstimatorNode(StatefulNode):
             InputError: a parameter is wrong.
         """
         super().__init__("estimator", **kwargs)
+
+    def configure(self) -> None:
+        """Start from the state file or the vehicle's priors."""
         # One thread for arithmetic: other programs need the cores, and sums keep their order.
         limit_blas_threads()
         self._vehicle = load_vehicle(self.values["vehicle"])
@@ -82,11 +85,9 @@ class EstimatorNode(StatefulNode):
         if model is not None:
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 
-    def close(self) -> str | None:
-        """Save, and stop the thread of the updates."""
-        problem = self.save()
+    def let_go(self) -> None:
+        """Stop the thread of the updates."""
         self._worker.close()
-        return problem
 
     def reset(self) -> str:
         """Forget all that was learned, also what the file held at the start."""

@@ -59,7 +59,7 @@ def advertise(node: Node, topic: Topic, on_mismatch: Callable[[str], None] | Non
         message_class(topic.type_name),
         topic.name,
         qos_profile(topic.publisher_qos),
-        qos_overriding_options=QoSOverridingOptions(OVERRIDABLE),
+        qos_overriding_options=_overriding(node, topic, "publisher"),
         event_callbacks=events,
     )
 
@@ -82,10 +82,17 @@ def subscribe(
         topic.name,
         callback,
         qos_profile(topic.subscriber_qos),
-        qos_overriding_options=QoSOverridingOptions(OVERRIDABLE),
+        qos_overriding_options=_overriding(node, topic, "subscription"),
         event_callbacks=events,
         raw=raw,
     )
+
+
+def _overriding(node: Node, topic: Topic, end: str) -> QoSOverridingOptions | None:
+    """Options that declare four parameters of an endpoint, where one of them was given."""
+    start = f"qos_overrides.{node.resolve_topic_name(topic.name)}.{end}."
+    given = any(name.startswith(start) for name in node._parameter_overrides)
+    return QoSOverridingOptions(OVERRIDABLE) if given else None
 
 
 def refuse_unknown_overrides(node: Node) -> None:

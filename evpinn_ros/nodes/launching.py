@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
@@ -137,7 +137,9 @@ def describe(
     return LaunchDescription([*arguments, OpaqueFunction(function=perform)])
 
 
-def node(given: Given, executable: str, parameters: Mapping[str, Value]) -> Node:
+def node(
+    given: Given, executable: str, parameters: Mapping[str, Value], kind: type[Node] = Node
+) -> Node:
     """One node of this package; an empty text among its parameters leaves that to the file."""
     own = {
         # A text stays one also where it looks like a number: channels may be called `0`.
@@ -145,7 +147,7 @@ def node(given: Given, executable: str, parameters: Mapping[str, Value]) -> Node
         for name, value in parameters.items()
         if value != ""
     }
-    return Node(
+    return kind(
         package="evpinn_ros",
         executable=executable,
         name=executable.removesuffix(".py"),
@@ -156,6 +158,11 @@ def node(given: Given, executable: str, parameters: Mapping[str, Value]) -> Node
         respawn_delay=RESPAWN_DELAY,
         output="screen",
     )
+
+
+def managed_node(given: Given, executable: str, parameters: Mapping[str, Value]) -> LifecycleNode:
+    """One node of this package that waits for its transitions."""
+    return node(given, executable, {**parameters, "managed": True}, LifecycleNode)
 
 
 def recorder(given: Given) -> ExecuteProcess:

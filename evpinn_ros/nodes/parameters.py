@@ -23,17 +23,23 @@ from evpinn_ros.topics.node_parameters import Parameter, Value, refuse_wrong
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
     """Declare the parameters of a table; give their values, which follow later changes.
 
+    Those of a managed node may be anything until it is configured, which refuses wrong ones.
+
     Raises:
         InputError: a value is wrong.
     """
-    entries = [(each.name, each.default, _descriptor(each)) for each in table]
+    given = node._parameter_overrides.get("managed")
+    managed = given is not None and given.value is True
+    entries = [(each.name, each.default, _descriptor(each, managed)) for each in table]
     try:
         declared = node.declare_parameters("", entries)
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise InputError(str(error)) from error
     values = {parameter.name: parameter.value for parameter in declared}
-    refuse_wrong(table, values)
-    node.add_on_set_parameters_callback(_refuser(table, values))
+    if not managed:
+        refuse_wrong(table, values)
+    fixed = {each.name for each in table if each.read_only} if managed else set()
+    node.add_on_set_parameters_callback(_refuser(node, table, values, fixed))
     node.add_post_set_parameters_callback(lambda changed: _apply(values, changed))
     return values
 
@@ -44,13 +50,19 @@ def overrides(values: Mapping[str, Value]) -> list[RosParameter]:
 
 
 def _refuser(
-    table: tuple[Parameter, ...], values: Mapping[str, Any]
+    node: Node, table: tuple[Parameter, ...], values: Mapping[str, Any], fixed: set[str]
 ) -> Callable[[list[RosParameter]], Any]:
     def refuse(changed: list[RosParameter]) -> Any:
         new = {each.name: each.value for each in changed if each.name in values}
         if not new:  # of rclpy's own: four for each topic, and the vehicle file takes 5 ms to read
             return SetParametersResult(successful=True)
+        if "managed" in new:
+            return SetParametersResult(successful=False, reason="managed: fixed at the start")
+        if fixed and not node.configured:
+            return SetParametersResult(successful=True)
         try:
+            if wrong := sorted(fixed.intersection(new)):
+                raise InputError(f"{wrong[0]}: fixed until the node is cleaned up")
             refuse_wrong(table, {**values, **new})
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -63,16 +75,17 @@ def _apply(values: dict[str, Any], changed: list[RosParameter]) -> None:
     values.update({each.name: each.value for each in changed if each.name in values})
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter, managed: bool) -> ParameterDescriptor:
     unit = f" [{parameter.unit}]" if parameter.unit else ""
     descriptor = ParameterDescriptor(
         description=parameter.description + unit,
-        read_only=parameter.read_only,
+        read_only=parameter.read_only and not managed,
+        dynamic_typing=managed,
         additional_constraints=f"one of {', '.join(parameter.choices)}"
         if parameter.choices
         else "",
     )
-    if math.isfinite(parameter.lower):
+    if math.isfinite(parameter.lower) and not managed:
         _set_range(descriptor, parameter)
     return descriptor
 

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 from std_srvs.srv import Trigger
 
-from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Condition, Health
+from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic
@@ -18,7 +18,7 @@ from evpinn_ros.topics.settings import jump_rule
 SAVE_PERIOD = 60.0  # s
 
 
-class StatefulNode(GuardedNode):
+class StatefulNode(ManagedNode):
     """A node with a core that goes on where it was, after a restart and when time jumps.
 
     Attributes:
@@ -49,6 +49,7 @@ class StatefulNode(GuardedNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
         self.every(SAVE_PERIOD, self.save)
+        self._clock_went_back = False  # since the last jump
         self.on_clock_going_back(self._on_clock_going_back)
         return self.state_file.start or self.ANEW
 
@@ -105,19 +106,21 @@ class StatefulNode(GuardedNode):
         """Save."""
         return self.save()
 
-    def close(self) -> str | None:
-        """Save."""
-        return self.save()
-
     def _on_clock_going_back(self) -> None:
+        self._clock_went_back = True
         for guard in self.stamp_guards():
             guard.clock_went_back()
 
     def _on_jump(self, jump: Jump) -> None:
-        policy = self.values["time_jump_policy"]
-        self.get_logger().warning(text := f"time went back by {jump.seconds:.1f} s: {policy}")
+        policy = JumpPolicy(self.values["time_jump_policy"])
+        if policy is JumpPolicy.AUTO:
+            policy = JumpPolicy.RESET if self._clock_went_back else JumpPolicy.HOLD
+        self._clock_went_back = False
+        self.get_logger().warning(
+            text := f"time went back by {jump.seconds:.1f} s: {policy.value}"
+        )
         self.notice("jump", text)
-        if policy == JumpPolicy.RESET.value:
+        if policy is JumpPolicy.RESET:
             self.begin_anew()
         else:
             self.hold()

@@ -7,6 +7,10 @@ Stamps decide, because only they show where in the stream the jump is. One stamp
 nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
 the estimator forget a car. When the node's own clock went back as well, one is enough.
 
+Each source is judged by its own stamps. Sources whose stamps are up to `SKEW_NS` apart are of one
+time: the one behind is late, as on a busy machine or a slow link, and what it says is passed on to
+be used at its stamp or to be dropped as too late by whoever joins the two.
+
 A time that was left has no more readings: a bag that starts over no longer plays its end. Where
 stamps leap to and fro between two times there are two publishers, and to follow both would be a
 jump at every turn. So from the first return on the one followed now is kept, and what continues
@@ -24,6 +28,7 @@ from typing import Any, NamedTuple
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
 AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
+SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
 LEFT_NS = 60 * NANOSECONDS  # a time that was left goes on within this
 USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
@@ -33,8 +38,13 @@ SECOND_PUBLISHER = "stamps_of_a_second_publisher"
 
 
 class JumpPolicy(str, Enum):
-    """Reaction to time that jumps back; to ignore it is to drop what is late."""
+    """Reaction to time that jumps back; to ignore it is to drop what is late.
 
+    `auto` is to reset where the node's own clock went back too, as /clock does when a bag starts
+    over, and else to hold: a drive goes on, and what was learned of the car is true of it.
+    """
+
+    AUTO = "auto"
     RESET = "reset"
     HOLD = "hold"
     IGNORE = "ignore"
@@ -43,7 +53,7 @@ class JumpPolicy(str, Enum):
 class JumpRule(NamedTuple):
     """Reaction to a jump of time, and the s by which a stamp may differ without being a leap."""
 
-    policy: JumpPolicy = JumpPolicy.RESET
+    policy: JumpPolicy = JumpPolicy.AUTO
     threshold: float = 2.0
 
 
@@ -97,7 +107,9 @@ class StampGuard:
         self.jumps = 0
         self.dropped: Counter[str] = Counter()
         self._leader = leader
-        self._newest_ns: int | None = None
+        self._newest_ns: int | None = None  # of all sources
+        self._own_ns: dict[object, int] = {}  # the newest of each
+        self._ahead_ns: dict[object, int] = {}  # of each, its last stamp, where it was in doubt
         self._leader_ns: int | None = None  # its newest stamp since the last leap
         self._steps: deque[int] = deque(maxlen=2)
         self._held: list[_Held] = []
@@ -128,25 +140,64 @@ class StampGuard:
             source: who stamped the item.
             stamp_ns: of the item.
             item: what to pass on.
-            rule: its threshold is against the newest stamp of all; `ignore` gives no jump.
+            rule: its threshold is against the newest stamp of the source; `ignore` gives no jump.
         """
         threshold_ns = round(rule.threshold * NANOSECONDS)
-        newest_ns = stamp_ns if self._newest_ns is None else self._newest_ns
-        leap_ns = stamp_ns - newest_ns
-        if -threshold_ns <= leap_ns <= max(threshold_ns, self._usual_ns):
-            self._newest_ns = max(stamp_ns, newest_ns)
-            if source == self._leader:
-                self._go_on(stamp_ns)
-            yield item
+        leap_ns = self._leap_ns(source, stamp_ns, threshold_ns)
+        if leap_ns == 0:
+            yield self._passed(source, stamp_ns, item)
         elif leap_ns < 0 and rule.policy is JumpPolicy.IGNORE:
             self._drop(1)
         elif self._of_a_second_publisher(source, stamp_ns, leap_ns):
             self.dropped[SECOND_PUBLISHER] += 1
         else:
             confirmed = self._confirmed(source, stamp_ns, leap_ns, threshold_ns)
+            ahead = self._is_ahead(source, stamp_ns, leap_ns)
             self._hold(_Held(source, stamp_ns, item))
             if confirmed:
                 yield from self._leap(stamp_ns, leap_ns)
+            elif ahead:
+                yield from self._catch_up(stamp_ns, threshold_ns)
+
+    def _leap_ns(self, source: object, stamp_ns: int, threshold_ns: int) -> int:
+        """How far a stamp is from where it could be; 0 where nothing speaks against it."""
+        if self._newest_ns is None:
+            return 0
+        ahead_ns = stamp_ns - self._newest_ns
+        if ahead_ns > max(threshold_ns, self._usual_ns):
+            return ahead_ns
+        own_ns = self._own_ns.get(source)
+        back_ns = 0 if own_ns is None else stamp_ns - own_ns
+        if back_ns < -threshold_ns:
+            return back_ns
+        # The leader may be behind by any time once it is known: it is the others that are early.
+        behind_any = source == self._leader and own_ns is not None
+        return 0 if behind_any or ahead_ns >= -max(SKEW_NS, threshold_ns) else ahead_ns
+
+    def _passed(self, source: object, stamp_ns: int, item: Any) -> Any:
+        """The item, which its source goes on with."""
+        self._ahead_ns.pop(source, None)
+        self._newest_ns = max(stamp_ns, self._newest_ns or stamp_ns)
+        self._own_ns[source] = max(stamp_ns, self._own_ns.get(source, stamp_ns))
+        if source == self._leader:
+            self._go_on(stamp_ns)
+        return item
+
+    def _is_ahead(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
+        """True if a source is a little ahead for a second time in a row: the others are late."""
+        if source == self._leader or not 0 < leap_ns <= SKEW_NS:
+            return False
+        before_ns, self._ahead_ns[source] = self._ahead_ns.get(source), stamp_ns
+        return before_ns is not None and 0 <= stamp_ns - before_ns <= SKEW_NS
+
+    def _catch_up(self, stamp_ns: int, threshold_ns: int) -> Iterator[Any]:
+        """Pass on what was held and is in no doubt once time has come to this stamp."""
+        held, self._held, self._newest_ns = self._held, [], stamp_ns
+        for each in held:
+            if self._leap_ns(each.source, each.stamp_ns, threshold_ns) == 0:
+                yield self._passed(each.source, each.stamp_ns, each.item)
+            else:
+                self._hold(each)
 
     def _of_a_second_publisher(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
         """True if a stamp belongs to a time that was left and is not to be followed again."""
@@ -202,9 +253,12 @@ class StampGuard:
         self._left = [*self._left[1 - MOST_LEFT :], _Left(left_ns, leap_ns < 0, self._newest_ns)]
         if leap_ns < 0:
             self.jumps += 1
+            self._own_ns.clear()
             yield Jump(-leap_ns / NANOSECONDS)
+        self._ahead_ns.clear()
         self._leader_ns = None
         for each in kept:
+            self._own_ns[each.source] = max(each.stamp_ns, self._own_ns.get(each.source, 0))
             if each.source == self._leader:
                 self._step_to(each.stamp_ns)
         yield from (each.item for each in kept)

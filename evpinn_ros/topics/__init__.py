@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 NAMESPACE = "/ev"
-SUBSCRIBER_DEPTH = 100
+QUEUE_DEPTH = 100
 
 SPEED_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
@@ -58,8 +58,12 @@ class Topic:
 
     @property
     def publisher_qos(self) -> Qos:
-        """Reliable, so that every subscriber can match it; one message deep when latched."""
-        return Qos(reliable=True, transient_local=self.latched, depth=1 if self.latched else 10)
+        """Reliable, so that every subscriber can match it; one message deep when latched.
+
+        As deep as what subscribes: who gets no processor for some seconds shall miss nothing.
+        """
+        depth = 1 if self.latched else QUEUE_DEPTH
+        return Qos(reliable=True, transient_local=self.latched, depth=depth)
 
     @property
     def subscriber_qos(self) -> Qos:
@@ -69,8 +73,8 @@ class Topic:
         bag at ten times its rate, or a second without the processor, must not cost messages.
         """
         if self in INPUTS:
-            return Qos(reliable=False, transient_local=False, depth=SUBSCRIBER_DEPTH)
-        depth = 1 if self.latched else SUBSCRIBER_DEPTH
+            return Qos(reliable=False, transient_local=False, depth=QUEUE_DEPTH)
+        depth = 1 if self.latched else QUEUE_DEPTH
         return Qos(reliable=True, transient_local=self.latched, depth=depth)
 
     def under(self, namespace: str = NAMESPACE) -> str:

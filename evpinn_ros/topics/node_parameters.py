@@ -81,17 +81,18 @@ VEHICLE = Parameter(
 )
 TIME_JUMP_POLICY = Parameter(
     "time_jump_policy",
-    "reset",
-    "When stamps go back, as when a bag starts over: reset to how the node started (of energy "
-    "the trip alone, to zero: the lifetime's total never falls), hold what was learned or counted "
-    "and begin a new stretch of time, or ignore what is late.",
-    choices=("reset", "hold", "ignore"),
+    "auto",
+    "When the stamps of vehicle/speed go back, as when a bag starts over: reset to how the node "
+    "started (of energy the trip alone, to zero: the lifetime's total never falls), hold what was "
+    "learned or counted and begin a new stretch of time, or ignore what is late; auto resets "
+    "where /clock went back too, and else holds.",
+    choices=("auto", "reset", "hold", "ignore"),
     read_only=False,
 )
 TIME_JUMP_THRESHOLD = Parameter(
     "time_jump_threshold",
     2.0,
-    "How far stamps must go back to be more than late messages.",
+    "How far the stamps of one input must go back to be more than messages out of order.",
     "s",
     0.05,
     3600.0,

@@ -9,6 +9,7 @@ from rclpy.serialization import serialize_message
 from evpinn_ros import topics
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
+from evpinn_ros.energy.forecaster import Forecaster
 from evpinn_ros.energy.plan import (
     BEND,
     COMFORT_LATERAL,
@@ -86,11 +87,13 @@ def charge(bench, node, state_of_charge):
 
 
 def ask(bench, node, topic, message):
-    """Send a plan; give the answers, which are published before the node takes another."""
+    """Send a plan; give the answers, which are published before the node counts it."""
     for each in ANSWERS:
         bench.heard[each].clear()
-    expected = dict(node.published)
+    expected, plans = dict(node.published), node._plans
+    done = plans.answered + plans.refused
     bench.deliver(node, topic, message)
+    bench.pump(lambda: plans.answered + plans.refused > done)
     expected = {each: node.published[each] - expected.get(each, 0) for each in ANSWERS}
     bench.pump(lambda: all(len(bench.heard[each]) == expected[each] for each in ANSWERS))
     return bench.heard[topics.FORECAST], bench.heard[topics.FORECAST_BATTERY]
@@ -195,7 +198,7 @@ def test_forecasts_follow_the_estimate_and_the_residual(bench):
     vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, light, [0.0] * 5)
     bench.deliver(node, topics.IDENTIFIABLE, vector)
     for _ in range(3000):
-        node.forecaster.set_sigma(100.0)
+        node._learn(lambda forecaster: forecaster.set_sigma(100.0))
     (after,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
     assert after.points[-1].positions[0] < before.points[-1].positions[0]
     assert after.points[-1].effort[0] < 0.1 * before.points[-1].effort[0]
@@ -270,11 +273,11 @@ def test_a_plan_that_we_fail_at_is_refused_with_the_reason_and_the_error_goes_aw
     bench, monkeypatch
 ):
     node = bench.start(EnergyNode)
-    monkeypatch.setattr(node.forecaster, "answer", lambda *_: 1 / 0)
-    bench.deliver(node, topics.SPEED_PROFILE, profile(*TRIP))
+    bench.listen(*ANSWERS)
+    monkeypatch.setattr(Forecaster, "answer", lambda *_: 1 / 0)
+    assert ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP)) == ([], [])
     said = bench.diagnosis(node)
-    reason = "plan refused: internal fault: ZeroDivisionError"
-    assert said["plan"][:2] == (Level.WARN, reason)
+    assert said["plan"][2]["last_refusal"] == "internal fault: ZeroDivisionError"
     assert said["meter"][0] is Level.ERROR and "ZeroDivisionError" in said["meter"][1]
     monkeypatch.undo()
     now = node.steady_s()
@@ -293,8 +296,8 @@ def test_a_plan_of_four_times_too_many_points_is_refused_unread(bench):
     message.poses = pose * (4 * MAX_POINTS)
     sender = bench.publisher(topics.PLAN)
     sender.publish(bytes(serialize_message(message)))
-    bench.pump(lambda: node.received[topics.PLAN] == 1, seconds=60.0)
-    text = bench.diagnosis(node)["plan"][1]
+    bench.pump(lambda: node._plans.refused == 1, seconds=60.0)
+    text = bench.diagnosis(node)["plan"][2]["last_refusal"]
     assert f"{4 * MAX_POINTS} points are more than {MAX_POINTS}" in text
     assert all(not bench.heard[topic] for topic in ANSWERS)
 
@@ -353,9 +356,10 @@ def test_a_plan_that_cannot_be_driven_is_refused_with_the_reason(bench, topic, m
     assert (status.name, status.hardware_id) == ("/ev/energy: plan", "tesla_model_3_lr /ev")
     assert int.from_bytes(status.level, "little") == Level.WARN
     level, text, values = bench.diagnosis(node)["plan"]
-    assert level is Level.WARN and reason in text and values["refused"] == "1"
+    assert level is Level.OK and reason not in text, "the car is well: the asker was told"
+    assert reason in values["last_refusal"] and values["refused"] == "1"
     assert len(ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))[0]) == 1
-    assert bench.diagnosis(node)["plan"][0] is Level.OK
+    assert "last_refusal" not in bench.diagnosis(node)["plan"][2]
 
 
 def test_plans_asked_together_are_compared(bench):

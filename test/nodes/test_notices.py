@@ -13,7 +13,7 @@ from evpinn_ros.signals.readings import (
     BatteryReading,
     SpeedReading,
 )
-from evpinn_ros.topics import SUBSCRIBER_DEPTH
+from evpinn_ros.topics import QUEUE_DEPTH
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.readings import altitude_message, speed_message
 
@@ -99,10 +99,10 @@ def test_a_battery_that_falls_silent_brings_no_news_of_long_ago(bench, monkeypat
 def test_what_a_full_queue_dropped_is_counted_and_named(bench):
     node = bench.start(EstimatorNode)
     bench.deliver(node, topics.SPEED, speed(0.0))
-    for step in range(3 * SUBSCRIBER_DEPTH):
+    for step in range(3 * QUEUE_DEPTH):
         bench.send(topics.SPEED, speed(step / 10))
-    bench.pump(lambda: node.received[topics.SPEED] > SUBSCRIBER_DEPTH)
-    lost = 2 * SUBSCRIBER_DEPTH
+    bench.pump(lambda: node.received[topics.SPEED] > QUEUE_DEPTH)
+    lost = 2 * QUEUE_DEPTH
     assert node.bad["vehicle/speed: lost"] == lost
     assert f"vehicle/speed: lost {lost}" in bench.diagnosis(node)["estimate"][1]
 

@@ -1,5 +1,6 @@
 """Time that jumps back, handled by policy."""
 
+from builtin_interfaces.msg import Time
 import pytest
 from rosgraph_msgs.msg import Clock
 
@@ -32,8 +33,8 @@ def play(bench, estimator, energy, messages):
 
 
 def test_a_bag_in_a_loop_gives_the_same_numbers_again(bench, urban):
-    estimator = bench.start(EstimatorNode)
-    energy = bench.start(EnergyNode)
+    estimator = bench.start(EstimatorNode, time_jump_policy="reset")
+    energy = bench.start(EnergyNode, time_jump_policy="reset")
     bench.listen(*OUTPUTS)
     drive = [(topic, message) for topic, _, message in urban(20.0)]
     play(bench, estimator, energy, drive * 2)
@@ -50,7 +51,7 @@ def efficiency(node):
     return node.estimator.parameters().parameters["eta"].value
 
 
-@pytest.mark.parametrize("policy", ["hold", "ignore"])
+@pytest.mark.parametrize("policy", ["auto", "hold", "ignore"])
 def test_other_policies_keep_what_was_learned(bench, urban, policy):
     estimator = bench.start(EstimatorNode, time_jump_policy=policy)
     energy = bench.start(EnergyNode, time_jump_policy=policy)
@@ -61,7 +62,7 @@ def test_other_policies_keep_what_was_learned(bench, urban, policy):
     smoothed = len(bench.heard[topics.POWER_SMOOTHED])
     play(bench, estimator, energy, drive[:20])
     again = len(bench.heard[topics.POWER_SMOOTHED]) - smoothed
-    assert (again > 0) == (policy == "hold")
+    assert (again > 0) == (policy != "ignore")
     assert abs(energy.meter.state.consumed - consumed) < 0.2 * abs(consumed)
     assert efficiency(estimator) == pytest.approx(learned, rel=0.02)
 
@@ -109,9 +110,16 @@ def test_one_battery_reading_of_the_future_does_not_end_what_is_learned_of_it(be
     assert node.account.battery.samples >= 29
 
 
-def test_energy_starts_again_at_zero(bench):
-    node = bench.start(EnergyNode)
+@pytest.mark.parametrize(("by_clock", "consumed"), [(True, 1000.0), (False, 60e3)])
+def test_energy_starts_again_at_zero_when_the_clock_went_back_too(bench, by_clock, consumed):
+    node = bench.start(EnergyNode, use_sim_time=by_clock)
+    if by_clock:
+        clock = bench.node.create_publisher(Clock, "/clock", 1)
+        bench.pump(lambda: clock.get_subscription_count() > 0)
     for second in [*range(100, 160), *range(10, 12)]:
+        if by_clock:
+            clock.publish(Clock(clock=Time(sec=second)))
+            bench.pump(lambda second=second: node.now_ns() == second * S)
         message = named_vector(new_message, second * S, ["power"], [1000.0], [100.0])
         bench.deliver(node, topics.POWER_SMOOTHED, message)
-    assert node.meter.state.consumed == pytest.approx(1000.0, rel=1e-3)
+    assert node.meter.state.consumed == pytest.approx(consumed, rel=1e-3)

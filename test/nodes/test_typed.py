@@ -66,4 +66,5 @@ def test_typed_and_standard_topics_are_equal_and_plans_are_compared():
         env=environment, capture_output=True, text=True, timeout=150,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
+    print(done.stdout)
     assert "power/predicted" in done.stdout and "service" in done.stdout

@@ -1,5 +1,6 @@
 """Runs where `evpinn_msgs` is installed: typed and standard topics are equal, and the service."""
 
+from array import array
 import math
 from pathlib import Path
 import sys
@@ -7,15 +8,23 @@ import time
 
 sys.path.insert(0, str(Path(__file__).parent))
 import conftest
+import numpy as np
 import rclpy
 
 from benchmarks.plan_load import speed_profile
 from evpinn_msgs.msg import Plan
 from evpinn_msgs.srv import EstimatePlan
 from evpinn_ros import topics
+from evpinn_ros.energy.plan import MAX_POINTS
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.plan_service import MOST_POINTS
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED, TYPED_FORECAST, quantities
+from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.topics.messages import named_vector
+
+LONGEST_SILENCE = 0.6  # s of energy/state at 10 Hz, on busy cores
 
 PAIRS = {**TYPED, topics.FORECAST: TYPED_FORECAST}
 
@@ -66,11 +75,60 @@ def service(bench):
     assert math.isnan(found.differences[1])
 
 
+def batch(plans, points):
+    """A request of plans that are long."""
+    time_s = np.arange(points, dtype=float)
+    speed = 15.0 + 5.0 * np.sin(time_s / 30.0)
+    numbers = {"time": time_s, "distance": np.cumsum(speed), "speed": speed}
+    fields = {name: array("d", column.tobytes()) for name, column in numbers.items()}
+    return EstimatePlan.Request(plans=[Plan(name=str(i), **fields) for i in range(plans)])
+
+
+def energy_goes_on_beside_plans(bench, node):
+    """Power comes at 10 Hz while a batch is answered; energy/state must go out at that rate."""
+    client = bench.node.create_client(EstimatePlan, "/ev/energy/estimate_plan")
+    bench.pump(client.service_is_ready)
+    power, start, period = bench.publisher(topics.POWER_SMOOTHED), 2_000_000_000, 0.1
+    request, moments = batch(60, 20_000), []
+    future, due, count = client.call_async(request), time.monotonic(), node.published
+    asked, before = due, count[topics.ENERGY_STATE]
+    while not future.done():
+        if time.monotonic() >= due:
+            stamp = start * NANOSECONDS + round((due - asked) * NANOSECONDS)
+            power.publish(named_vector(new_message, stamp, ["power"], [9e3], [90.0]))
+            due += period
+        bench.executor.spin_once(timeout_sec=0.01)
+        if count[topics.ENERGY_STATE] > before:
+            before = count[topics.ENERGY_STATE]
+            moments.append(time.monotonic())
+    took, silence = time.monotonic() - asked, np.diff([asked, *moments, time.monotonic()]).max()
+    assert not any(future.result().refusals)
+    print(f"60 plans in {took:.1f} s: {len(moments) / took:.1f} energy/state a second, ", end="")
+    print(f"longest silence {silence:.2f} s")
+    assert silence < LONGEST_SILENCE
+
+
+def refusals(bench, node):
+    """What is too much is refused, an inactive node answers nothing, and the car stays well."""
+    name, call = "/ev/energy/estimate_plan", EstimatePlan
+    plans = batch(1, MAX_POINTS).plans * (MOST_POINTS // MAX_POINTS + 1)
+    node.active = False
+    found = bench.call(call, name, plans=plans[:2])
+    assert found.refusals == ["a managed node that is not active"] * 2
+    assert all(map(math.isnan, found.energies)) and len(found.differences) == 4
+    node.active = True
+    found = bench.call(call, name, plans=plans)
+    assert "points" in found.refusals[-1] and not any(found.refusals[:-1])
+    said = bench.diagnosis(node)
+    assert said["plan"][0].name == "OK" and int(said["plan"][2]["refused"]) >= 2
+    assert int(said["meter"][2]["calls.~/estimate_plan"]) >= 3
+
+
 def main():
     rclpy.init()
     bench = conftest.Bench()
     estimator = bench.start(EstimatorNode)
-    bench.start(EnergyNode)
+    energy = bench.start(EnergyNode)
     bench.listen(*PAIRS, *PAIRS.values())
     for topic, _, message in conftest._messages("urban", 12.0):
         bench.deliver(estimator, topic, message)
@@ -86,6 +144,8 @@ def main():
             compare(topic, *pair)
         print(topic.name, len(heard))
     service(bench)
+    energy_goes_on_beside_plans(bench, energy)
+    refusals(bench, energy)
     bench.close()
     rclpy.try_shutdown()
 

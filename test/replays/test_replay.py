@@ -96,11 +96,12 @@ def test_same_readings_give_the_same_bytes(readings, vehicle, tmp_path):
     assert found[0] == found[1]
 
 
-def test_a_drive_that_starts_over_is_reset_as_the_nodes_do(once, vehicle, tmp_path):
+def test_a_drive_that_starts_over_is_reset_where_the_policy_says_so(once, vehicle, tmp_path):
     """Its second turn gives the numbers of the first; its bag is read in the order it had."""
-    (once, single, _), folder = once, tmp_path / "bag"
+    (once, single, _), folder, rule = once, tmp_path / "bag", JumpRule(JumpPolicy.RESET)
+    used = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter), rule)
     with BagWriter(folder) as writer:
-        looped = run([*once, *once], vehicle, tmp_path, writer=writer)
+        looped = run([*once, *once], vehicle, tmp_path, writer=writer, used=used)
     both, one = looped.drive, single.drive
     half = len(both.smoothed.time) // 2
     for column, alone in zip(both.smoothed[1:3], one.smoothed[1:3], strict=True):

@@ -61,6 +61,28 @@ def test_a_battery_goes_on_without_speed():
     assert passed(StampGuard("speed"), items) == items
 
 
+@pytest.mark.parametrize("lag", [0.5, 2.4, 10.0, 14.0])
+@pytest.mark.parametrize("late", ["speed", "battery"])
+@pytest.mark.parametrize("since", [0.0, 30.0])
+def test_a_late_source_loses_nothing(late, lag, since):
+    """From the start one reading may stay in doubt: nothing before it says which one is late."""
+    both = [(source, s / 10) for s in range(600) for source in ("speed", "battery")]
+    items = sorted(both, key=lambda i: i[1] + (lag if i[0] == late and i[1] >= since else 0.0))
+    found = passed(guard := StampGuard("speed"), items)
+    assert guard.jumps == 0
+    lost = set(items) - set(found)
+    assert len(lost) <= (1 if since == 0.0 else 0)
+    assert sorted(found, key=items.index) == found
+
+
+def test_a_leader_that_is_late_by_more_and_more_is_followed():
+    guard = StampGuard("speed")
+    items = [
+        item for s in range(600) for item in (("battery", s / 10), *speeds(s / 20))
+    ]  # 30 s late at the end
+    assert passed(guard, items) == items and guard.jumps == 0
+
+
 @pytest.mark.parametrize("offset", [-50.0, 50.0, 3600.0])
 def test_a_battery_whose_clock_is_wrong_cannot_reset_the_rest(offset):
     guard = StampGuard("speed")

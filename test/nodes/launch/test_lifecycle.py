@@ -1,9 +1,16 @@
 """Managed nodes, driven by `ros2 lifecycle`."""
 
 import json
+from pathlib import Path
+import time
+
+from rclpy.lifecycle import TransitionCallbackReturn
 
 from evpinn_ros import topics
+from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import message_class, qos_profile
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def hear(bench, topic):
@@ -45,9 +52,10 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
     with ros2.running(*command):
         bench.pump(lambda: said, 30.0)
         assert "managed node that is not active" in said[-1].status[0].message
-        send(40)
-        assert not powers and "unconfigured" in ros2.ask("lifecycle", "get", "/ev/estimator")
+        assert "unconfigured" in ros2.ask("lifecycle", "get", "/ev/estimator")
         to("configure")
+        send(40)
+        assert not powers
         to("activate")
         send(120)
         bench.pump(lambda: len(powers) > 20, 20.0)
@@ -74,7 +82,82 @@ def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
     options += ("-p", "can_profile:=tesla_model_3")
     command = ("run", "evpinn_ros", "can_bridge", "--ros-args", "-r", "__ns:=/ev", *options)
     with ros2.running(*command):
-        assert text().startswith("not opened")
+        assert "it waits to be configured" in text()
         for transition in ("configure", "activate"):
             ros2.ask("lifecycle", "set", "/ev/can_bridge", transition)
         bench.pump(lambda: "/dev/none" in text(), 20.0)
+
+
+def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, bench, tmp_path):
+    """No process ends; what configure read is read anew after a cleanup."""
+    name, state = "/ev/energy", tmp_path / "kept.json"
+
+    def to(transition):
+        return ros2.ask("lifecycle", "set", name, transition)
+
+    def state_is():
+        return ros2.ask("lifecycle", "get", name).split()[0]
+
+    options = ("-p", "managed:=true", "-p", "vehicle:=no_such_car")
+    command = ("run", "evpinn_ros", "energy", "--ros-args", "-r", "__ns:=/ev", *options)
+    with ros2.running(*command) as process:
+        assert "Transitioning successful" not in to("configure")
+        assert state_is() == "unconfigured" and "no_such_car" in process.output
+        ros2.ask("param", "set", name, "vehicle", "bmw_i3")
+        assert "successful" in to("configure") and state_is() == "inactive"
+        refused = ros2.run("param", "set", name, "energy_file", str(state)).stdout
+        assert "fixed until the node is cleaned up" in refused
+        to("cleanup")
+        ros2.ask("param", "set", name, "energy_file", str(state))
+        for transition in ("configure", "activate", "deactivate"):
+            assert "successful" in to(transition)
+        assert json.loads(state.read_text())["vehicle"] == "bmw_i3"
+
+
+def test_endpoints_come_with_configure_and_go_with_cleanup(bench):
+    """Twice over, in one process; nothing of the first life is left in the second."""
+    node = bench.start(EnergyNode, managed=True)
+    publishers = {topic.under(): 1 for topic in (topics.ENERGY_STATE, topics.FORECAST)}
+
+    def offered():
+        return {name: bench.node.count_publishers(name) for name in publishers}
+
+    for _ in range(2):
+        bench.pump(lambda: not any(offered().values()))
+        assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        bench.pump(lambda: offered() == publishers)
+        assert node.trigger_activate() is TransitionCallbackReturn.SUCCESS
+        assert bench.diagnosis(node)["meter"][1] == "waiting for power/smoothed"
+        assert node.trigger_deactivate() is TransitionCallbackReturn.SUCCESS
+        assert "managed node that is not active" in bench.diagnosis(node)["meter"][1]
+        assert node.trigger_cleanup() is TransitionCallbackReturn.SUCCESS
+        assert "lifecycle" in bench.diagnosis(node)
+
+
+def test_a_fault_of_ours_leads_to_where_the_node_can_be_configured_anew(bench, monkeypatch):
+    node = bench.start(EnergyNode, managed=True)
+    monkeypatch.setattr(node, "configure", lambda: 1 / 0)
+    assert node.trigger_configure() is TransitionCallbackReturn.ERROR
+    assert node.health().fault == "configure: ZeroDivisionError"
+    monkeypatch.undo()
+    assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+    node._faults.clear()  # the bench demands that there are none
+
+
+def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2):
+    given = ("vehicle:=tesla_model_3_lr", "can_interface:=virtual", "can_channel:=none")
+    with ros2.running("launch", "evpinn_ros", "managed.launch.py", *given):
+        for name in ("estimator", "energy", "can_bridge"):
+            end = time.monotonic() + 60.0
+            while "active [3]" not in (said := ros2.ask("lifecycle", "get", f"/ev/{name}")):
+                assert time.monotonic() < end, said
+
+
+def test_a_launch_of_two_cars_names_each(ros2, bench):
+    default = ROOT / "config" / "evpinn.param.yaml"
+    cars = ("first_vehicle:=bmw_i3", "second_vehicle:=tesla_model_3_lr")
+    given = (f"first:={default}", f"second:={default}", *cars)
+    names = [f"/{robot}/ev/energy/state" for robot in ("robot1", "robot2")]
+    with ros2.running("launch", "evpinn_ros", "two_cars.launch.py", *given):
+        bench.pump(lambda: all(bench.node.count_publishers(name) for name in names), 60.0)
+        assert "bmw_i3" in ros2.ask("param", "get", "/robot1/ev/energy", "vehicle")
