@@ -106,6 +106,9 @@ setup(
         "tables": ["openpyxl"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
+        # `evpinn mqtt`, and the feeder of a KUKSA databroker.
+        "mqtt": ["paho-mqtt>=2"],
+        "vss": ['kuksa-client>=0.6; python_version >= "3.11"'],
         # Serves `evpinn run --foxglove` and `evpinn view`.
         "foxglove": ["foxglove-sdk"],
         # `make site`: the documents and every public docstring as a site.
