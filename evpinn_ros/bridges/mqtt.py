@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 import time
 
-from evpinn_ros.bridges.broker import ONLINE, Connection, Message
+from evpinn_ros.bridges.broker import FAREWELL_S, ONLINE, Connection, Message
 from evpinn_ros.bridges.car import BridgedCar, Document
 from evpinn_ros.bridges.layouts import Layout
 from evpinn_ros.bridges.sensors import SENSORS, discovery
@@ -146,7 +146,10 @@ class MqttBridge:
                 self._note(car.problem)
 
     def close(self) -> None:
-        """Process what waits, publish all a last time, and save."""
+        """Process what waits, for some seconds; publish all a last time, and save."""
+        until = time.monotonic() + FAREWELL_S
+        while time.monotonic() < until and self.step(0.0):
+            pass
         for seen in self._seen.values():
             self._feed(seen, seen.snapshots.flush(self._clock() + NANOSECONDS))
             self._publish_documents(seen)

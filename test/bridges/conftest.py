@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+import getpass
 from pathlib import Path
 import shutil
 import socket
@@ -37,7 +38,9 @@ class Broker:
 
     def start(self) -> None:
         config = self.folder / "mosquitto.conf"
-        config.write_text(f"listener {self.port} 127.0.0.1\n{self.lines}")
+        # As root it would become a user who may not read what the tests write.
+        common = f"user {getpass.getuser()}\nset_tcp_nodelay true\n"
+        config.write_text(f"{common}listener {self.port} 127.0.0.1\n{self.lines}")
         self.process = subprocess.Popen(
             [MOSQUITTO, "-c", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )

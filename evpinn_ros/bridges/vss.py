@@ -1,0 +1,140 @@
+"""Signals by the names of COVESA's Vehicle Signal Specification (VSS), from and to a databroker.
+
+Names, units and signs: VSS 6, `spec/Powertrain/TractionBattery.vspec` and `spec/Vehicle/`. Its
+CurrentCurrent is positive into the battery, which is also the sign of `sensor_msgs/BatteryState`.
+What VSS lacks is in `config/vss/evpinn.vspec`, an overlay for vss-tools; what a databroker does
+not know, because it was started without the overlay, is not sent to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+from evpinn_ros.bridges.car import BridgedCar
+from evpinn_ros.bridges.layouts import KMH, PERCENT, Parsed, Quantity, Rule, Value
+from evpinn_ros.bridges.snapshot import Snapshots
+from evpinn_ros.common.errors import extra_needed
+from evpinn_ros.signals.readings import NANOSECONDS
+
+if TYPE_CHECKING:
+    from kuksa_client.grpc import VSSClient
+
+BATTERY = "Vehicle.Powertrain.TractionBattery"
+OURS = "Vehicle.EvPinn"
+INPUTS: Mapping[str, Rule] = {
+    "Vehicle.Speed": Rule(Quantity.SPEED, KMH),
+    f"{BATTERY}.CurrentVoltage": Rule(Quantity.VOLTAGE),
+    f"{BATTERY}.CurrentCurrent": Rule(Quantity.CURRENT),
+    f"{BATTERY}.StateOfCharge.Current": Rule(Quantity.CHARGE, PERCENT),
+    "Vehicle.Exterior.AirTemperature": Rule(Quantity.TEMPERATURE),
+    "Vehicle.CurrentLocation.Altitude": Rule(Quantity.ALTITUDE),
+}
+OUTPUTS: Mapping[str, tuple[str, ...]] = {
+    f"{BATTERY}.Range": ("range", "range_km"),
+    f"{OURS}.RangeLower": ("range", "lower_km"),
+    f"{OURS}.RangeUpper": ("range", "upper_km"),
+    f"{OURS}.PredictedPower": ("power", "predicted_w"),
+    f"{OURS}.PredictedPowerSigma": ("power", "predicted_sigma_w"),
+    f"{OURS}.TripEnergy": ("energy", "trip_kwh"),
+    f"{OURS}.Consumption": ("consumption", "10"),
+    **{
+        f"{OURS}.Breakdown.{part.capitalize()}": ("breakdown", part, "kwh")
+        for part in ("air", "tyres", "slope", "speed", "brakes", "drivetrain", "climate")
+        + ("standing", "unexplained", "regained")
+    },
+    **{
+        f"{OURS}.Combination.{name}": ("parameters", "combinations", key, "value")
+        for name, key in {
+            "MassOverEfficiency": "mass_over_eta",
+            "DragAreaOverEfficiency": "drag_area_over_eta",
+            "RollingResistance": "c_rr",
+            "Regeneration": "regeneration",
+            "StandingLoad": "p_aux",
+        }.items()
+    },
+}
+"""Keys in the documents of a car, of each signal that is written."""
+METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # whole ones; ours are km
+OLD_NS = 10 * NANOSECONDS  # a databroker gives its last values first, however old they are
+SEND_NS = NANOSECONDS  # between two sets of signals
+NOT_FOUND = 404  # as kuksa-client has gRPC's NOT_FOUND from both of its protocols
+GRPC_NOT_FOUND = 5
+
+
+def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
+    """Signals of a car that are known now, by their names in VSS."""
+    documents = {**car.documents(), "power": car.power()}
+    for name, keys in OUTPUTS.items():
+        found: Any = documents
+        for key in keys:
+            found = found.get(key) if isinstance(found, Mapping) else None
+        if isinstance(found, int | float) and math.isfinite(found):
+            yield name, round(1e3 * found) if name in METRES else float(found)
+
+
+class DatabrokerFeed:
+    """Feeds a car from a KUKSA databroker, and the databroker with what is learned.
+
+    Attributes:
+        missing: signals that the databroker does not know.
+    """
+
+    def __init__(
+        self, client: VSSClient, car: BridgedCar, clock: Callable[[], int] = time.time_ns
+    ) -> None:
+        """Take a client that is connected; `clock` gives ns since 1970."""
+        self._client, self._car, self._clock = client, car, clock
+        self._snapshots = Snapshots(car.vehicle.nominal_voltage, on_change=False)
+        self._sent_ns = 0
+        self.missing: set[str] = set()
+
+    def run(self) -> Iterator[None]:
+        """Take updates and send signals as they are due; give control back after each.
+
+        Raises:
+            VSSClientError: the databroker went, or refuses.
+        """
+        for updates in self._client.subscribe_current_values(INPUTS):
+            for name, point in updates.items():
+                if point is not None:
+                    self._take(name, point.value, point.timestamp)
+            newest_ns = self._car.newest_ns
+            if newest_ns is not None and newest_ns - self._sent_ns >= SEND_NS:
+                self._sent_ns = newest_ns
+                self.send()
+            yield
+
+    def _take(self, name: str, value: object, moment: Any) -> None:
+        now_ns = self._clock()
+        stamp_ns = now_ns if moment is None else round(moment.timestamp() * NANOSECONDS)
+        number = INPUTS[name].value(value)
+        if math.isnan(number) or now_ns - stamp_ns > OLD_NS:
+            return
+        parsed = Parsed(self._car.name, (Value(INPUTS[name], number),), stamp_ns)
+        self._car.add_readings(self._snapshots.add(parsed, now_ns, retained=False))
+
+    def send(self) -> None:
+        """Write all signals that are known."""
+        with extra_needed("a databroker needs kuksa-client and Python 3.11", "vss"):
+            from kuksa_client.grpc import (
+                DataEntry,
+                Datapoint,
+                DataType,
+                EntryUpdate,
+                Field,
+                VSSClientError,
+            )
+        for name, value in signals(self._car):
+            if name in self.missing:
+                continue
+            kind = DataType.UINT32 if name in METRES else DataType.FLOAT
+            entry = DataEntry(name, value=Datapoint(value), value_type=kind)
+            try:
+                self._client.set(updates=[EntryUpdate(entry, (Field.VALUE,))], try_v2=True)
+            except VSSClientError as error:
+                if error.error["code"] not in (NOT_FOUND, GRPC_NOT_FOUND):
+                    raise
+                self.missing.add(name)
