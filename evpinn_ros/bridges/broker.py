@@ -201,17 +201,17 @@ def password_is_known(reason: str | None) -> bool:
     return reason not in REFUSALS
 
 
-def split_address(text: str, *, tls: bool) -> tuple[str, int]:
+def split_address(text: str, option: str, default: int) -> tuple[str, int]:
     """Host and port of `HOST` or `HOST:PORT`; an address of IPv6 stands in brackets.
 
     Raises:
         InputError: it is none, or it holds a password, which `ps` would show.
     """
     if "@" in text or "/" in text:
-        raise InputError("--broker is HOST or HOST:PORT; no scheme, no user and no password")
+        raise InputError(f"{option} is HOST or HOST:PORT; no scheme, no user and no password")
     host, separator, port = text.rpartition(":")
     if not separator or text.endswith("]"):
-        host, port = text, str(TLS_PORT if tls else PORT)
+        host, port = text, str(default)
     if not port.isdecimal() or not 0 < int(port) < 65536 or not host.strip("[]"):
-        raise InputError(f"--broker: '{text}' is not HOST or HOST:PORT")
+        raise InputError(f"{option}: '{text}' is not HOST or HOST:PORT")
     return host.strip("[]"), int(port)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from evpinn_ros.bridges.car import BridgedCar
 from evpinn_ros.bridges.layouts import KMH, PERCENT, Parsed, Quantity, Rule, Value
 from evpinn_ros.bridges.snapshot import Snapshots
-from evpinn_ros.common.errors import extra_needed
+from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
     f"{OURS}.Consumption": ("consumption", "10"),
     **{
         f"{OURS}.Breakdown.{part.capitalize()}": ("breakdown", part, "kwh")
-        for part in ("air", "tyres", "slope", "speed", "brakes", "drivetrain", "climate")
-        + ("standing", "unexplained", "regained")
+        for part in MEANINGS
+        if part != "measured"
     },
     **{
         f"{OURS}.Combination.{name}": ("parameters", "combinations", key, "value")
@@ -57,11 +57,14 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
     },
 }
 """Keys in the documents of a car, of each signal that is written."""
-METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # whole ones; ours are km
+METRES = {
+    f"{BATTERY}.Range",
+    f"{OURS}.RangeLower",
+    f"{OURS}.RangeUpper",
+}  # whole ones; ours are km
 OLD_NS = 10 * NANOSECONDS  # a databroker gives its last values first, however old they are
 SEND_NS = NANOSECONDS  # between two sets of signals
-NOT_FOUND = 404  # as kuksa-client has gRPC's NOT_FOUND from both of its protocols
-GRPC_NOT_FOUND = 5
+NOT_FOUND = 5  # of gRPC: the databroker has no such signal
 
 
 def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
@@ -98,43 +101,43 @@ class DatabrokerFeed:
             VSSClientError: the databroker went, or refuses.
         """
         for updates in self._client.subscribe_current_values(INPUTS):
-            for name, point in updates.items():
-                if point is not None:
-                    self._take(name, point.value, point.timestamp)
+            self._take(updates)
             newest_ns = self._car.newest_ns
             if newest_ns is not None and newest_ns - self._sent_ns >= SEND_NS:
                 self._sent_ns = newest_ns
                 self.send()
             yield
 
-    def _take(self, name: str, value: object, moment: Any) -> None:
+    def _take(self, updates: Mapping[str, Any]) -> None:
+        """Add what was measured at one moment together: voltage and current make one power."""
         now_ns = self._clock()
-        stamp_ns = now_ns if moment is None else round(moment.timestamp() * NANOSECONDS)
-        number = INPUTS[name].value(value)
-        if math.isnan(number) or now_ns - stamp_ns > OLD_NS:
-            return
-        parsed = Parsed(self._car.name, (Value(INPUTS[name], number),), stamp_ns)
-        self._car.add_readings(self._snapshots.add(parsed, now_ns, retained=False))
+        moments: dict[int, list[Value]] = {}
+        for name, point in updates.items():
+            value = math.nan if point is None else INPUTS[name].value(point.value)
+            if math.isnan(value):
+                continue
+            moment = point.timestamp
+            stamp_ns = now_ns if moment is None else round(moment.timestamp() * NANOSECONDS)
+            if now_ns - stamp_ns <= OLD_NS:
+                moments.setdefault(stamp_ns, []).append(Value(INPUTS[name], value))
+        for stamp_ns, values in sorted(moments.items()):
+            parsed = Parsed(self._car.name, tuple(values), stamp_ns)
+            self._car.add_readings(self._snapshots.add(parsed, now_ns, retained=False))
 
     def send(self) -> None:
         """Write all signals that are known."""
-        with extra_needed("a databroker needs kuksa-client and Python 3.11", "vss"):
-            from kuksa_client.grpc import (
-                DataEntry,
-                Datapoint,
-                DataType,
-                EntryUpdate,
-                Field,
-                VSSClientError,
-            )
+        from kuksa_client import grpc as kuksa
+
         for name, value in signals(self._car):
             if name in self.missing:
                 continue
-            kind = DataType.UINT32 if name in METRES else DataType.FLOAT
-            entry = DataEntry(name, value=Datapoint(value), value_type=kind)
+            kind = kuksa.DataType.UINT32 if name in METRES else kuksa.DataType.FLOAT
+            # With its type given, the client does not ask the databroker for it each time.
+            entry = kuksa.DataEntry(name, kuksa.Datapoint(value), metadata=kuksa.Metadata(kind))
+            update = kuksa.EntryUpdate(entry, (kuksa.Field.VALUE,))
             try:
-                self._client.set(updates=[EntryUpdate(entry, (Field.VALUE,))], try_v2=True)
-            except VSSClientError as error:
-                if error.error["code"] not in (NOT_FOUND, GRPC_NOT_FOUND):
+                self._client.set(updates=[update], try_v2=True)
+            except kuksa.VSSClientError as error:
+                if error.error["code"] != NOT_FOUND:
                     raise
                 self.missing.add(name)

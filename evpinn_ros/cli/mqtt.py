@@ -27,7 +27,7 @@ def mqtt(
     ] = None,
     car: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VEHICLE", help="Vehicle of one car, by its name in topics."),
+        typer.Option(metavar="NAME=VEHICLE", help="Vehicle of one car."),
     ] = None,
     source: Annotated[
         str, typer.Option(help="teslamate, ovms, or a mapping file of topics.")
@@ -42,7 +42,7 @@ def mqtt(
         False
     ),
     ca: Annotated[
-        str | None, typer.Option(help="Authorities to trust; else those of the system.")
+        str | None, typer.Option(help="Authorities to trust; else the system's.")
     ] = None,
     cert: Annotated[str | None, typer.Option(help="Certificate of this client.")] = None,
     key: Annotated[str | None, typer.Option(help="Key of that certificate.")] = None,
@@ -62,7 +62,14 @@ def mqtt(
     Example: evpinn mqtt --source ovms --car LEAF=nissan_leaf --broker 192.168.0.2 --user ev
     """
     # Imported here: other commands need neither the chain nor paho-mqtt.
-    from evpinn_ros.bridges.broker import BrokerSettings, Connection, credentials, split_address
+    from evpinn_ros.bridges.broker import (
+        PORT,
+        TLS_PORT,
+        BrokerSettings,
+        Connection,
+        credentials,
+        split_address,
+    )
     from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
     from evpinn_ros.common.blas_threads import limit_blas_threads
     from evpinn_ros.vehicle.files import load_vehicle
@@ -81,7 +88,7 @@ def mqtt(
         _topic("--discovery", discovery) if discovery else "",
         state,
     )
-    host, port = split_address(broker, tls=tls)
+    host, port = split_address(broker, "--broker", TLS_PORT if tls else PORT)
     proof = credentials(user, password_file)
     # One id for a base topic: a second process of the same base would publish over the first.
     settings = BrokerSettings(host, port, *proof, tls, ca, cert, key, given.base.replace("/", "-"))

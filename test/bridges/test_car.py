@@ -1,7 +1,6 @@
 """A car behind a bridge: the same energy as was sent, its drives, its files."""
 
 from pathlib import Path
-from test.bridges.published import VEHICLE, as_ovms, as_teslamate, drive, energy
 
 import pytest
 
@@ -11,6 +10,7 @@ from evpinn_ros.bridges.sensors import SENSORS
 from evpinn_ros.bridges.snapshot import Snapshots
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.vehicle.files import load_vehicle
+from test.bridges.published import VEHICLE, as_ovms, as_teslamate, drive, energy
 
 SECOND = 1_000_000_000
 
@@ -87,7 +87,9 @@ def test_what_was_learned_outlives_the_process(tmp_path: Path) -> None:
     assert after["energy"]["drawn_kwh"] == pytest.approx(before["energy"]["drawn_kwh"])
     assert after["energy"]["trip_kwh"] == 0.0
     mass = {d["parameters"]["combinations"]["mass_over_eta"]["std"] for d in (before, after)}
-    assert max(mass) < 0.5 * car().documents()["parameters"]["combinations"]["mass_over_eta"]["std"]
+    assert (
+        max(mass) < 0.5 * car().documents()["parameters"]["combinations"]["mass_over_eta"]["std"]
+    )
 
 
 def test_a_state_of_another_car_is_set_aside_and_said(tmp_path: Path) -> None:

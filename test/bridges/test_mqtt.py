@@ -11,8 +11,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from test.bridges.conftest import Broker, Client, wait_until
-from test.bridges.published import VEHICLE, as_ovms, as_teslamate, drive, energy
 import time
 
 import pytest
@@ -28,6 +26,8 @@ from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.vehicle.files import load_vehicle
+from test.bridges.conftest import Broker, Client, wait_until
+from test.bridges.published import VEHICLE, as_ovms, as_teslamate, drive, energy
 
 Make = Callable[..., tuple[MqttBridge, Connection]]
 Sets = Iterable[tuple[int, dict[str, str]]]
@@ -121,7 +121,7 @@ def test_cars_without_a_vehicle_are_ignored(broker: Broker, bridged: Make) -> No
     writer = broker.client()
     for car in ("1", "7"):
         writer.publish(f"teslamate/cars/{car}/speed", "36")
-    wait_until(lambda: bridge.step(0.01) and False or bridge.ignored and bridge.cars)
+    wait_until(lambda: (bridge.step(0.01) and False) or (bridge.ignored and bridge.cars))
     assert (set(bridge.cars), bridge.ignored) == ({"1"}, {"7"})
     writer.close()
 
@@ -131,12 +131,12 @@ def test_retained_old_values_at_the_start_are_not_now(broker: Broker, bridged: M
     for name, value in (("speed", "90"), ("power", "25"), ("usable_battery_level", "55")):
         writer.publish(f"teslamate/cars/1/{name}", value, retain=True)
     bridge, _ = bridged(settings(teslamate()))
-    wait_until(lambda: bridge.step(0.01) and False or "1" in bridge.cars)
+    wait_until(lambda: (bridge.step(0.01) and False) or "1" in bridge.cars)
     for _ in range(30):
         bridge.step(0.02)
     assert bridge.cars["1"].readings == 0
     writer.publish("teslamate/cars/1/latitude", "48.1")
-    wait_until(lambda: bridge.step(0.01) and False or bridge.cars["1"].readings)
+    wait_until(lambda: (bridge.step(0.01) and False) or bridge.cars["1"].readings)
     assert bridge.cars["1"].readings == 1, "the charge alone"
     assert bridge.cars["1"].documents()["range"]["charge_percent"] == pytest.approx(55.0)
     writer.close()
@@ -153,14 +153,14 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
     before = bridge.cars["1"].documents()["energy"]["trip_kwh"]
     broker.kill()
     writer.close()
-    wait_until(lambda: bridge.step(0.01) and False or not connection.connected)
+    wait_until(lambda: (bridge.step(0.01) and False) or not connection.connected)
     for _ in range(50):
         clock.now_ns += 1_000_000_000
         bridge.step(0.0)
     assert connection.waiting < 100, "of each topic one payload waits"
     broker.start()
-    wait_until(lambda: bridge.step(0.01) and False or connection.connections == 2)
-    wait_until(lambda: bridge.step(0.01) and False or not connection.waiting)
+    wait_until(lambda: (bridge.step(0.01) and False) or connection.connections == 2)
+    wait_until(lambda: (bridge.step(0.01) and False) or not connection.waiting)
     reader, writer = broker.client(topics=EVERYTHING), broker.client()
     wait_until(lambda: "evpinn/1/parameters" in reader.newest())
     assert any(topic.startswith("homeassistant/sensor/") for topic in reader.newest())
@@ -185,12 +185,12 @@ def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) 
     bridge, connection = bridged(settings(teslamate()))
     reader, writer = broker.client(topics=("homeassistant/sensor/#",)), broker.client()
     writer.publish("teslamate/cars/1/speed", "36")
-    wait_until(lambda: bridge.step(0.01) and False or len(reader.came) >= 28)
-    wait_until(lambda: bridge.step(0.01) and False or not connection.waiting)
+    wait_until(lambda: (bridge.step(0.01) and False) or len(reader.came) >= 28)
+    wait_until(lambda: (bridge.step(0.01) and False) or not connection.waiting)
     first = len(reader.newest())
     reader.came.clear()
     writer.publish("homeassistant/status", "online", retain=False)
-    wait_until(lambda: bridge.step(0.01) and False or len(reader.newest()) == first)
+    wait_until(lambda: (bridge.step(0.01) and False) or len(reader.newest()) == first)
     for client in (reader, writer):
         client.close()
 
@@ -347,10 +347,10 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
 def test_what_would_show_a_password_is_no_address() -> None:
     for text in ("ev:secret@host", "mqtt://host", "host:x", "host:0", ":1883"):
         with pytest.raises(InputError) as refused:
-            split_address(text, tls=False)
+            split_address(text, "--broker", 1883)
         assert "secret" not in str(refused.value)
-    assert split_address("host", tls=True) == ("host", 8883)
-    assert split_address("[::1]:1884", tls=False) == ("::1", 1884)
+    assert split_address("host", "--broker", 8883) == ("host", 8883)
+    assert split_address("[::1]:1884", "--broker", 1883) == ("::1", 1884)
     assert "secret" not in repr(BrokerSettings("host", password="secret"))
 
 
