@@ -9,6 +9,7 @@ and no more than `IN_FLIGHT` messages are on the way.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 import os
 from pathlib import Path
@@ -82,7 +83,7 @@ def credentials(user: str | None, password_file: Path | None) -> tuple[str | Non
 
 
 class Message(NamedTuple):
-    """A message that came: its moment is that of arrival, ns since 1970."""
+    """A message that came, with the moment of its arrival, ns since 1970."""
 
     topic: str
     payload: bytes
@@ -96,13 +97,24 @@ class Connection:
     Attributes:
         lost: messages that came and were dropped, because too many waited.
         connections: how often the broker took us.
+        clock: of the moments at which messages come.
         refused: reason of the broker, None while it takes us.
     """
 
     def __init__(
-        self, settings: BrokerSettings, subscriptions: tuple[str, ...], status_topic: str
+        self,
+        settings: BrokerSettings,
+        subscriptions: tuple[str, ...],
+        status_topic: str,
+        clock: Callable[[], int] = time.time_ns,
     ) -> None:
         """Prepare a client whose last will says `offline` on `status_topic`.
+
+        Args:
+            settings: whom to connect to, and as whom.
+            subscriptions: topic filters.
+            status_topic: of birth and last will.
+            clock: ns since 1970, of the moments at which messages come.
 
         Raises:
             InputError: paho-mqtt is missing, or a certificate cannot be used.
@@ -111,6 +123,7 @@ class Connection:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         self.settings, self._subscriptions, self._status = settings, subscriptions, status_topic
+        self.clock = clock
         self.lost = self.connections = 0
         self.refused: str | None = None
         self._arrived: Queue[Message] = Queue(MOST_WAITING)
@@ -189,7 +202,7 @@ class Connection:
         self.connections += 1
 
     def _on_message(self, _: Any, __: Any, message: Any) -> None:
-        found = Message(message.topic, message.payload, message.retain, time.time_ns())
+        found = Message(message.topic, message.payload, message.retain, self.clock())
         try:
             self._arrived.put_nowait(found)
         except Full:

@@ -93,7 +93,6 @@ class MqttBridge:
         self,
         settings: BridgeSettings,
         connection: Connection,
-        clock: Callable[[], int] = time.time_ns,
         note: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Begin without cars.
@@ -101,15 +100,14 @@ class MqttBridge:
         Args:
             settings: what to read and to write.
             connection: to the broker, not started.
-            clock: ns since 1970, of the moments at which messages come.
             note: says a line to the person.
         """
         self.settings, self._connection = settings, connection
-        self._clock, self._note = clock, note
+        self._clock, self._note = connection.clock, note
         self._seen: dict[str, _Seen] = {}
         self.ignored: set[str] = set()
         self._connections = 0
-        self._saved_ns = clock()
+        self._saved_ns = self._clock()
 
     @property
     def cars(self) -> Mapping[str, BridgedCar]:
@@ -131,7 +129,7 @@ class MqttBridge:
         for each in self._seen.values():
             self._feed(each, each.snapshots.flush(now_ns))
             self._publish(each, now_ns)
-        if now_ns - self._saved_ns >= SAVE_NS:
+        if _due(self._saved_ns, now_ns, SAVE_NS):
             self.save()
             self._saved_ns = now_ns
         self._connection.send()
@@ -176,8 +174,8 @@ class MqttBridge:
         seen = None if parsed is None else self._car(parsed.car)
         if parsed is None or seen is None:
             return
-        arrived_ns = message.arrived_ns if self._clock is time.time_ns else self._clock()
-        self._feed(seen, seen.snapshots.add(parsed, arrived_ns, retained=message.retained))
+        retained, arrived_ns = message.retained, message.arrived_ns
+        self._feed(seen, seen.snapshots.add(parsed, arrived_ns, retained=retained))
 
     def _car(self, name: str) -> _Seen | None:
         if name in self._seen:
@@ -205,10 +203,10 @@ class MqttBridge:
     def _publish(self, seen: _Seen, now_ns: int) -> None:
         """Publish what is due: by the car's own stamps, for they are what goes on in a replay."""
         newest_ns = seen.car.newest_ns
-        if newest_ns is not None and newest_ns - seen.power_ns >= POWER_NS:
+        if newest_ns is not None and _due(seen.power_ns, newest_ns, POWER_NS):
             seen.power_ns = newest_ns
             self._publish_document(seen, "power", seen.car.power(), retain=False)
-        if now_ns - seen.documents_ns >= DOCUMENTS_NS:
+        if _due(seen.documents_ns, now_ns, DOCUMENTS_NS):
             seen.documents_ns = now_ns
             self._publish_documents(seen)
 
@@ -239,3 +237,8 @@ class MqttBridge:
         about = (self.settings.status_topic, car.name, car.vehicle.name)
         for topic, content in discovery(self.settings.discovery, base, *about):
             self._connection.publish(topic, json_text(content), retain=True)
+
+
+def _due(last_ns: int, now_ns: int, period_ns: int) -> bool:
+    """True a period after the last time, and where the clock was set back."""
+    return not 0 <= now_ns - last_ns < period_ns

@@ -36,14 +36,12 @@ def mqtt(
     broker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = "localhost",
     user: Annotated[str | None, typer.Option(help="Else EVPINN_MQTT_USER.")] = None,
     password_file: Annotated[
-        Path | None, typer.Option(help="File with the password; else EVPINN_MQTT_PASSWORD.")
+        Path | None, typer.Option(help="It holds the password; else EVPINN_MQTT_PASSWORD has it.")
     ] = None,
     tls: Annotated[bool, typer.Option("--tls", help="Encrypt; port 8883 if none is given.")] = (
         False
     ),
-    ca: Annotated[
-        str | None, typer.Option(help="Authorities to trust; else the system's.")
-    ] = None,
+    ca: Annotated[str | None, typer.Option(help="Authorities to trust.")] = None,
     cert: Annotated[str | None, typer.Option(help="Certificate of this client.")] = None,
     key: Annotated[str | None, typer.Option(help="Key of that certificate.")] = None,
     base: Annotated[str, typer.Option(help="Topic below which to publish.")] = "evpinn",

@@ -36,7 +36,7 @@ def vss(
         Path | None, typer.Option(help="Keeps what was learned between drives.")
     ] = None,
 ) -> None:
-    """Learn a car from a KUKSA databroker, and write what is learned there.
+    """Learn a car from a KUKSA databroker, and answer it.
 
     Example: evpinn vss --vehicle tesla_model_3_lr --databroker localhost:55555
     """

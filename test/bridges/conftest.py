@@ -12,12 +12,12 @@ import subprocess
 import time
 from typing import Any
 
+import paho.mqtt.client as mqtt
 import pytest
 
 from evpinn_ros.bridges.broker import BrokerSettings, Connection
 from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
 
-mqtt = pytest.importorskip("paho.mqtt.client")
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
 
 
@@ -110,8 +110,8 @@ def bridged(broker: Broker) -> Iterator[Callable[..., tuple[MqttBridge, Connecti
         settings: BridgeSettings, clock: Callable[[], int] = time.time_ns, **of: Any
     ) -> tuple[MqttBridge, Connection]:
         address = BrokerSettings("127.0.0.1", broker.port, **of)
-        connection = Connection(address, settings.subscriptions, settings.status_topic)
-        bridge = MqttBridge(settings, connection, clock)
+        connection = Connection(address, settings.subscriptions, settings.status_topic, clock)
+        bridge = MqttBridge(settings, connection)
         connection.start()
         made.append(connection)
         wait_until(lambda: bridge.step(0.01) or connection.connected)
