@@ -1,13 +1,12 @@
 """Layouts of topics: the quantity, unit and sign behind each topic of TeslaMate, OVMS or a file.
 
 Sources, read in November 2026:
-- TeslaMate: `website/docs/integrations/mqtt.md` has the names; `home_assistant.md` beside it has
-  power in kW (the first says watts and shows the same numbers); `vehicle_subscriber.ex` sends,
-  retained and with QoS 1, what changed, below an optional namespace; `summary.ex` rounds speed to
-  km/h.
-- OVMS v3: `docs/source/userguide/metrics.rst` has names and units; `metrics_standard.h` counts
-  current and power positive out of the battery; `ovms_server_v3.cpp` sends, retained and with
-  QoS 0, what was modified to `ovms/<user>/<vehicle>/metric/`, with `/` for `.`.
+- TeslaMate: its pages "MQTT Integration" and "HomeAssistant Integration" have the names, and power
+  in kW (the first says watts and shows the same numbers); its `VehicleSubscriber` sends, retained
+  and with QoS 1, what changed, below an optional namespace; its `Summary` rounds speed to km/h.
+- OVMS v3: the page "Metrics" of its user guide has names and units; its `metrics_standard.h`
+  counts current and power positive out of the battery; its `ovms_server_v3.cpp` sends, retained
+  and with QoS 0, what was modified to `ovms/<user>/<vehicle>/metric/`, with `/` for `.`.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ LONGEST_PAYLOAD = 64_000  # bytes; a larger one is no value
 CAR_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
-class Quantity(str, Enum):
+class Measurand(str, Enum):
     """Quantities that a bridge takes, in the units of `signals.readings`.
 
     POWER is W, positive when drawn; CURRENT is A with the sign of BatteryState, negative when
-    drawn; CHARGE is 0..1; STANDING is 1 while the car cannot move, ASLEEP 1 while nobody drives.
+    drawn; CHARGE is 0..1; STANDING is 1 while the car cannot move, ASLEEP 1 while not in use.
     """
 
     SPEED = "speed"
@@ -51,7 +50,12 @@ class Quantity(str, Enum):
     ASLEEP = "asleep"
 
 
-LASTING = {Quantity.CHARGE, Quantity.TEMPERATURE, Quantity.STANDING, Quantity.ASLEEP}
+LASTING = {
+    Measurand.CHARGE,
+    Measurand.TEMPERATURE,
+    Measurand.STANDING,
+    Measurand.ASLEEP,
+}
 """Quantities whose retained value may be used, once a live message shows that the car sends."""
 
 
@@ -67,7 +71,7 @@ class Rule:
         otherwise: NaN if other words mean nothing.
     """
 
-    quantity: Quantity
+    quantity: Measurand
     scale: float = 1.0
     resolution: float = math.nan
     words: Mapping[str, float] | None = None
@@ -100,24 +104,24 @@ class Parsed(NamedTuple):
 
 
 TESLAMATE_RULES: Mapping[str, Rule] = {
-    "speed": Rule(Quantity.SPEED, KMH, resolution=KMH),
-    "power": Rule(Quantity.POWER, KILO, resolution=KILO),
-    "elevation": Rule(Quantity.ALTITUDE, resolution=1.0),
-    "outside_temp": Rule(Quantity.TEMPERATURE),
-    "usable_battery_level": Rule(Quantity.CHARGE, PERCENT),
+    "speed": Rule(Measurand.SPEED, KMH, resolution=KMH),
+    "power": Rule(Measurand.POWER, KILO, resolution=KILO),
+    "elevation": Rule(Measurand.ALTITUDE, resolution=1.0),
+    "outside_temp": Rule(Measurand.TEMPERATURE),
+    "usable_battery_level": Rule(Measurand.CHARGE, PERCENT),
     # An unknown gear comes as an empty text, which is what a parked car has.
-    "shift_state": Rule(Quantity.STANDING, words={"P": 1.0, "": 1.0}, otherwise=0.0),
-    "state": Rule(Quantity.ASLEEP, words={"driving": 0.0}, otherwise=1.0),
+    "shift_state": Rule(Measurand.STANDING, words={"P": 1.0, "": 1.0}, otherwise=0.0),
+    "state": Rule(Measurand.ASLEEP, words={"driving": 0.0}, otherwise=1.0),
 }
 OVMS_RULES: Mapping[str, Rule] = {
-    "v/p/speed": Rule(Quantity.SPEED, KMH),
-    "v/b/power": Rule(Quantity.POWER, KILO),
-    "v/b/voltage": Rule(Quantity.VOLTAGE),
-    "v/b/current": Rule(Quantity.CURRENT, -1.0),
-    "v/b/soc": Rule(Quantity.CHARGE, PERCENT),
-    "v/p/altitude": Rule(Quantity.ALTITUDE),
-    "v/e/temp": Rule(Quantity.TEMPERATURE),
-    "v/e/on": Rule(Quantity.ASLEEP, words={"yes": 0.0, "no": 1.0}),
+    "v/p/speed": Rule(Measurand.SPEED, KMH),
+    "v/b/power": Rule(Measurand.POWER, KILO),
+    "v/b/voltage": Rule(Measurand.VOLTAGE),
+    "v/b/current": Rule(Measurand.CURRENT, -1.0),
+    "v/b/soc": Rule(Measurand.CHARGE, PERCENT),
+    "v/p/altitude": Rule(Measurand.ALTITUDE),
+    "v/e/temp": Rule(Measurand.TEMPERATURE),
+    "v/e/on": Rule(Measurand.ASLEEP, words={"yes": 0.0, "no": 1.0}),
 }
 
 
@@ -237,6 +241,6 @@ def read_mapping(path: Path) -> PlainLayout:
 
 def _rule(section: Section) -> Rule:
     section.refuse_unknown(("quantity", "scale"))
-    quantity = Quantity(section.choice("quantity", [each.value for each in Quantity]))
+    quantity = Measurand(section.choice("quantity", [each.value for each in Measurand]))
     scale = section.number("scale", -1e9, 1e9) if section.has("scale") else 1.0
     return Rule(quantity, scale)

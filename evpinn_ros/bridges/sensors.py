@@ -1,4 +1,4 @@
-"""Scalars of a car: their topics, and how Home Assistant is told of them (MQTT discovery).
+"""Scalars of a car: their topics, and the discovery messages for Home Assistant.
 
 Sources: home-assistant.io, "MQTT" (discovery topic, `origin`, birth message) and "MQTT sensor";
 developers.home-assistant.io, "Sensor entity" (which units and state classes a device class takes).

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection
 import math
 
-from evpinn_ros.bridges.layouts import LASTING, Parsed, Quantity, Rule
+from evpinn_ros.bridges.layouts import LASTING, Measurand, Parsed, Rule
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
@@ -41,7 +41,7 @@ class Snapshots:
             on_change: whether values hold until they change (see the module's text).
         """
         self._nominal_voltage, self._on_change = nominal_voltage, on_change
-        self._held: dict[Quantity, tuple[Rule, float]] = {}
+        self._held: dict[Measurand, tuple[Rule, float]] = {}
         self._burst_ns: int | None = None
 
     @property
@@ -83,24 +83,24 @@ class Snapshots:
         stamp_ns, self._burst_ns = self._burst_ns, None
         return self._readings(stamp_ns)
 
-    def _hold(self, parsed: Parsed, wanted: Collection[Quantity] = tuple(Quantity)) -> None:
+    def _hold(self, parsed: Parsed, wanted: Collection[Measurand] = tuple(Measurand)) -> None:
         for rule, value in parsed.values:
             if rule.quantity in wanted:
                 self._held[rule.quantity] = rule, value
 
-    def _value(self, quantity: Quantity) -> float:
+    def _value(self, quantity: Measurand) -> float:
         return self._held[quantity][1] if quantity in self._held else NAN
 
     def _readings(self, stamp_ns: int) -> list[Reading]:
-        if self._value(Quantity.ASLEEP) == 1.0:
+        if self._value(Measurand.ASLEEP) == 1.0:
             return self._asleep(stamp_ns)
         found: list[Reading] = []
-        if not math.isnan(celsius := self._value(Quantity.TEMPERATURE)):
+        if not math.isnan(celsius := self._value(Measurand.TEMPERATURE)):
             found.append(TemperatureReading(stamp_ns, celsius))
-        if not math.isnan(altitude := self._value(Quantity.ALTITUDE)):
-            place = self._value(Quantity.LATITUDE), self._value(Quantity.LONGITUDE)
+        if not math.isnan(altitude := self._value(Measurand.ALTITUDE)):
+            place = self._value(Measurand.LATITUDE), self._value(Measurand.LONGITUDE)
             found.append(AltitudeReading(stamp_ns, altitude, *place))
-        if not math.isnan(heating := self._value(Quantity.HEATING)):
+        if not math.isnan(heating := self._value(Measurand.HEATING)):
             found.append(AuxiliaryReading(stamp_ns, heating))
         battery = self._battery(stamp_ns)
         if battery is not None:
@@ -110,22 +110,22 @@ class Snapshots:
 
     def _asleep(self, stamp_ns: int) -> list[Reading]:
         """Charge alone: speed and power of a car that is not driven are old, or the charger's."""
-        for quantity in (Quantity.SPEED, Quantity.POWER, Quantity.CURRENT, Quantity.VOLTAGE):
+        for quantity in (Measurand.SPEED, Measurand.POWER, Measurand.CURRENT, Measurand.VOLTAGE):
             self._held.pop(quantity, None)
-        charge = self._value(Quantity.CHARGE)
+        charge = self._value(Measurand.CHARGE)
         return [] if math.isnan(charge) else [BatteryReading(stamp_ns, NAN, NAN, charge)]
 
     def _speed(self, stamp_ns: int) -> SpeedReading | None:
-        if Quantity.SPEED not in self._held and self._value(Quantity.STANDING) != 1.0:
+        if Measurand.SPEED not in self._held and self._value(Measurand.STANDING) != 1.0:
             return None
-        if self._value(Quantity.STANDING) == 1.0:  # TeslaMate sends no speed of a parked car
+        if self._value(Measurand.STANDING) == 1.0:  # TeslaMate sends no speed of a parked car
             return SpeedReading(stamp_ns, 0.0)
-        rule, speed = self._held[Quantity.SPEED]
+        rule, speed = self._held[Measurand.SPEED]
         return SpeedReading(stamp_ns, speed, VARIANCE_OF_A_STEP * rule.resolution**2)
 
     def _battery(self, stamp_ns: int) -> BatteryReading | None:
-        volt, current = self._value(Quantity.VOLTAGE), self._value(Quantity.CURRENT)
-        power, charge = self._value(Quantity.POWER), self._value(Quantity.CHARGE)
+        volt, current = self._value(Measurand.VOLTAGE), self._value(Measurand.CURRENT)
+        power, charge = self._value(Measurand.POWER), self._value(Measurand.CHARGE)
         if math.isnan(current) and not math.isnan(power):
             volt = volt if volt > 0.0 else self._nominal_voltage
             current = -power / volt

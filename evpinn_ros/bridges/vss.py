@@ -14,7 +14,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.bridges.car import BridgedCar
-from evpinn_ros.bridges.layouts import KMH, PERCENT, Parsed, Quantity, Rule, Value
+from evpinn_ros.bridges.layouts import KMH, PERCENT, Measurand, Parsed, Rule, Value
 from evpinn_ros.bridges.snapshot import Snapshots
 from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 BATTERY = "Vehicle.Powertrain.TractionBattery"
 OURS = "Vehicle.EvPinn"
 INPUTS: Mapping[str, Rule] = {
-    "Vehicle.Speed": Rule(Quantity.SPEED, KMH),
-    f"{BATTERY}.CurrentVoltage": Rule(Quantity.VOLTAGE),
-    f"{BATTERY}.CurrentCurrent": Rule(Quantity.CURRENT),
-    f"{BATTERY}.StateOfCharge.Current": Rule(Quantity.CHARGE, PERCENT),
-    "Vehicle.Exterior.AirTemperature": Rule(Quantity.TEMPERATURE),
-    "Vehicle.CurrentLocation.Altitude": Rule(Quantity.ALTITUDE),
+    "Vehicle.Speed": Rule(Measurand.SPEED, KMH),
+    f"{BATTERY}.CurrentVoltage": Rule(Measurand.VOLTAGE),
+    f"{BATTERY}.CurrentCurrent": Rule(Measurand.CURRENT),
+    f"{BATTERY}.StateOfCharge.Current": Rule(Measurand.CHARGE, PERCENT),
+    "Vehicle.Exterior.AirTemperature": Rule(Measurand.TEMPERATURE),
+    "Vehicle.CurrentLocation.Altitude": Rule(Measurand.ALTITUDE),
 }
 OUTPUTS: Mapping[str, tuple[str, ...]] = {
     f"{BATTERY}.Range": ("range", "range_km"),

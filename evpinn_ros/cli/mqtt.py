@@ -100,7 +100,7 @@ def _serve(bridge: MqttBridge, connection: Connection) -> None:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    address, told = connection.settings.address, ""
+    address, shown = connection.settings.address, ""
     connection.start()
     try:
         while not stop.is_set():
@@ -108,9 +108,9 @@ def _serve(bridge: MqttBridge, connection: Connection) -> None:
             if not connection.connections and not password_is_known(connection.refused):
                 raise InputError(f"{address}: refused: {connection.refused}")
             now = "connected" if connection.connected else connection.refused or "not connected"
-            if now != told:
+            if now != shown:
                 note(f"evpinn: {address}: {now}")
-                told = now
+                shown = now
     finally:
         bridge.close()
         connection.close()

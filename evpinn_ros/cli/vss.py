@@ -78,11 +78,11 @@ def vss(
 
 def _follow(feed: DatabrokerFeed, save: Callable[[], None]) -> None:
     """Follow the signals until the databroker goes; save now and then."""
-    saved, told = time.monotonic(), False
+    saved, noted = time.monotonic(), False
     for _ in feed.run():
-        if feed.missing and not told:
+        if feed.missing and not noted:
             note(f"evpinn: without the overlay of evpinn: {', '.join(sorted(feed.missing))}")
-            told = True
+            noted = True
         if time.monotonic() - saved > SAVE_S:
             save()
             saved = time.monotonic()

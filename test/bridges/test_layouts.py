@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from evpinn_ros.bridges.layouts import Layout, Quantity, ovms, read_mapping, teslamate
+from evpinn_ros.bridges.layouts import Layout, Measurand, ovms, read_mapping, teslamate
 from evpinn_ros.common.errors import InputError
 
 
-def only(layout: Layout, topic: str, payload: str) -> tuple[str, Quantity, float]:
+def only(layout: Layout, topic: str, payload: str) -> tuple[str, Measurand, float]:
     found = layout.parse(topic, payload.encode())
     (value,) = found.values
     return found.car, value.rule.quantity, pytest.approx(value.value)
@@ -16,17 +16,17 @@ def only(layout: Layout, topic: str, payload: str) -> tuple[str, Quantity, float
 
 def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn() -> None:
     layout = teslamate()
-    assert only(layout, "teslamate/cars/1/speed", "36") == ("1", Quantity.SPEED, 10.0)
-    assert only(layout, "teslamate/cars/2/power", "-9") == ("2", Quantity.POWER, -9000.0)
-    assert only(layout, "teslamate/cars/1/elevation", "70") == ("1", Quantity.ALTITUDE, 70.0)
+    assert only(layout, "teslamate/cars/1/speed", "36") == ("1", Measurand.SPEED, 10.0)
+    assert only(layout, "teslamate/cars/2/power", "-9") == ("2", Measurand.POWER, -9000.0)
+    assert only(layout, "teslamate/cars/1/elevation", "70") == ("1", Measurand.ALTITUDE, 70.0)
     charge = only(layout, "teslamate/cars/1/usable_battery_level", "85")
-    assert charge == ("1", Quantity.CHARGE, 0.85)
+    assert charge == ("1", Measurand.CHARGE, 0.85)
 
 
 @pytest.mark.parametrize(("gear", "stands"), [("P", 1), ("", 1), ("D", 0), ("R", 0), ("N", 0)])
 def test_a_parked_tesla_has_gear_p_or_none(gear: str, stands: int) -> None:
     found = only(teslamate(), "teslamate/cars/1/shift_state", gear)
-    assert found == ("1", Quantity.STANDING, stands)
+    assert found == ("1", Measurand.STANDING, stands)
 
 
 def test_a_namespace_of_teslamate_stands_before_cars() -> None:
@@ -39,10 +39,10 @@ def test_a_namespace_of_teslamate_stands_before_cars() -> None:
 def test_ovms_counts_current_positive_out_of_the_battery() -> None:
     """`BatteryState.current` is negative then."""
     base = "ovms/me/CAR/metric"
-    assert only(ovms(), f"{base}/v/b/current", "12.5") == ("CAR", Quantity.CURRENT, -12.5)
-    assert only(ovms(), f"{base}/v/b/power", "1.5") == ("CAR", Quantity.POWER, 1500.0)
-    assert only(ovms(), f"{base}/v/p/speed", "72") == ("CAR", Quantity.SPEED, 20.0)
-    assert only(ovms(), f"{base}/v/e/on", "no") == ("CAR", Quantity.ASLEEP, 1.0)
+    assert only(ovms(), f"{base}/v/b/current", "12.5") == ("CAR", Measurand.CURRENT, -12.5)
+    assert only(ovms(), f"{base}/v/b/power", "1.5") == ("CAR", Measurand.POWER, 1500.0)
+    assert only(ovms(), f"{base}/v/p/speed", "72") == ("CAR", Measurand.SPEED, 20.0)
+    assert only(ovms(), f"{base}/v/e/on", "no") == ("CAR", Measurand.ASLEEP, 1.0)
 
 
 def test_what_is_no_number_has_no_value_but_shows_that_the_car_sends() -> None:
@@ -74,7 +74,7 @@ def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path: Path) 
     path.write_text(MAPPING)
     layout = read_mapping(path)
     assert set(layout.subscriptions) == {"garage/+/speed", "garage/+/state"}
-    assert only(layout, "garage/zoe/speed", "10") == ("zoe", Quantity.SPEED, 4.4704)
+    assert only(layout, "garage/zoe/speed", "10") == ("zoe", Measurand.SPEED, 4.4704)
     found = layout.parse("garage/zoe/state", b'{"amps": 3, "volts": 400, "t": 1700000000.5}')
     assert {v.rule.quantity: v.value for v in found.values} == {"current": -3.0, "voltage": 400.0}
     assert found.stamp_ns == 1_700_000_000_500_000_000
