@@ -1,6 +1,6 @@
 """VSS: the overlay by vss-tools, and a databroker's interface by its public protocol.
 
-No databroker can be had from the package indexes, so the server here answers by the services that
+No databroker was found in PyPI, Debian or npm, so the server here answers by the services that
 kuksa-client has generated from the databroker's .proto files; the client is the real one.
 """
 
