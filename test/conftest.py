@@ -23,6 +23,7 @@ from evpinn_ros.can.request import Address
 NOT_QUICK = frozenset(
     {
         *("api", "benchmarks", "cli", "fleet", "nodes", "paper", "reproduction"),
+        *("bridges/test_mqtt.py", "bridges/test_vss.py"),
         *("test_docs.py", "test_executables.py", "test_guides.py", "test_notebooks.py"),
         *("test_packaging.py", "test_reproduction_page.py", "test_site.py"),
         *("test_browser.py", "test_drive_page.py", "test_captures.py", "test_logs_fuzz.py"),
@@ -88,7 +89,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items[:] = [item for path in turns if path is not None for item in files[path]]
 
 
-WAITING = ("launch", "nodes", "can")
+WAITING = ("launch", "nodes", "can", "bridges")
 """Folders whose tests mostly wait: for processes, for buses, for each other."""
 
 LONG = (

@@ -32,7 +32,7 @@ LAYERS = [
     {"report"},
     {"api"},  # what Python may rely on
     {"nodes"},
-    {"live"},
+    {"live", "bridges"},
     {"cli"},
     {"executables"},
     {"__main__"},

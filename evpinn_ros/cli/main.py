@@ -22,7 +22,18 @@ class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
     names = (
-        *("replay", "compare", "forecast", "run", "watch", "view", "convert", "simulate"),
+        *(
+            "replay",
+            "compare",
+            "forecast",
+            "run",
+            "mqtt",
+            "vss",
+            "watch",
+            "view",
+            "convert",
+            "simulate",
+        ),
         *("reproduce", "fleet", "bench", "demo"),
         *("info", "recover"),
         "can",

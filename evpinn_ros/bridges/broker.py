@@ -1,0 +1,230 @@
+"""Connection to an MQTT broker: bounded both ways, back after every loss.
+
+Subscriptions ask for QoS 1, so that a broker repeats what was lost of TeslaMate's messages (which
+come with 1; OVMS sends with 0). What is published goes out with QoS 1 too. A slow broker must not
+make the process grow, nor get what is out of date: of each topic the newest payload alone waits,
+and no more than `IN_FLIGHT` messages are on the way.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+import os
+from pathlib import Path
+from queue import Empty, Full, Queue
+import ssl
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from evpinn_ros.common.errors import InputError, as_input_error, extra_needed
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client, MQTTMessageInfo
+
+PORT, TLS_PORT = 1883, 8883
+IN_FLIGHT = 20  # messages
+MOST_WAITING = 10_000  # messages that came and are not yet processed; a minute of 160 a second
+RECONNECT_S = 1, 30  # first and longest wait, doubled each time
+KEEP_ALIVE_S = 30
+FAREWELL_S = 3.0  # for the last messages to go out
+USER_VARIABLE, PASSWORD_VARIABLE = "EVPINN_MQTT_USER", "EVPINN_MQTT_PASSWORD"
+ONLINE, OFFLINE = "online", "offline"
+REFUSALS = {"Bad user name or password", "Not authorized", "Client identifier not valid"}
+
+
+@dataclass(frozen=True, slots=True)
+class BrokerSettings:
+    """Address of a broker and proof of who asks; the password is in no text of it.
+
+    Attributes:
+        host: name or address.
+        port: of TCP.
+        user: None without.
+        password: None without.
+        tls: whether to encrypt.
+        ca: path of the authorities to trust, else those of the system.
+        certificate: path of the client's own, None without.
+        key: path of its key, None if in the same file.
+        client_id: as the broker knows this process; two of the same id throw each other out.
+    """
+
+    host: str
+    port: int = PORT
+    user: str | None = None
+    password: str | None = field(default=None, repr=False)
+    tls: bool = False
+    ca: str | None = None
+    certificate: str | None = None
+    key: str | None = None
+    client_id: str = "evpinn"
+
+    @property
+    def address(self) -> str:
+        """Address for people."""
+        return f"{'mqtts' if self.tls else 'mqtt'}://{self.host}:{self.port}"
+
+
+def credentials(user: str | None, password_file: Path | None) -> tuple[str | None, str | None]:
+    """User and password, of options and the environment.
+
+    Raises:
+        InputError: the file cannot be read, or there is a password and no user.
+    """
+    user = user or os.environ.get(USER_VARIABLE) or None
+    password = os.environ.get(PASSWORD_VARIABLE) or None
+    if password_file is not None:
+        with as_input_error(password_file, ValueError):
+            password = password_file.read_text("utf-8").strip("\r\n")
+    if password and not user:
+        raise InputError(f"a password without a user; add --user, or set {USER_VARIABLE}")
+    return user, password
+
+
+class Message(NamedTuple):
+    """A message that came, with the moment of its arrival, ns since 1970."""
+
+    topic: str
+    payload: bytes
+    retained: bool
+    arrived_ns: int
+
+
+class Connection:
+    """A client of a broker with a thread of its own.
+
+    Attributes:
+        lost: messages that came and were dropped, because too many waited.
+        connections: how often the broker took us.
+        clock: of the moments at which messages come.
+        refused: reason of the broker, None while it takes us.
+    """
+
+    def __init__(
+        self,
+        settings: BrokerSettings,
+        subscriptions: tuple[str, ...],
+        status_topic: str,
+        clock: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """Prepare a client whose last will says `offline` on `status_topic`.
+
+        Args:
+            settings: whom to connect to, and as whom.
+            subscriptions: topic filters.
+            status_topic: of birth and last will.
+            clock: ns since 1970, of the moments at which messages come.
+
+        Raises:
+            InputError: paho-mqtt is missing, or a certificate cannot be used.
+        """
+        with extra_needed("evpinn mqtt needs paho-mqtt", "mqtt"):
+            from paho.mqtt.client import Client
+            from paho.mqtt.enums import CallbackAPIVersion
+        self.settings, self._subscriptions, self._status = settings, subscriptions, status_topic
+        self.clock = clock
+        self.lost = self.connections = 0
+        self.refused: str | None = None
+        self._arrived: Queue[Message] = Queue(MOST_WAITING)
+        self._outbox: dict[str, tuple[str, bool]] = {}
+        self._in_flight: deque[MQTTMessageInfo] = deque()
+        client = Client(CallbackAPIVersion.VERSION2, settings.client_id)
+        if settings.user is not None:
+            client.username_pw_set(settings.user, settings.password)
+        if settings.tls:
+            with as_input_error(settings.ca or settings.certificate or "TLS", ssl.SSLError):
+                client.tls_set(settings.ca, settings.certificate, settings.key)
+        client.will_set(status_topic, OFFLINE, qos=1, retain=True)
+        client.reconnect_delay_set(*RECONNECT_S)
+        client.max_inflight_messages_set(IN_FLIGHT)
+        client.on_connect = self._on_connect
+        client.on_message = self._on_message
+        self._client: Client = client
+
+    @property
+    def connected(self) -> bool:
+        """True while the broker takes messages."""
+        return self._client.is_connected()
+
+    def start(self) -> None:
+        """Connect in the background, again and again until it works."""
+        self._client.connect_async(self.settings.host, self.settings.port, KEEP_ALIVE_S)
+        self._client.loop_start()
+
+    def next_message(self, timeout: float) -> Message | None:
+        """Next message; None if none comes within `timeout`, s."""
+        try:
+            return self._arrived.get(timeout=timeout)
+        except Empty:
+            return None
+
+    def publish(self, topic: str, payload: str, *, retain: bool = False) -> None:
+        """Send a payload as soon as the broker can take it; the newest of a topic wins."""
+        self._outbox[topic] = payload, retain
+        self.send()
+
+    def send(self) -> None:
+        """Hand over what waits, as far as the broker keeps up."""
+        while self._outbox and self.connected and self._on_the_way() < IN_FLIGHT:
+            topic = next(iter(self._outbox))
+            payload, retain = self._outbox.pop(topic)
+            self._in_flight.append(self._client.publish(topic, payload, 1, retain))
+
+    def _on_the_way(self) -> int:
+        """Messages that the broker has not acknowledged; the client repeats those after a loss."""
+        while self._in_flight and self._in_flight[0].is_published():
+            self._in_flight.popleft()
+        return len(self._in_flight)
+
+    @property
+    def waiting(self) -> int:
+        """Topics whose newest payload was not handed over, or not acknowledged."""
+        return len(self._outbox) + self._on_the_way()
+
+    def close(self) -> None:
+        """Send what waits, for some seconds; say that we are offline, and leave."""
+        self.publish(self._status, OFFLINE, retain=True)
+        until = time.monotonic() + FAREWELL_S
+        while self.connected and self.waiting and time.monotonic() < until:
+            self.send()
+            time.sleep(0.01)
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _on_connect(self, client: Client, _: Any, __: Any, reason: Any, ___: Any) -> None:
+        if reason.is_failure:
+            self.refused = str(reason)
+            return
+        self.refused = None
+        client.subscribe([(topic, 1) for topic in self._subscriptions])
+        client.publish(self._status, ONLINE, 1, retain=True)
+        self.connections += 1
+
+    def _on_message(self, _: Any, __: Any, message: Any) -> None:
+        found = Message(message.topic, message.payload, message.retain, self.clock())
+        try:
+            self._arrived.put_nowait(found)
+        except Full:
+            self.lost += 1
+
+
+def password_is_known(reason: str | None) -> bool:
+    """False where the broker refuses who we are, which no waiting mends."""
+    return reason not in REFUSALS
+
+
+def split_address(text: str, option: str, default: int) -> tuple[str, int]:
+    """Host and port of `HOST` or `HOST:PORT`; an address of IPv6 stands in brackets.
+
+    Raises:
+        InputError: it is none, or it holds a password, which `ps` would show.
+    """
+    if "@" in text or "/" in text:
+        raise InputError(f"{option} is HOST or HOST:PORT; no scheme, no user and no password")
+    host, separator, port = text.rpartition(":")
+    if not separator or text.endswith("]"):
+        host, port = text, str(default)
+    if not port.isdecimal() or not 0 < int(port) < 65536 or not host.strip("[]"):
+        raise InputError(f"{option}: '{text}' is not HOST or HOST:PORT")
+    return host.strip("[]"), int(port)

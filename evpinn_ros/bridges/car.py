@@ -1,0 +1,172 @@
+"""One car of a bridge: the chain behind its readings, its drives, and what is kept of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+import time
+from typing import Any
+
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.estimation.state_file import account_path
+from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.nodes.saved_state import StateFile
+from evpinn_ros.replays.breakdown_text import breakdown_metrics
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.scoring import parameter_metrics
+from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
+from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
+from evpinn_ros.vehicle.files import Vehicle
+
+DRIVE_GAP_NS = 15 * 60 * NANOSECONDS
+"""A drive ends where the car sends no speed, or stands, for so long."""
+STANDS = 0.1  # m/s
+KWH_PER_100KM = JOULES_PER_KWH / 1e5  # J/m
+HELD = JumpRule(policy=JumpPolicy.HOLD)
+"""A clock of a broker's host that is set back must not undo what was learned."""
+
+Document = Mapping[str, Any]
+
+
+class BridgedCar:
+    """The chain of one car, fed by readings, asked for documents.
+
+    Attributes:
+        name: of the car, in topics.
+        vehicle: its file.
+        newest_ns: stamp of the newest reading, None before the first.
+        readings: how many were taken.
+    """
+
+    def __init__(
+        self, name: str, vehicle: Vehicle, settings: EstimatorSettings, state: Path | None = None
+    ) -> None:
+        """Go on from the state of the car, where its file is there and can be used."""
+        self.name, self.vehicle, self._settings = name, vehicle, settings
+        self.chain = Chain(vehicle, settings, InlineWorker(time.perf_counter), HELD)
+        self.newest_ns: int | None = None
+        self.readings = 0
+        self._moved_ns: int | None = None
+        self._power: dict[PowerKind, PowerEstimate] = {}
+        self._files = [
+            StateFile(state, self.chain.estimator),
+            StateFile(state and account_path(state), self.chain.account),
+        ]
+        self._saved = 0
+        for file in self._files:
+            file.load()
+        self.chain.begin_next_drive()
+
+    @property
+    def problem(self) -> str | None:
+        """Reason why a file of its state was not used or not written, None if all is well."""
+        return next((file.problem for file in self._files if file.problem is not None), None)
+
+    def add_readings(self, readings: Iterable[Reading]) -> bool:
+        """Take readings in order; give whether another drive began with them."""
+        began = False
+        for reading in readings:
+            self.readings += 1
+            self.newest_ns = max(self.newest_ns or 0, reading.stamp_ns)
+            if isinstance(reading, SpeedReading):
+                began |= self._begins(reading)
+            for output in self.chain.add_reading(reading):
+                if isinstance(output, PowerEstimate):
+                    self._power[output.kind] = output
+        return began
+
+    def _begins(self, reading: SpeedReading) -> bool:
+        """Begin the next drive where the car moves after a long stop."""
+        if abs(reading.speed) < STANDS:
+            return False
+        moved_ns, self._moved_ns = self._moved_ns, reading.stamp_ns
+        if moved_ns is None or reading.stamp_ns - moved_ns < DRIVE_GAP_NS:
+            return False
+        self.save()
+        self._power.clear()
+        self.chain.begin_next_drive()
+        return True
+
+    def save(self) -> None:
+        """Write what was learned and counted, if there is anything new."""
+        if self.readings == self._saved:
+            return
+        for file in self._files:
+            file.save()
+        self._saved = self.readings
+
+    def power(self) -> Document:
+        """Battery power, W: measured, predicted without it, and the 1-sigma of that."""
+        measured, predicted = (
+            self._power.get(kind) for kind in (PowerKind.MEASURED, PowerKind.PREDICTED)
+        )
+        return {
+            "time": _seconds(predicted.stamp_ns if predicted else None),
+            "measured_w": measured and measured.power,
+            "predicted_w": predicted and predicted.power,
+            "predicted_sigma_w": predicted and predicted.sigma,
+        }
+
+    def documents(self) -> Mapping[str, Document]:
+        """All other documents, by the last part of their topic."""
+        found = self.chain.account.summary()
+        trip, life, remaining = found.since_reset, found.lifetime, found.remaining
+        estimator = self.chain.estimator
+        parameters = estimator.parameters()
+        return {
+            "energy": {
+                "time": _seconds(self.newest_ns),
+                "trip_kwh": trip.net.value / JOULES_PER_KWH,
+                "trip_sigma_kwh": trip.net.sigma / JOULES_PER_KWH,
+                "trip_km": trip.distance / 1e3,
+                "drawn_kwh": life.drawn / JOULES_PER_KWH,
+                "regenerated_kwh": life.regenerated / JOULES_PER_KWH,
+                "unmeasured_s": trip.unmeasured_s,
+            },
+            "consumption": {
+                name: value / KWH_PER_100KM for name, value in found.consumption.items()
+            },
+            "range": {
+                "charge_percent": 100.0 * found.charge.value,
+                "charge_projected": found.projected,
+                "usable_kwh": found.usable.value / JOULES_PER_KWH,
+                "capacity_kwh": found.capacity.value / JOULES_PER_KWH,
+                "range_km": remaining and remaining.distance / 1e3,
+                "lower_km": remaining and remaining.lower / 1e3,
+                "upper_km": remaining and remaining.upper / 1e3,
+            },
+            "breakdown": breakdown_metrics(estimator.breakdown(), self._settings.mode.value),
+            "parameters": {
+                **parameter_metrics(parameters),
+                "combinations": {
+                    name: {"value": float(value), "std": float(std)}
+                    for name, value, std in zip(
+                        parameters.identifiable._fields,
+                        parameters.identifiable,
+                        parameters.identifiable_std,
+                        strict=True,
+                    )
+                },
+            },
+        }
+
+    def health(self) -> Document:
+        """Activity and reasons, for whoever asks why there are no news."""
+        status = self.chain.estimator.status()
+        return {
+            "activity": status.activity.value,
+            "vehicle": self.vehicle.key,
+            "readings": self.readings,
+            "newest_time": _seconds(self.newest_ns),
+            "dropped": {**status.dropped, **self.chain.dropped},
+            "not_learned": dict(status.gated),
+            "stuck": status.stuck,
+            "unknown": list(status.unknown),
+            "problem": self.problem,
+        }
+
+
+def _seconds(stamp_ns: int | None) -> float | None:
+    return None if stamp_ns is None else stamp_ns / NANOSECONDS

@@ -1,0 +1,119 @@
+"""Scalars of a car: their topics, and the discovery messages for Home Assistant.
+
+Sources: home-assistant.io, "MQTT" (discovery topic, `origin`, birth message) and "MQTT sensor";
+developers.home-assistant.io, "Sensor entity" (which units and state classes a device class takes).
+Home Assistant 2024.3 itself took all of them (docs/guides/home_assistant.md has its picture).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from evpinn_ros import __version__
+from evpinn_ros.replays.breakdown_text import MEANINGS
+
+MEASUREMENT, TOTAL, INCREASING = "measurement", "total", "total_increasing"
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One number of a document that has a topic of its own.
+
+    Attributes:
+        document: `power`, `energy`, ...
+        path: keys to the number in the document.
+        name: for people.
+        unit: as Home Assistant writes it; None where it has none.
+        device_class: of Home Assistant; None where none fits.
+        state_class: of Home Assistant; None where no statistics make sense.
+        digits: behind the point.
+        diagnostic: whether it is about the car and not about its drives.
+    """
+
+    document: str
+    path: tuple[str, ...]
+    name: str
+    unit: str | None
+    device_class: str | None
+    state_class: str | None = MEASUREMENT
+    digits: int = 1
+    diagnostic: bool = False
+
+    @property
+    def topic(self) -> str:
+        """Topic below that of the car."""
+        return "/".join((self.document, *self.path))
+
+    def text(self, document: Mapping[str, Any]) -> str:
+        """The number as a payload; "None", which Home Assistant shows as unknown, without one."""
+        found: Any = document
+        for key in self.path:
+            found = found.get(key) if isinstance(found, Mapping) else None
+        if not isinstance(found, int | float) or found != found:
+            return "None"
+        return f"{found:.{self.digits}f}"
+
+
+SENSORS = (
+    Sensor("power", ("measured_w",), "Power", "W", "power", digits=0),
+    Sensor("power", ("predicted_w",), "Predicted power", "W", "power", digits=0),
+    Sensor("energy", ("drawn_kwh",), "Energy drawn", "kWh", "energy", INCREASING, 3),
+    Sensor("energy", ("regenerated_kwh",), "Energy recovered", "kWh", "energy", INCREASING, 3),
+    Sensor("energy", ("trip_kwh",), "Energy of this drive", "kWh", "energy", None, 3),
+    Sensor("energy", ("trip_km",), "Distance of this drive", "km", "distance", None),
+    Sensor("consumption", ("10",), "Consumption, last 10 km", "kWh/100km", None),
+    Sensor("consumption", ("100",), "Consumption, last 100 km", "kWh/100km", None),
+    Sensor("range", ("charge_percent",), "Charge", "%", "battery"),
+    Sensor("range", ("range_km",), "Range", "km", "distance", digits=0),
+    Sensor("range", ("lower_km",), "Range, at least", "km", "distance", digits=0),
+    Sensor("range", ("upper_km",), "Range, at most", "km", "distance", digits=0),
+    *(
+        Sensor("breakdown", (part, "kwh"), f"This drive: {name}", "kWh", "energy", None, 3)
+        for part, name in MEANINGS.items()
+    ),
+    Sensor("parameters", ("mass", "value"), "Mass", "kg", "weight", None, 0, True),
+    Sensor("parameters", ("eta", "value"), "Efficiency", None, None, None, 3, True),
+    Sensor("parameters", ("c_rr", "value"), "Rolling resistance", None, None, None, 4, True),
+    Sensor("parameters", ("c_d", "value"), "Drag coefficient", None, None, None, 3, True),
+    Sensor("parameters", ("p_aux", "value"), "Standing load", "W", "power", None, 0, True),
+)
+
+
+def discovery(
+    prefix: str, base: str, status_topic: str, car: str, model: str
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Topic and content of each discovery message of a car.
+
+    Args:
+        prefix: of Home Assistant's discovery, `homeassistant`.
+        base: topic of the car.
+        status_topic: of birth and last will.
+        car: its name in topics.
+        model: its name for people.
+    """
+    device = f"evpinn_{car}"
+    for sensor in SENSORS:
+        key = "_".join((sensor.document, *sensor.path))
+        content: dict[str, Any] = {
+            "name": sensor.name,
+            "unique_id": f"{device}_{key}",
+            "state_topic": f"{base}/{sensor.topic}",
+            "availability_topic": status_topic,
+            "unit_of_measurement": sensor.unit,
+            "device_class": sensor.device_class,
+            "state_class": sensor.state_class,
+            "suggested_display_precision": sensor.digits,
+            "entity_category": "diagnostic" if sensor.diagnostic else None,
+            "device": {
+                "identifiers": [device],
+                "name": f"EV-PINN {car}",
+                "model": model,
+                "manufacturer": "evpinn_ros",
+                "sw_version": __version__,
+            },
+            "origin": {"name": "evpinn_ros", "sw_version": __version__},
+        }
+        known = {name: value for name, value in content.items() if value is not None}
+        yield f"{prefix}/sensor/{device}/{key}/config", known

@@ -1,0 +1,143 @@
+"""Signals by the names of COVESA's Vehicle Signal Specification (VSS), from and to a databroker.
+
+Names, units and signs: VSS 6, `spec/Powertrain/TractionBattery.vspec` and `spec/Vehicle/`. Its
+CurrentCurrent is positive into the battery, which is also the sign of `sensor_msgs/BatteryState`.
+What VSS lacks is in `config/vss/evpinn.vspec`, an overlay for vss-tools; what a databroker does
+not know, because it was started without the overlay, is not sent to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+from evpinn_ros.bridges.car import BridgedCar
+from evpinn_ros.bridges.layouts import KMH, PERCENT, Measurand, Parsed, Rule, Value
+from evpinn_ros.bridges.snapshot import Snapshots
+from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.signals.readings import NANOSECONDS
+
+if TYPE_CHECKING:
+    from kuksa_client.grpc import VSSClient
+
+BATTERY = "Vehicle.Powertrain.TractionBattery"
+OURS = "Vehicle.EvPinn"
+INPUTS: Mapping[str, Rule] = {
+    "Vehicle.Speed": Rule(Measurand.SPEED, KMH),
+    f"{BATTERY}.CurrentVoltage": Rule(Measurand.VOLTAGE),
+    f"{BATTERY}.CurrentCurrent": Rule(Measurand.CURRENT),
+    f"{BATTERY}.StateOfCharge.Current": Rule(Measurand.CHARGE, PERCENT),
+    "Vehicle.Exterior.AirTemperature": Rule(Measurand.TEMPERATURE),
+    "Vehicle.CurrentLocation.Altitude": Rule(Measurand.ALTITUDE),
+}
+OUTPUTS: Mapping[str, tuple[str, ...]] = {
+    f"{BATTERY}.Range": ("range", "range_km"),
+    f"{OURS}.RangeLower": ("range", "lower_km"),
+    f"{OURS}.RangeUpper": ("range", "upper_km"),
+    f"{OURS}.PredictedPower": ("power", "predicted_w"),
+    f"{OURS}.PredictedPowerSigma": ("power", "predicted_sigma_w"),
+    f"{OURS}.TripEnergy": ("energy", "trip_kwh"),
+    f"{OURS}.Consumption": ("consumption", "10"),
+    **{
+        f"{OURS}.Breakdown.{part.capitalize()}": ("breakdown", part, "kwh")
+        for part in MEANINGS
+        if part != "measured"
+    },
+    **{
+        f"{OURS}.Combination.{name}": ("parameters", "combinations", key, "value")
+        for name, key in {
+            "MassOverEfficiency": "mass_over_eta",
+            "DragAreaOverEfficiency": "drag_area_over_eta",
+            "RollingResistance": "c_rr",
+            "Regeneration": "regeneration",
+            "StandingLoad": "p_aux",
+        }.items()
+    },
+}
+"""Keys in the documents of a car, of each signal that is written."""
+METRES = {
+    f"{BATTERY}.Range",
+    f"{OURS}.RangeLower",
+    f"{OURS}.RangeUpper",
+}  # whole ones; ours are km
+OLD_NS = 10 * NANOSECONDS  # a databroker gives its last values first, however old they are
+SEND_NS = NANOSECONDS  # between two sets of signals
+NOT_FOUND = 5  # of gRPC: the databroker has no such signal
+
+
+def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
+    """Signals of a car that are known now, by their names in VSS."""
+    documents = {**car.documents(), "power": car.power()}
+    for name, keys in OUTPUTS.items():
+        found: Any = documents
+        for key in keys:
+            found = found.get(key) if isinstance(found, Mapping) else None
+        if isinstance(found, int | float) and math.isfinite(found):
+            yield name, round(1e3 * found) if name in METRES else float(found)
+
+
+class DatabrokerFeed:
+    """Feeds a car from a KUKSA databroker, and the databroker with what is learned.
+
+    Attributes:
+        missing: signals that the databroker does not know.
+    """
+
+    def __init__(
+        self, client: VSSClient, car: BridgedCar, clock: Callable[[], int] = time.time_ns
+    ) -> None:
+        """Take a client that is connected; `clock` gives ns since 1970."""
+        self._client, self._car, self._clock = client, car, clock
+        self._snapshots = Snapshots(car.vehicle.nominal_voltage, on_change=False)
+        self._sent_ns = 0
+        self.missing: set[str] = set()
+
+    def run(self) -> Iterator[None]:
+        """Take updates and send signals as they are due; give control back after each.
+
+        Raises:
+            VSSClientError: the databroker went, or refuses.
+        """
+        for updates in self._client.subscribe_current_values(INPUTS):
+            self._take(updates)
+            newest_ns = self._car.newest_ns
+            if newest_ns is not None and newest_ns - self._sent_ns >= SEND_NS:
+                self._sent_ns = newest_ns
+                self.send()
+            yield
+
+    def _take(self, updates: Mapping[str, Any]) -> None:
+        """Add what was measured at one moment together: voltage and current make one power."""
+        now_ns = self._clock()
+        moments: dict[int, list[Value]] = {}
+        for name, point in updates.items():
+            value = math.nan if point is None else INPUTS[name].value(point.value)
+            if math.isnan(value):
+                continue
+            moment = point.timestamp
+            stamp_ns = now_ns if moment is None else round(moment.timestamp() * NANOSECONDS)
+            if now_ns - stamp_ns <= OLD_NS:
+                moments.setdefault(stamp_ns, []).append(Value(INPUTS[name], value))
+        for stamp_ns, values in sorted(moments.items()):
+            parsed = Parsed(self._car.name, tuple(values), stamp_ns)
+            self._car.add_readings(self._snapshots.add(parsed, now_ns, retained=False))
+
+    def send(self) -> None:
+        """Write all signals that are known."""
+        from kuksa_client import grpc as kuksa
+
+        for name, value in signals(self._car):
+            if name in self.missing:
+                continue
+            kind = kuksa.DataType.UINT32 if name in METRES else kuksa.DataType.FLOAT
+            # With its type given, the client does not ask the databroker for it each time.
+            entry = kuksa.DataEntry(name, kuksa.Datapoint(value), metadata=kuksa.Metadata(kind))
+            update = kuksa.EntryUpdate(entry, (kuksa.Field.VALUE,))
+            try:
+                self._client.set(updates=[update], try_v2=True)
+            except kuksa.VSSClientError as error:
+                if error.error["code"] != NOT_FOUND:
+                    raise
+                self.missing.add(name)

@@ -1,0 +1,149 @@
+"""`evpinn mqtt`: cars whose data already flow over MQTT, live."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import signal
+import threading
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from evpinn_ros.cli.console import note
+from evpinn_ros.cli.options import ParamsOption, complete_vehicle
+from evpinn_ros.common.errors import InputError
+
+if TYPE_CHECKING:
+    from evpinn_ros.bridges.broker import Connection
+    from evpinn_ros.bridges.layouts import Layout
+    from evpinn_ros.bridges.mqtt import MqttBridge
+    from evpinn_ros.estimation.estimator import EstimatorSettings
+
+
+def mqtt(
+    vehicle: Annotated[
+        str | None,
+        typer.Option(help="Vehicle of all cars.", autocompletion=complete_vehicle),
+    ] = None,
+    car: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VEHICLE", help="Vehicle of one car."),
+    ] = None,
+    source: Annotated[
+        str, typer.Option(help="teslamate, ovms, or a mapping file of topics.")
+    ] = "teslamate",
+    namespace: Annotated[str, typer.Option(help="TeslaMate's MQTT_NAMESPACE.")] = "",
+    broker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = "localhost",
+    user: Annotated[str | None, typer.Option(help="Else EVPINN_MQTT_USER.")] = None,
+    password_file: Annotated[
+        Path | None, typer.Option(help="It holds the password; else EVPINN_MQTT_PASSWORD has it.")
+    ] = None,
+    tls: Annotated[bool, typer.Option("--tls", help="Encrypt; port 8883 if none is given.")] = (
+        False
+    ),
+    ca: Annotated[str | None, typer.Option(help="Authorities to trust.")] = None,
+    cert: Annotated[str | None, typer.Option(help="Certificate of this client.")] = None,
+    key: Annotated[str | None, typer.Option(help="Key of that certificate.")] = None,
+    base: Annotated[str, typer.Option(help="Topic below which to publish.")] = "evpinn",
+    discovery: Annotated[
+        str, typer.Option(help="Home Assistant's discovery prefix; '' for none.")
+    ] = "homeassistant",
+    state: Annotated[
+        Path | None, typer.Option(help="Folder that keeps what was learned of each car.")
+    ] = None,
+    params: ParamsOption = None,
+) -> None:
+    """Learn cars from their MQTT topics, and publish what is learned, until Ctrl-C.
+
+    Example: evpinn mqtt --vehicle tesla_model_3_lr --state cars
+
+    Example: evpinn mqtt --source ovms --car LEAF=nissan_leaf --broker 192.168.0.2 --user ev
+    """
+    # Imported here: other commands need neither the chain nor paho-mqtt.
+    from evpinn_ros.bridges.broker import (
+        PORT,
+        TLS_PORT,
+        BrokerSettings,
+        Connection,
+        credentials,
+        split_address,
+    )
+    from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
+    from evpinn_ros.common.blas_threads import limit_blas_threads
+    from evpinn_ros.vehicle.files import load_vehicle
+
+    if vehicle is None and not car:
+        raise typer.BadParameter("give --vehicle, or --car NAME=VEHICLE")
+    if (ca or cert or key) and not tls:
+        raise typer.BadParameter("--ca, --cert and --key need --tls")
+    limit_blas_threads()
+    given = BridgeSettings(
+        _layout(source, namespace),
+        {name: load_vehicle(of) for name, of in map(_pair, car or ())},
+        load_vehicle(vehicle) if vehicle is not None else None,
+        _estimator(params),
+        _topic("--base", base),
+        _topic("--discovery", discovery) if discovery else "",
+        state,
+    )
+    host, port = split_address(broker, "--broker", TLS_PORT if tls else PORT)
+    proof = credentials(user, password_file)
+    # One id for a base topic: a second process of the same base would publish over the first.
+    settings = BrokerSettings(host, port, *proof, tls, ca, cert, key, given.base.replace("/", "-"))
+    connection = Connection(settings, given.subscriptions, given.status_topic)
+    _serve(MqttBridge(given, connection, note=lambda text: note(f"evpinn: {text}")), connection)
+
+
+def _serve(bridge: MqttBridge, connection: Connection) -> None:
+    from evpinn_ros.bridges.broker import password_is_known
+
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    address, shown = connection.settings.address, ""
+    connection.start()
+    try:
+        while not stop.is_set():
+            bridge.step()
+            if not connection.connections and not password_is_known(connection.refused):
+                raise InputError(f"{address}: refused: {connection.refused}")
+            now = "connected" if connection.connected else connection.refused or "not connected"
+            if now != shown:
+                note(f"evpinn: {address}: {now}")
+                shown = now
+    finally:
+        bridge.close()
+        connection.close()
+
+
+def _estimator(params: Path | None) -> EstimatorSettings:
+    from evpinn_ros.topics.node_parameters import TABLES
+    from evpinn_ros.topics.parameter_file import read_parameter_file
+    from evpinn_ros.topics.settings import estimator_settings
+
+    values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
+    given = {} if params is None else read_parameter_file(params, "estimator")
+    return estimator_settings({**values, **given})
+
+
+def _layout(source: str, namespace: str) -> Layout:
+    from evpinn_ros.bridges.layouts import ovms, read_mapping, teslamate
+
+    if namespace and source != "teslamate":
+        raise typer.BadParameter("--namespace is TeslaMate's")
+    if source == "teslamate":
+        return teslamate(namespace)
+    return ovms() if source == "ovms" else read_mapping(Path(source))
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, separator, vehicle = text.partition("=")
+    if not separator or not name or not vehicle:
+        raise typer.BadParameter(f"--car: '{text}' is not NAME=VEHICLE")
+    return name, vehicle
+
+
+def _topic(option: str, text: str) -> str:
+    if not text.strip("/") or {"+", "#", "\0"} & set(text) or text.startswith("$"):
+        raise typer.BadParameter(f"{option}: '{text}' is no topic to publish on")
+    return text.strip("/")

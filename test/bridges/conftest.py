@@ -1,0 +1,122 @@
+"""A real mosquitto for each test that wants one, and drives as other programs publish them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+import getpass
+from pathlib import Path
+import shutil
+import socket
+import subprocess
+import time
+from typing import Any
+
+import paho.mqtt.client as mqtt
+import pytest
+
+from evpinn_ros.bridges.broker import BrokerSettings, Connection
+from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
+
+MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+@dataclass
+class Broker:
+    """A mosquitto that can be killed and started again; it remembers nothing then."""
+
+    folder: Path
+    port: int
+    lines: str = "allow_anonymous true\n"
+    process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        config = self.folder / "mosquitto.conf"
+        # As root it would become a user who may not read what the tests write.
+        common = f"user {getpass.getuser()}\nset_tcp_nodelay true\n"
+        config.write_text(f"{common}listener {self.port} 127.0.0.1\n{self.lines}")
+        self.process = subprocess.Popen(
+            [MOSQUITTO, "-c", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        wait_until(self._answers)
+
+    def _answers(self) -> bool:
+        with socket.socket() as tried:
+            return tried.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def kill(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+
+    def client(self, **of: Any) -> Client:
+        return Client(self.port, **of)
+
+
+class Client:
+    """A plain client: publishes, and keeps all that comes."""
+
+    def __init__(self, port: int, topics: tuple[str, ...] = ()) -> None:
+        self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        self.came: list[tuple[str, str, bool]] = []
+        self.client.on_connect = lambda client, *_: [client.subscribe(t, 1) for t in topics]
+        self.client.on_message = lambda _, __, m: self.came.append(
+            (m.topic, m.payload.decode(), m.retain)
+        )
+        self.client.connect("127.0.0.1", port)
+        self.client.loop_start()
+        wait_until(self.client.is_connected)
+
+    def publish(self, topic: str, payload: str, *, retain: bool = True) -> None:
+        self.client.publish(topic, payload, 1, retain).wait_for_publish(5.0)
+
+    def newest(self) -> dict[str, str]:
+        return {topic: payload for topic, payload, _ in self.came}
+
+    def close(self) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+def wait_until(true: Callable[[], object], seconds: float = 20.0) -> None:
+    until = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < until, "it never came true"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    if MOSQUITTO is None:
+        pytest.skip("mosquitto")
+    found = Broker(tmp_path, free_port())
+    found.start()
+    yield found
+    found.kill()
+
+
+@pytest.fixture
+def bridged(broker: Broker) -> Iterator[Callable[..., tuple[MqttBridge, Connection]]]:
+    """Makes bridges that are connected to the broker."""
+    made: list[Connection] = []
+
+    def make(
+        settings: BridgeSettings, clock: Callable[[], int] = time.time_ns, **of: Any
+    ) -> tuple[MqttBridge, Connection]:
+        address = BrokerSettings("127.0.0.1", broker.port, **of)
+        connection = Connection(address, settings.subscriptions, settings.status_topic, clock)
+        bridge = MqttBridge(settings, connection)
+        connection.start()
+        made.append(connection)
+        wait_until(lambda: bridge.step(0.01) or connection.connected)
+        return bridge, connection
+
+    yield make
+    for connection in made:
+        connection.close()

@@ -1,0 +1,109 @@
+"""A car behind a bridge: the same energy as was sent, its drives, its files."""
+
+from pathlib import Path
+
+import pytest
+
+from evpinn_ros.bridges.car import BridgedCar
+from evpinn_ros.bridges.layouts import Layout, ovms, teslamate
+from evpinn_ros.bridges.sensors import SENSORS
+from evpinn_ros.bridges.snapshot import Snapshots
+from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.vehicle.files import load_vehicle
+from test.bridges.published import VEHICLE, as_ovms, as_teslamate, drive, energy
+
+SECOND = 1_000_000_000
+
+
+def car(state: Path | None = None) -> BridgedCar:
+    return BridgedCar("1", load_vehicle(VEHICLE), EstimatorSettings(), state)
+
+
+def send(to: BridgedCar, layout: Layout, sets: object, shift_ns: int = 0) -> None:
+    snapshots = Snapshots(to.vehicle.nominal_voltage, on_change=True)
+    for stamp_ns, messages in sets:
+        for topic, payload in messages.items():
+            parsed = layout.parse(topic, payload.encode())
+            to.add_readings(snapshots.add(parsed, stamp_ns + shift_ns, retained=False))
+    to.add_readings(snapshots.flush(stamp_ns + shift_ns + SECOND))
+
+
+@pytest.fixture(scope="module")
+def tesla() -> BridgedCar:
+    found = car()
+    send(found, teslamate(), as_teslamate())
+    return found
+
+
+def test_teslamate_gives_the_energy_of_its_rounded_power(tesla: BridgedCar) -> None:
+    counted = tesla.documents()["energy"]["trip_kwh"]
+    assert counted == pytest.approx(energy(drive(), digits=0), rel=1e-9)
+    assert counted == pytest.approx(energy(drive()), rel=0.01)
+
+
+def test_ovms_gives_the_energy_that_was_drawn() -> None:
+    found = car()
+    send(found, ovms(), as_ovms())
+    assert found.documents()["energy"]["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
+
+
+def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar) -> None:
+    """Within the sigma that either claims; both far surer than before the drive."""
+    exact = car()
+    send(exact, ovms(), as_ovms())
+    for name, coarse in tesla.documents()["parameters"]["combinations"].items():
+        fine = exact.documents()["parameters"]["combinations"][name]
+        before = car().documents()["parameters"]["combinations"][name]
+        assert abs(coarse["value"] - fine["value"]) < 2 * fine["std"], name
+        assert coarse["std"] < before["std"], name
+
+
+def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:
+    documents = {**tesla.documents(), "power": tesla.power()}
+    texts = {s.topic: s.text(documents[s.document]) for s in SENSORS}
+    unknown = {topic for topic, text in texts.items() if text == "None"}
+    far = {"consumption/10", "consumption/100"}  # the drive has 2.6 km
+    assert unknown == far | {"range/range_km", "range/lower_km", "range/upper_km"}
+    assert float(texts["breakdown/measured/kwh"]) > 0.3
+
+
+def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Path) -> None:
+    found = car(tmp_path / "1.json")
+    send(found, teslamate(), as_teslamate())
+    first = found.documents()["energy"]
+    send(found, teslamate(), as_teslamate(), shift_ns=3600 * SECOND)
+    second = found.documents()["energy"]
+    assert second["trip_kwh"] == pytest.approx(first["trip_kwh"], rel=0.05)
+    assert second["drawn_kwh"] == pytest.approx(2 * first["drawn_kwh"], rel=0.05)
+    assert (tmp_path / "1.json").exists(), "saved where a drive ends"
+
+
+def test_what_was_learned_outlives_the_process(tmp_path: Path) -> None:
+    found = car(tmp_path / "1.json")
+    send(found, teslamate(), as_teslamate())
+    found.save()
+    again = car(tmp_path / "1.json")
+    before, after = found.documents(), again.documents()
+    assert after["energy"]["drawn_kwh"] == pytest.approx(before["energy"]["drawn_kwh"])
+    assert after["energy"]["trip_kwh"] == 0.0
+    mass = {d["parameters"]["combinations"]["mass_over_eta"]["std"] for d in (before, after)}
+    assert (
+        max(mass) < 0.5 * car().documents()["parameters"]["combinations"]["mass_over_eta"]["std"]
+    )
+
+
+def test_a_state_of_another_car_is_set_aside_and_said(tmp_path: Path) -> None:
+    path = tmp_path / "1.json"
+    path.write_text('{"version": 1}')
+    found = car(path)
+    assert "not used" in found.problem
+    assert found.health()["problem"] == found.problem
+    send(found, teslamate(), as_teslamate(seconds=30))
+    found.save()
+    assert (tmp_path / "1.json.refused").read_text() == '{"version": 1}'
+
+
+def test_nothing_new_is_not_written_again(tmp_path: Path) -> None:
+    found = car(tmp_path / "1.json")
+    found.save()
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,102 @@
+"""Topics of TeslaMate, OVMS and mapping files: quantities, units, signs."""
+
+from pathlib import Path
+
+import pytest
+
+from evpinn_ros.bridges.layouts import Layout, Measurand, ovms, read_mapping, teslamate
+from evpinn_ros.common.errors import InputError
+
+
+def only(layout: Layout, topic: str, payload: str) -> tuple[str, Measurand, float]:
+    found = layout.parse(topic, payload.encode())
+    (value,) = found.values
+    return found.car, value.rule.quantity, pytest.approx(value.value)
+
+
+def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn() -> None:
+    layout = teslamate()
+    assert only(layout, "teslamate/cars/1/speed", "36") == ("1", Measurand.SPEED, 10.0)
+    assert only(layout, "teslamate/cars/2/power", "-9") == ("2", Measurand.POWER, -9000.0)
+    assert only(layout, "teslamate/cars/1/elevation", "70") == ("1", Measurand.ALTITUDE, 70.0)
+    charge = only(layout, "teslamate/cars/1/usable_battery_level", "85")
+    assert charge == ("1", Measurand.CHARGE, 0.85)
+
+
+@pytest.mark.parametrize(("gear", "stands"), [("P", 1), ("", 1), ("D", 0), ("R", 0), ("N", 0)])
+def test_a_parked_tesla_has_gear_p_or_none(gear: str, stands: int) -> None:
+    found = only(teslamate(), "teslamate/cars/1/shift_state", gear)
+    assert found == ("1", Measurand.STANDING, stands)
+
+
+def test_a_namespace_of_teslamate_stands_before_cars() -> None:
+    layout = teslamate("home")
+    assert layout.subscriptions == ("teslamate/home/cars/+/+",)
+    assert only(layout, "teslamate/home/cars/1/speed", "36")[2] == 10.0
+    assert layout.parse("teslamate/cars/1/speed", b"36") is None
+
+
+def test_ovms_counts_current_positive_out_of_the_battery() -> None:
+    """`BatteryState.current` is negative then."""
+    base = "ovms/me/CAR/metric"
+    assert only(ovms(), f"{base}/v/b/current", "12.5") == ("CAR", Measurand.CURRENT, -12.5)
+    assert only(ovms(), f"{base}/v/b/power", "1.5") == ("CAR", Measurand.POWER, 1500.0)
+    assert only(ovms(), f"{base}/v/p/speed", "72") == ("CAR", Measurand.SPEED, 20.0)
+    assert only(ovms(), f"{base}/v/e/on", "no") == ("CAR", Measurand.ASLEEP, 1.0)
+
+
+def test_what_is_no_number_has_no_value_but_shows_that_the_car_sends() -> None:
+    for payload in ("", "nan", "inf", "12,5", "1" * 100_000, "\x00"):
+        found = teslamate().parse("teslamate/cars/1/speed", payload.encode())
+        assert found.values == (), payload
+    assert teslamate().parse("teslamate/cars/1/speed", b"\xff\xfe").values == ()
+    assert teslamate().parse("teslamate/cars/1/geofence", b"Home").car == "1"
+
+
+def test_a_name_that_would_reach_another_topic_or_file_is_no_car() -> None:
+    for name in ("..", "a b", "+", "$SYS", "", "x" * 65):
+        assert teslamate().parse(f"teslamate/cars/{name}/speed", b"1") is None
+
+
+MAPPING = """
+stamp: t
+topics:
+  garage/{car}/speed: {quantity: speed, scale: 0.44704}
+  garage/{car}/state:
+    fields:
+      amps: {quantity: current, scale: -1}
+      volts: {quantity: voltage}
+"""
+
+
+def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path: Path) -> None:
+    path = tmp_path / "topics.yaml"
+    path.write_text(MAPPING)
+    layout = read_mapping(path)
+    assert set(layout.subscriptions) == {"garage/+/speed", "garage/+/state"}
+    assert only(layout, "garage/zoe/speed", "10") == ("zoe", Measurand.SPEED, 4.4704)
+    found = layout.parse("garage/zoe/state", b'{"amps": 3, "volts": 400, "t": 1700000000.5}')
+    assert {v.rule.quantity: v.value for v in found.values} == {"current": -3.0, "voltage": 400.0}
+    assert found.stamp_ns == 1_700_000_000_500_000_000
+    for broken in (b"[1]", b"{", b"7", b'{"amps": "x"}', b"[" * 50_000):
+        assert layout.parse("garage/zoe/state", broken).values == ()
+    assert layout.parse("garage/zoe/other", b"1") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("topics: {a/+: {quantity: speed}}", ":1: a topic has no wildcard but one {car}"),
+        ("topics: {a: {quantity: sped}}", "'sped' is not one of"),
+        ("topics: {a: {quantity: speed, unit: kmh}}", "unknown key 'unit'"),
+        ("stamp: t", "'topics' is missing"),
+    ],
+)
+def test_a_wrong_mapping_file_is_refused_with_its_line(
+    tmp_path: Path, text: str, reason: str
+) -> None:
+    path = tmp_path / "topics.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        read_mapping(path)
+    assert str(refused.value).startswith(f"{path}:1:") and reason in str(refused.value)
