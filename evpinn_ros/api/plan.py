@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import islice
 import math
 import os
 from pathlib import Path
@@ -11,7 +12,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from evpinn_ros.common.errors import InputError, as_input_error, one_line
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.drives.text_table import TextTable
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.energy.forecast import FIRST_RESIDUAL, Forecast, battery_along, forecast_plan
@@ -21,6 +23,7 @@ from evpinn_ros.signals.road import MAX_WIND
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
+LONGEST_NUMBER = 40  # characters
 FEW = 8  # names that an error lists
 NEEDED, OPTIONAL = ("t_s", "speed_mps"), ("distance_m", "elevation_m")
 
@@ -175,11 +178,22 @@ def _numbers(name: str, values: Any) -> np.ndarray:
     return numbers
 
 
-def _read(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path, nrows=MAX_POINTS + 1, skipinitialspace=True)
-    except ValueError as error:  # of pandas, and of letters that are none
-        raise InputError(f"no table with commas and decimal points: {one_line(error)}") from error
+def _read(path: Path) -> dict[str, list[str]]:
+    """The columns of a plan in a CSV file, of more points than a plan may have the first ones."""
+    rows = TextTable(path, separator=",").rows()
+    names = [name.strip() for name in next(rows, (0, [""]))[1]]
+    if len(names) < 2:
+        raise InputError("no table with commas and decimal points")
+    known = {name: names.index(name) for name in (*NEEDED, *OPTIONAL) if name in names}
+    if not set(NEEDED) <= set(known):
+        return {name: [] for name in names}
+    table: dict[str, list[str]] = {name: [] for name in known}
+    for number, row in islice(rows, MAX_POINTS + 1):
+        if len(row) <= max(known.values()):
+            raise InputError(f"line {number} has {len(row)} cells, not {len(names)}")
+        for name, place in known.items():
+            table[name].append(row[place][:LONGEST_NUMBER].strip())
+    return table
 
 
 def _kind(value: Any) -> str:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import cantools
 
 from evpinn_ros.common.errors import near_names
-from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.yaml_section import Section
 
 _SPEED_UNITS: Mapping[str, str] = {

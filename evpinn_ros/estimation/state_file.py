@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.fsync import replaced, sync
-from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.writer import replaced, sync
 
 MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
 

@@ -13,7 +13,7 @@ import pytest
 
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import LONGEST_LINE
+from evpinn_ros.common.opener import LONGEST_LINE
 from evpinn_ros.drives.contents import contents
 from evpinn_ros.drives.formats import is_drive_table
 from evpinn_ros.drives.sources import open_drive
@@ -321,7 +321,7 @@ def test_tables_of_nothing_are_refused_at_once(tmp_path):
         for part in good.namelist():
             sheet = part.startswith("xl/worksheets/")
             bad.writestr(part, SHEET.format(cells) if sheet else good.read(part))
-    with pytest.raises(InputError, match="bytes of empty cells"):
+    with pytest.raises(InputError, match="rows are empty"):
         open_drive(tmp_path / "bad.xlsx")
 
 

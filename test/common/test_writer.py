@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.writer import replaced
 
 
 def names(folder):
