@@ -17,6 +17,7 @@ import typer
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.cli.console import note
 from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import check_file
 from evpinn_ros.estimation.state_file import account_path
 
 POLL_S = 0.2
@@ -48,7 +49,7 @@ def reported(
     with as_input_error():
         report.parent.mkdir(parents=True, exist_ok=True)
         beside = TemporaryDirectory(prefix=f".{report.stem}_", dir=report.parent)
-        if state is not None and state.exists():
+        if state is not None and state.exists() and check_file(state):
             before = Path(shutil.copy(state, Path(beside.name, "state.json")))
             if account_path(state).exists():
                 shutil.copy(account_path(state), account_path(before))

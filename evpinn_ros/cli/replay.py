@@ -104,7 +104,9 @@ def replay(
         params=params,
         state=state,
     )
-    if state is not None and not state.exists():
+    if car.missing:
+        note(f"evpinn: {car.missing}")
+    elif state is not None and not state.exists():
         note(f"evpinn: {state} is not there yet: the car begins as its vehicle file says")
     open_input = partial(
         car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()

@@ -26,7 +26,6 @@ from evpinn_ros.cli.options import (
     elm327_bus,
 )
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.state_file import account_path
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -136,7 +135,7 @@ def run(
         "poll": poll or None,
         "mode": mode.value if mode is not None else None,
         "state_file": str(state) if state is not None else None,
-        "energy_file": str(account_path(state)) if state is not None else None,
+        "energy_file": str(state) if state is not None else None,
     }
     if record is None and (split_size or split_time):
         raise typer.BadParameter("--split-size and --split-time need --record")

@@ -59,7 +59,7 @@ def replaced(path: Path) -> Iterator[Path]:
         _locked(handle)  # for as long as this process lives
         yield draft
         draft.chmod(_mode(target))
-        sync(draft)
+        os.fsync(handle)
         draft.replace(target)
     except BaseException:
         with suppress(OSError):
