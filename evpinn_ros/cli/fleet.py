@@ -12,6 +12,7 @@ from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, 
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet
@@ -69,6 +70,8 @@ def fleet(
     require_parquet()
     cars = _cars(bags or [], vehicle, manifest)
     _refuse_one_file_for_many(write_vehicle_to, cars)
+    drives = (drive for car in cars for drive in car.drives)
+    check_outputs((report, write_vehicle_to, json_file), (manifest, Path(vehicle), *drives))
     executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(workers)
     with claimed(out):
         failed: dict[str, str] = {}

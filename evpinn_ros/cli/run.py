@@ -25,6 +25,7 @@ from evpinn_ros.cli.options import (
     VehicleOption,
     elm327_bus,
 )
+from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
@@ -139,6 +140,7 @@ def run(
     }
     if record is None and (split_size or split_time):
         raise typer.BadParameter("--split-size and --split-time need --record")
+    check_outputs((record, report, state), (params, Path(vehicle)))
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []

@@ -19,6 +19,7 @@ from evpinn_ros.common.errors import InputError, as_input_error
 DRAFT = ".evpinn-draft-"
 """Begin of a draft's name: as short as that, for the file's own name may be as long as can be."""
 PATIENCE = 10.0  # s that a writer waits for another one; a state takes milliseconds
+BAG_FILES = (".mcap", ".db3", ".zstd", ".yaml")
 _POLL = 0.005  # s
 
 
@@ -112,7 +113,7 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] 
     Raises:
         InputError: with both names.
     """
-    read = [(each, _target(each)) for each in inputs if each is not None]
+    read = [(each, _target(each)) for each in inputs if each is not None and _is_there(each)]
     written: set[Path] = set()
     for path in outputs:
         if path is None or str(path) == "-":
@@ -121,11 +122,18 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] 
         if target.exists() and not (target.is_file() or target.is_dir()):
             continue  # a device, such as /dev/null
         for given, source in read:
-            if _is_same(source, target) or (source.is_dir() and source in target.parents):
+            of_a_bag = source in target.parents and target.suffix in BAG_FILES
+            if of_a_bag or _is_same(source, target):
                 raise InputError(f"{path}: would be written over the input {given}")
         if target in written:
             raise InputError(f"{path}: two results would be written there")
         written.add(target)
+
+
+def _is_there(path: Path) -> bool:
+    with suppress(OSError, ValueError):
+        return path.exists()
+    return False
 
 
 def _target(path: Path) -> Path:
