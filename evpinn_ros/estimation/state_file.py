@@ -67,7 +67,8 @@ def write_halves(path: Path, halves: Mapping[Half, State]) -> None:
     with claimed(path):
         kept: State = {}
         try:
-            kept = _halves(read_state(path) or {}, Half.LEARNED)
+            if content := read_state(path):
+                kept = _halves(content, Half.LEARNED)
         except InputError:  # it was damaged since it was read
             set_aside(path)
         write_state(path, {**kept, **{half.value: state for half, state in halves.items()}})
@@ -83,7 +84,7 @@ def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
         InputError: the file cannot be read or is not a state; the text has file and reason.
     """
     content = read_state(path)
-    halves = _halves(content or {}, half)
+    halves = {} if content is None else _halves(content, half)
     found = halves.get(half.value)
     if found is None and half is Half.ENERGY:
         found = read_state(account_path(path))
@@ -138,7 +139,7 @@ def refused_names(path: Path) -> list[Path]:
 
 def _halves(content: State, asked: Half) -> dict[str, Any]:
     """The halves in a file; of an earlier version it has one, of which it says little."""
-    if not content or KEYS & content.keys():
+    if KEYS & content.keys():
         return dict(content)
     if "before_reset" in content:
         return {Half.ENERGY.value: content}
