@@ -11,6 +11,8 @@ import os
 import signal
 import sys
 
+from evpinn_ros.common.stopping import STOPS, at_stop
+
 NODES = {"can_bridge": "CanBridgeNode", "energy": "EnergyNode", "estimator": "EstimatorNode"}
 
 
@@ -31,23 +33,22 @@ def estimator() -> int:
 
 def evpinn() -> None:
     """Run the command `evpinn`."""
-    if sys.argv[1:2] == ["run"]:  # the other commands end at signals as commands do
-        _end_at_signals()
+    is_run = sys.argv[1:2] == ["run"]
+    before = {number: signal.getsignal(number) for number in STOPS}
+    at_stop(lambda number, _: os._exit(0 if is_run else 128 + number))
     from evpinn_ros.cli.main import main
 
+    if not is_run:  # the other commands end at signals as commands do
+        for number, handler in before.items():
+            signal.signal(number, handler)
     main()
 
 
 def _node(name: str) -> int:
-    _end_at_signals()
+    at_stop(lambda *_: os._exit(0))
     from evpinn_ros.nodes.running import run
 
     return run(getattr(import_module(f"evpinn_ros.nodes.{name}"), NODES[name]))
-
-
-def _end_at_signals() -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(0))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ def hears(process: subprocess.Popen, number: signal.Signals) -> bool:
         (ESTIMATOR, signal.SIGINT, 0.0),
         (ESTIMATOR, signal.SIGTERM, 0.3),
         (ESTIMATOR, signal.SIGINT, 0.7),
+        (ESTIMATOR, signal.SIGHUP, 0.2),
         (RUN, signal.SIGTERM, 0.0),
         (RUN, signal.SIGINT, 0.2),
         (RUN, signal.SIGTERM, 1.0),

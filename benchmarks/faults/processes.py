@@ -28,7 +28,7 @@ from benchmarks.faults.rig import OUTPUTS, Rig
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.estimation.state_file import read_state
+from evpinn_ros.estimation.state_file import Half, read_half, read_state
 
 STOP, WARM_START = 2.0, 1.0  # s, goals
 MOST_LOST = 1.0  # s of a recording
@@ -118,8 +118,7 @@ class _Stop:
             run.await_ready("recorder")
             rig.drive(2.0)
             end = run.stop(self.how)
-        paths = (state, state.with_suffix(".energy.json"))
-        saved = all(read_state(path) is not None for path in paths)
+        saved = all(read_half(state, half)[0] is not None for half in Half)
         with BagReader(folder) as bag:
             whole = bag.problem is None
         lost = f"exit {end.code}; files {'saved' if saved else 'not saved'}"
@@ -203,7 +202,7 @@ class _Kills:
             slowest = max(slowest, rig.recovered(ready, OUTPUTS))
             end = _bag_end(folder)
             lost = max(lost, died - end if end is not None else math.inf)
-            bad += not _readable(state) or not _readable(state.with_suffix(".energy.json"))
+            bad += not _readable(state)
             shutil.rmtree(folder, ignore_errors=True)
         text = f"{lost:.2f} s of recording at most, {bad} bad files in {self.count}"
         return FaultEffect(text, lost <= MOST_LOST and not bad, slowest, UNNAMED)

@@ -180,6 +180,6 @@ class Estimator:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write what was learned: a file for `state` here and in `evpinn_ros.replay`.
 
-        Beside `car.json`, `car.energy.json` keeps what was learned of the battery.
+        It holds what was learned of the car, and of its battery.
         """
         self._car.write_state(Path(path))

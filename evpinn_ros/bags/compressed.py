@@ -12,7 +12,7 @@ import zstandard
 from evpinn_ros.bags.mcap_file import McapFile, RawMessage
 from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.common.unpacking import RATIO, most_unpacked
+from evpinn_ros.common.opener import RATIO, check_file, most_unpacked, open_file
 
 _PIECE = 1 << 20
 
@@ -20,7 +20,7 @@ PlainFile: TypeAlias = McapFile | RosbagsFile
 BagFile: TypeAlias = "PlainFile | CompressedMessages"
 
 
-def open_packed(packed: Path, open_file: Callable[[Path], PlainFile]) -> PlainFile:
+def open_packed(packed: Path, open_plain: Callable[[Path], PlainFile]) -> PlainFile:
     """Unpack a `.zstd` file and open it.
 
     Raises:
@@ -32,7 +32,7 @@ def open_packed(packed: Path, open_file: Callable[[Path], PlainFile]) -> PlainFi
         try:
             with as_input_error(f"{packed}: cannot be unpacked", zstandard.ZstdError):
                 _unpack(packed, path)
-                file = open_file(path)
+                file = open_plain(path)
         except InputError as error:
             raise InputError(str(error).replace(str(path), str(packed))) from error
     file.path = packed  # which the person knows
@@ -40,8 +40,8 @@ def open_packed(packed: Path, open_file: Callable[[Path], PlainFile]) -> PlainFi
 
 
 def _unpack(packed: Path, path: Path) -> None:
-    left = most_unpacked(packed.stat().st_size)
-    with packed.open("rb") as source, path.open("wb") as target:
+    left = most_unpacked(check_file(packed))
+    with open_file(packed) as source, path.open("wb") as target:
         reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
         while piece := reader.read(_PIECE):
             left -= len(piece)

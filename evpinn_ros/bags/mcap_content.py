@@ -24,7 +24,7 @@ import zstandard
 
 from evpinn_ros.bags.limits import MEBIBYTE
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import FileBytes
+from evpinn_ros.common.opener import FileBytes
 
 MOST_DEFINITIONS = 64 * MEBIBYTE  # all schemas and channels of a file together
 

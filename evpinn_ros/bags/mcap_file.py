@@ -28,7 +28,7 @@ from evpinn_ros.bags.mcap_content import (
 from evpinn_ros.bags.mcap_summary import SoundFile, sound_file
 from evpinn_ros.bags.salvage import Loss, Piece, Salvage
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import FileBytes
+from evpinn_ros.common.opener import FileBytes
 
 OVERLAP = "chunks overlap too far: not all is in order of time"
 OVERHEAD = 250  # bytes of a message in Python beside its data

@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from evpinn_ros.bags.metadata import WrittenFile, WrittenTopic, as_yaml
 from evpinn_ros.bags.types import typestore
-from evpinn_ros.common.fsync import sync
+from evpinn_ros.common.writer import sync
 from evpinn_ros.signals.readings import NANOSECONDS
 
 LIBRARY = "evpinn_ros"  # without a version, which would change the bytes

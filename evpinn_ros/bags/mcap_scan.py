@@ -30,7 +30,7 @@ from evpinn_ros.bags.mcap_content import (
     index_size,
     parsed_from,
 )
-from evpinn_ros.common.plain_file import WINDOW, FileBytes
+from evpinn_ros.common.opener import WINDOW, FileBytes
 
 LONGEST_RECORD = 16 * MEBIBYTE  # of any other kind
 NEAR_NS = 86_400_000_000_000  # a day: messages that follow each other are nearer in log time

@@ -26,8 +26,7 @@ from evpinn_ros.bags.mcap_content import (
 )
 from evpinn_ros.bags.mcap_scan import McapScan
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import FileBytes
-from evpinn_ros.common.unpacking import most_unpacked
+from evpinn_ros.common.opener import FileBytes, most_unpacked
 
 LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the file is searched
 

@@ -22,7 +22,7 @@ from evpinn_ros.bags.metadata import (
 )
 from evpinn_ros.bags.salvage import Loss, Piece, Salvage
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import FileBytes
+from evpinn_ros.common.opener import FileBytes
 from evpinn_ros.common.yaml_section import plain_text
 
 MOST_LOSSES = 1000  # kept one by one; beyond, only their sum

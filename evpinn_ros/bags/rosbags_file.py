@@ -13,6 +13,7 @@ from rosbags.rosbag2 import Reader
 
 from evpinn_ros.bags.mcap_file import Channel, RawMessage
 from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import check_file
 
 # What a damaged file makes rosbags raise is listed nowhere: errors of its own, of apsw, of zstd.
 READ_ERRORS = (Exception,)
@@ -34,6 +35,7 @@ class RosbagsFile:
         Raises:
             InputError: it is not there, rosbags can not read it, or it is more than tables.
         """
+        check_file(path)
         _refuse_programs(path)
         self.path = path
         self.problem: str | None = None

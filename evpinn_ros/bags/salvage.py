@@ -33,8 +33,7 @@ from evpinn_ros.bags.mcap_content import (
 from evpinn_ros.bags.mcap_scan import McapScan
 from evpinn_ros.bags.mcap_summary import summary_of
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import FileBytes
-from evpinn_ros.common.unpacking import RATIO, most_unpacked
+from evpinn_ros.common.opener import RATIO, FileBytes, most_unpacked
 
 STRETCH = MEBIBYTE  # messages outside of chunks that are handled together
 LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)

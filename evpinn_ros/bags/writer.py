@@ -24,7 +24,7 @@ from evpinn_ros.bags.metadata import (
 )
 from evpinn_ros.bags.types import encode, typestore
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.fsync import sync
+from evpinn_ros.common.writer import sync
 from evpinn_ros.signals.readings import NANOSECONDS
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import cantools
 
 from evpinn_ros.common.errors import near_names
-from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.yaml_section import Section
 
 _SPEED_UNITS: Mapping[str, str] = {
@@ -27,7 +27,7 @@ MOST_SIGNALS = 2_000  # of one message: cantools compares each with each
 MOST_PAGES = 5_000_000  # of multiplexed signals, which cantools lists one by one
 MOST_BITS = 20_000_000  # of all messages or signals: those of 40 000 full frames of CAN FD
 
-_COMMENT = re.compile(r"//.*?\n", re.S)
+_COMMENT = re.compile(r"//[^\n]*\n?")
 _MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)")
 _BLOCK = re.compile(r"\bBO_\s")
 _SIGNAL = re.compile(r"\bSG_\s")
@@ -85,9 +85,11 @@ class DbcFile:
     def _has_pages(self, name: str) -> bool:
         """True if a signal of a message is marked as one of a page: `SG_ Name m3 :`."""
         block = re.search(
-            rf"^\s*BO_\s+\d+\s+{re.escape(name)}\s*:.*\n((?:\s*SG_ .*\n?)*)", self._text, re.M
+            rf"^[ \t]*BO_\s+\d+\s+{re.escape(name)}\s*:.*\n((?:[ \t]*(?:SG_ .*)?\n)*)",
+            f"{self._text}\n",
+            re.M,
         )
-        return bool(block and re.search(r"^\s*SG_\s+\w+\s+m\d+\s*:", block[1], re.M))
+        return bool(block and re.search(r"^[ \t]*SG_\s+\w+\s+m\d+\s*:", block[1], re.M))
 
 
 def find_signal(section: Section, key: str, message: Any) -> Any:

@@ -13,6 +13,7 @@ import csv
 import logging
 import struct
 from typing import IO, Any
+import zlib
 
 import can
 
@@ -26,6 +27,8 @@ LARGEST_OBJECT = 512 << 10
 _MARK = b"LOBJ"
 _OBJECT = struct.Struct("<4sHHII")  # mark, size and version of the header, size, type
 _PADDING = 4
+_CONTAINER, _STORED, _DEFLATED = 10, 0, 2  # an object of objects, and how it is packed
+_METHOD = struct.Struct("<H14x")
 
 # It would say the same of each object of a damaged log; `LogFile.problem` says it once.
 logging.getLogger("can.io.blf").setLevel(logging.ERROR)
@@ -36,6 +39,25 @@ class BlfReader(can.BLFReader):  # type: ignore[misc]  # python-can has types bu
 
     def __init__(self, file: IO[bytes]) -> None:
         super().__init__(_Bounded(file))
+
+    def __iter__(self) -> Iterator[Any]:
+        """The messages; a container that unpacks to more than an object may have is refused."""
+        while head := self.file.read(_OBJECT.size):
+            mark, _, _, size, kind = _OBJECT.unpack(head)
+            if mark != _MARK or size < _OBJECT.size:
+                raise ValueError("an object does not begin as one")
+            content = self.file.read(size - _OBJECT.size)
+            self.file.read(size % _PADDING)
+            if kind != _CONTAINER:
+                continue
+            (method,) = _METHOD.unpack_from(content)
+            data = content[_METHOD.size :]
+            if method == _DEFLATED:
+                data = zlib.decompressobj().decompress(data, LARGEST_OBJECT + 1)
+                if len(data) > LARGEST_OBJECT:
+                    raise ValueError(f"an object unpacks to more than {LARGEST_OBJECT} bytes")
+            if method in (_STORED, _DEFLATED):
+                yield from self._parse_container(data)
 
     def _parse_container(self, data: bytes) -> Iterator[Any]:
         if len(self._tail) > LARGEST_OBJECT:

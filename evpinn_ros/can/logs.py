@@ -10,9 +10,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 import io
 from pathlib import Path
-import resource
-import subprocess
-import sys
 from tempfile import TemporaryDirectory
 from typing import IO, Any
 
@@ -21,10 +18,10 @@ from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.can.log_readers import GVRET_HEADER, BlfReader, gvret_messages
+from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
-from evpinn_ros.common.fsync import replaced
-from evpinn_ros.common.plain_file import LONGEST_LINE, open_file
-from evpinn_ros.common.unpacking import open_gzipped
+from evpinn_ros.common.opener import LONGEST_LINE, open_file, open_unpacked
+from evpinn_ros.common.writer import replaced
 from evpinn_ros.signals.readings import NANOSECONDS
 
 _READERS: dict[str, Callable[..., Any]] = {
@@ -39,9 +36,6 @@ _MF4 = ".mf4"
 LOG_SUFFIXES = (*_READERS, _MF4)
 LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242
-
-# For asammdf, which reads a file as a whole: the memory and the file it may fill, and the time.
-MF4_MEMORY, MF4_FILE, MF4_SECONDS = 8 << 30, 16 << 30, 600.0
 END = 64 << 10  # bytes at either end of a log that tell how long it is
 
 
@@ -131,8 +125,7 @@ class LogFile:
         """The frames of an .mf4, by way of a candump log that another process makes of it."""
         with TemporaryDirectory() as folder:
             path = Path(folder) / "converted.log"
-            command = [sys.executable, "-m", "can.logconvert", str(self.path), str(path)]
-            failed = run_limited(command)
+            failed = run_apart(f"{__name__}:convert_mf4", self.path, path)
             with suppress(InputError):  # no file, or no frame in it: refused below
                 log = LogFile(path)
                 self.skipped = log.skipped
@@ -142,7 +135,7 @@ class LogFile:
 
     def _open(self) -> IO[Any]:
         with as_input_error(self.path):
-            file = open_gzipped(self.path) if self._gzipped else open_file(self.path)
+            file = open_unpacked(self.path)
         if self._suffix == ".blf":
             return file
         return io.TextIOWrapper(file, encoding="utf-8", errors="replace")
@@ -238,27 +231,11 @@ class _Lines:
         return line
 
 
-def run_limited(command: list[str]) -> str | None:
-    """Run another program within limits; gives its last word when it failed."""
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        limits = {resource.RLIMIT_AS: MF4_MEMORY, resource.RLIMIT_FSIZE: MF4_FILE}
-        for which, limit in limits.items():
-            with suppress(ProcessLookupError):  # it has ended already
-                resource.prlimit(process.pid, which, (limit, limit))
-        try:
-            _, errors = process.communicate(timeout=MF4_SECONDS)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return f"not read within {MF4_SECONDS:g} s"
-    if not process.returncode:
-        return None
-    return errors.splitlines()[-1] if errors else "asammdf crashed"
+def convert_mf4(path: Path, out: Path) -> None:
+    """Write the frames of an .mf4 as a candump log, up to where it is broken."""
+    with open_file(path) as file, can.CanutilsLogWriter(out) as log:
+        for message in mf4.MF4Reader(file):
+            log.on_message_received(message)
 
 
 def write_log(path: str | Path, frames: Iterable[CanFrame]) -> int:

@@ -21,6 +21,7 @@ from evpinn_ros.cli.table_columns import explain_columns
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import Units, UnitSystem
+from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives
@@ -57,6 +58,7 @@ def compare(
     """
     if len(drives) < 2:
         raise typer.BadParameter("two drives or more", param_hint="DRIVES...")
+    check_outputs((report, json_file), (*drives, state, params, Path(vehicle)))
     if state is not None and not state.exists():
         raise InputError(f"{state}: no such file")
     options = ReplayOptions(start=start, duration=duration)

@@ -26,9 +26,9 @@ from rich.progress import (
 from rich.text import Text
 
 from evpinn_ros.common.errors import InputError, as_input_error, printable
-from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.json_text import json_text
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.writer import replaced
 from evpinn_ros.signals.readings import NANOSECONDS
 
 Report = Callable[..., None]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+import math
 from pathlib import Path
 import shutil
 import signal
@@ -11,17 +12,22 @@ import subprocess
 import sys
 from tempfile import TemporaryDirectory
 import time
+from types import FrameType
 
 import typer
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.cli.console import note
 from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import check_file
+from evpinn_ros.common.stopping import STOPS, at_stop, leave_terminal
 from evpinn_ros.estimation.state_file import account_path
 
 POLL_S = 0.2
 CUT_SHORT_S = 20.0
 """Time that a report may take after SIGTERM; a service manager kills after 90 s."""
+
+ONE_WISH_S = 1.0  # within which signals are one; another does not wait
 
 TERMINATED = 143  # 128 + SIGTERM, as shells have it
 
@@ -48,7 +54,7 @@ def reported(
     with as_input_error():
         report.parent.mkdir(parents=True, exist_ok=True)
         beside = TemporaryDirectory(prefix=f".{report.stem}_", dir=report.parent)
-        if state is not None and state.exists():
+        if state is not None and state.exists() and check_file(state):
             before = Path(shutil.copy(state, Path(beside.name, "state.json")))
             if account_path(state).exists():
                 shutil.copy(account_path(state), account_path(before))
@@ -69,29 +75,37 @@ def reported(
 
 
 def _run(command: list[str]) -> int:
-    """Run a command until it ends; SIGTERM cuts it short as Ctrl-C does. Gives its exit code.
+    """Run a command until it ends, cut short by signals to stop; gives its exit code.
 
-    A process of its own: this one's threads, signals and memory are those of the nodes. Ctrl-C
-    reaches both, SIGTERM this one alone, and whoever sent it will not wait for long.
+    A process of its own, and out of reach of the terminal: this one's threads, signals and memory
+    are those of the nodes. Whoever sent SIGTERM or closed the terminal will not wait for long.
     """
     asked_s: list[float] = []
-    signals_before = signal.signal(signal.SIGTERM, lambda *_: asked_s.append(time.monotonic()))
+
+    def ask(number: int, _: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            leave_terminal()
+        asked_s.append(time.monotonic())
+
+    before = {number: signal.getsignal(number) for number in STOPS}
+    at_stop(ask)
     try:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        signalled = False
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
+        signalled_s = -math.inf
         while True:
             try:
                 code = process.wait(POLL_S)
             except subprocess.TimeoutExpired:
                 if asked_s and time.monotonic() - asked_s[0] > CUT_SHORT_S:
                     process.kill()
-                elif asked_s and not signalled:
-                    signalled = True
+                elif asked_s and asked_s[-1] - signalled_s > ONE_WISH_S:
+                    signalled_s = asked_s[-1]
                     process.send_signal(signal.SIGINT)
             else:
                 return code if code >= 0 else TERMINATED
     finally:
-        signal.signal(signal.SIGTERM, signals_before or signal.SIG_DFL)
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
 
 
 def _is_empty(bag: Path) -> bool:

@@ -12,6 +12,8 @@ from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, 
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.stopping import STOPS, at_stop
+from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.fleet.executor import DaskExecutor, Executor, LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder, cars_by_manifest, load_model
 from evpinn_ros.fleet.run import claimed, learn_fleet
@@ -69,6 +71,8 @@ def fleet(
     require_parquet()
     cars = _cars(bags or [], vehicle, manifest)
     _refuse_one_file_for_many(write_vehicle_to, cars)
+    drives = (drive for car in cars for drive in car.drives)
+    check_outputs((report, write_vehicle_to, json_file), (manifest, Path(vehicle), *drives))
     executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(workers)
     with claimed(out):
         failed: dict[str, str] = {}
@@ -102,7 +106,8 @@ def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
 
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     """Learn all; False when a person stopped it."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    before = {number: signal.getsignal(number) for number in STOPS}
+    at_stop(signal.default_int_handler)  # all end it as Ctrl-C does
     try:
         with progress_bar("evpinn fleet", len(cars), unit="cars") as progress:
             for done, outcome in enumerate(learn_fleet(cars, out.resolve(), executor), start=1):
@@ -112,7 +117,8 @@ def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[st
     except KeyboardInterrupt:
         return False
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return True
 
 

@@ -12,6 +12,7 @@ from evpinn_ros.cli.console import note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.common.writer import check_outputs
 
 COLUMNS = ("plan", "km", "min", "km/h", "kWh", "1-sigma", "kWh/100 km", "charge after")
 MORE = "kWh more than the first"
@@ -62,6 +63,7 @@ def forecast(
     from evpinn_ros.api.plan import planned_energy
     from evpinn_ros.energy.plan import PlanConditions
 
+    check_outputs((json_file,), (*plans, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)
     share = None if charge is None else charge / 100
     given = PlanConditions(temperature, heating, head_wind, payload, share)

@@ -1,23 +1,26 @@
-"""Ctrl-C that waits until results are whole."""
+"""Ctrl-C, SIGTERM and a closed terminal that wait until results are whole."""
 
 from __future__ import annotations
 
 import signal
 from types import FrameType, TracebackType
+from typing import Any
 
 import typer
 
 from evpinn_ros.cli.console import note
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.stopping import STOPS, leave_terminal
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
 class Interruption:
-    """Notes the first Ctrl-C while it is entered, for work that stops between two readings.
+    """Notes the first signal to stop while entered, for work that stops between two readings.
 
-    What the work then writes is whole, up to there; the command ends with 130. A second Ctrl-C
-    does not wait. Where Ctrl-C is ignored, as in the background of a script, it stays so.
+    What the work then writes is whole, up to there; the command ends with 130, or 128 and the
+    signal's number. A second one does not wait. Where one is ignored, as Ctrl-C in the background
+    of a script, it stays so.
 
     Attributes:
         asked: whether to stop.
@@ -25,12 +28,15 @@ class Interruption:
 
     def __init__(self) -> None:
         self.asked = False
-        self._deferred = False
+        self._code = INTERRUPTED
+        self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
-        self._deferred = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        if self._deferred:
-            signal.signal(signal.SIGINT, self._note)
+        for number in STOPS:
+            before = signal.getsignal(number)
+            if before in (signal.default_int_handler, signal.SIG_DFL):
+                self._before[number] = before
+                signal.signal(number, self._note)
         return self
 
     def __exit__(
@@ -39,14 +45,16 @@ class Interruption:
         error: BaseException | None,
         _: TracebackType | None,
     ) -> None:
-        if self._deferred:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, before in self._before.items():
+            signal.signal(number, before)
         if self.asked and (error is None or isinstance(error, InputError | typer.Exit)):
             reason = error if isinstance(error, InputError) else "results are up to here"
             note(f"evpinn: stopped: {reason}")
-            raise typer.Exit(INTERRUPTED) from error
+            raise typer.Exit(self._code) from error
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.asked:
             signal.default_int_handler(number, frame)
-        self.asked = True
+        if number == signal.SIGHUP:
+            leave_terminal()
+        self.asked, self._code = True, 128 + number

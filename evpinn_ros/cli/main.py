@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from io import TextIOWrapper
 import os
+import signal
 import sys
 
 import typer
@@ -78,6 +79,7 @@ def main() -> None:
         note(f"evpinn: {error}")
         sys.exit(FAILED)
     except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would be a traceback
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
         _drop_output()  # whoever read it has gone, as `head` does; no reader is left

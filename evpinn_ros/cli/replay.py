@@ -27,6 +27,7 @@ from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import Units, UnitSystem
+from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
@@ -96,6 +97,7 @@ def replay(
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
+    check_outputs((metrics, report, state, out), (*inputs, params, Path(vehicle)))
     car = CarReplay(
         vehicle,
         ReplayOptions(withhold_battery_after, warm_up, rate, start, duration),
@@ -104,7 +106,9 @@ def replay(
         params=params,
         state=state,
     )
-    if state is not None and not state.exists():
+    if car.missing:
+        note(f"evpinn: {car.missing}")
+    elif state is not None and not state.exists():
         note(f"evpinn: {state} is not there yet: the car begins as its vehicle file says")
     open_input = partial(
         car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()

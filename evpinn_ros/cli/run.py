@@ -25,8 +25,8 @@ from evpinn_ros.cli.options import (
     VehicleOption,
     elm327_bus,
 )
+from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.state_file import account_path
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -136,10 +136,11 @@ def run(
         "poll": poll or None,
         "mode": mode.value if mode is not None else None,
         "state_file": str(state) if state is not None else None,
-        "energy_file": str(account_path(state)) if state is not None else None,
+        "energy_file": str(state) if state is not None else None,
     }
     if record is None and (split_size or split_time):
         raise typer.BadParameter("--split-size and --split-time need --record")
+    check_outputs((record, report, state), (params, Path(vehicle)))
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []

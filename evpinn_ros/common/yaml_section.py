@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from evpinn_ros.common.errors import InputError, as_input_error, known_names
-from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.opener import open_file
 
 MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
 LONGEST_NUMBER = 400  # characters: more than any float has before its point

@@ -9,16 +9,20 @@ import zlib
 from evpinn_ros.bags.can_frames import BAG_SUFFIXES
 from evpinn_ros.can.log_readers import GVRET_HEADER
 from evpinn_ros.can.logs import LOG_SUFFIXES
-from evpinn_ros.common.errors import as_input_error
-from evpinn_ros.common.plain_file import open_file
-from evpinn_ros.common.unpacking import open_gzipped
-from evpinn_ros.drives.measurement import holds_signals
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import open_unpacked
+from evpinn_ros.drives.text_table import ConvertedTable
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
 SHEET_SUFFIXES = (".xlsx", ".xlsm")
 PARQUET_SUFFIXES = (".parquet", ".pq")
 MEASUREMENT_SUFFIX = ".mf4"
 TABLE_SUFFIXES = (*TEXT_SUFFIXES, *SHEET_SUFFIXES, *PARQUET_SUFFIXES, MEASUREMENT_SUFFIX)
+CONVERTERS = {  # what writes a table that is no text as one, in a process of its own
+    **dict.fromkeys(SHEET_SUFFIXES, "evpinn_ros.drives.sheets:write_sheet"),
+    **dict.fromkeys(PARQUET_SUFFIXES, "evpinn_ros.drives.parquet:write_parquet"),
+    MEASUREMENT_SUFFIX: "evpinn_ros.drives.measurement:write_signals",
+}
 FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # tell a CAN log's CSV from a drive's
 
 
@@ -37,15 +41,21 @@ def is_drive_table(path: Path) -> bool:
     if path.is_dir() or suffix not in TABLE_SUFFIXES:
         return False
     if suffix == MEASUREMENT_SUFFIX:
-        return holds_signals(path)
+        return _holds_signals(path)
     if suffix != ".csv":
         return True
-    with (
-        as_input_error(path, EOFError, zlib.error),
-        open_gzipped(path) if path.suffix == ".gz" else open_file(path) as file,
-    ):
+    with as_input_error(path, EOFError, zlib.error), open_unpacked(path) as file:
         header = file.readline(10_000)
     return not any(column in header for column in FRAME_COLUMNS)
+
+
+def _holds_signals(path: Path) -> bool:
+    """True if an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
+    try:
+        ConvertedTable(path, CONVERTERS[MEASUREMENT_SUFFIX])
+    except InputError:
+        return False
+    return True
 
 
 def recordings(path: Path) -> Iterator[Path]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,16 +20,14 @@ from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.formats import (
-    MEASUREMENT_SUFFIX,
-    PARQUET_SUFFIXES,
+    CONVERTERS,
     SHEET_SUFFIXES,
+    TABLE_SUFFIXES,
     TEXT_SUFFIXES,
     is_drive_table,
     suffix_of,
 )
-from evpinn_ros.drives.measurement import MeasuredTable
-from evpinn_ros.drives.survey import Table
-from evpinn_ros.drives.text_table import TextTable
+from evpinn_ros.drives.text_table import ConvertedTable, TextTable
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.readings import Rotation
 from evpinn_ros.vehicle.files import Vehicle
@@ -235,21 +234,16 @@ def open_drive(
         InputError: it cannot be read, or holds no drive.
     """
     # polars takes a quarter of a second: whoever opens no table does not wait for it.
-    from evpinn_ros.drives.sheets import ParquetTable, SheetTable
     from evpinn_ros.drives.table_drive import TableDrive
 
     path = Path(path)
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: a folder, a pipe or a device, no file")
-    tables: dict[str, Callable[[Path], Table]] = {
-        **dict.fromkeys(TEXT_SUFFIXES, TextTable),
-        **dict.fromkeys(SHEET_SUFFIXES, SheetTable),
-        **dict.fromkeys(PARQUET_SUFFIXES, ParquetTable),
-        MEASUREMENT_SUFFIX: MeasuredTable,
-    }
     suffix = suffix_of(path)
     if path.suffix.lower() == ".gz" and suffix not in TEXT_SUFFIXES:
         raise InputError(f"{path}: unpack it first")
-    if suffix not in tables:
-        raise InputError(f"{path}: no table of a drive; known are {', '.join(tables)}")
-    return TableDrive(tables[suffix](path), path, nominal_voltage, columns, battery=battery)
+    if suffix in SHEET_SUFFIXES and find_spec("openpyxl") is None:
+        raise InputError(f"{path}: .xlsx needs openpyxl: pip install 'evpinn_ros[tables]'")
+    if suffix not in TABLE_SUFFIXES:
+        raise InputError(f"{path}: no table of a drive; known are {', '.join(TABLE_SUFFIXES)}")
+    apart = CONVERTERS.get(suffix)
+    table = TextTable(path) if apart is None else ConvertedTable(path, apart)
+    return TableDrive(table, path, nominal_voltage, columns, battery=battery)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import islice
 import math
 from pathlib import Path
 
@@ -42,11 +41,12 @@ from evpinn_ros.drives.times import (
 )
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS, Reading
 
-BATCH = 16_384  # rows converted at once
+BATCH, BATCH_CELLS = 16_384, 500_000  # rows, and cells of them, converted at once
 FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 
 Stamps = NDArray[np.int64]
 Batch = tuple[Row, ...]
+Numbers = dict[str, NDArray[np.float64]]
 
 
 class TableDrive(Source):
@@ -185,11 +185,15 @@ class TableDrive(Source):
         header = self._head.names
         found: dict[str, list[NDArray[np.float64]]] = {n: [] for n in names if n in header}
         times = [np.empty(0)]
-        for batch, stamps in self._timed():
+
+        def numbers(batch: Batch, _: Stamps) -> Numbers:
+            cells = {name: _cells(batch, header.index(name)) for name in found}
+            return {name: to_floats(each, style_of(each) or POINT) for name, each in cells.items()}
+
+        for stamps, values in self._blocks(numbers):
             times.append(np.where(stamps == NONE, np.nan, seconds(stamps, -self._start_ns)))
-            for name, values in found.items():
-                cells = _cells(batch, header.index(name))
-                values.append(to_floats(cells, style_of(cells) or POINT))
+            for name, each in values.items():
+                found[name].append(each)
         time = np.concatenate(times)
         return {name: Signal(time, np.concatenate(values)) for name, values in found.items()}
 
@@ -206,17 +210,11 @@ class TableDrive(Source):
         self.first_bad = None
         order = RowOrder()
         makers = RowReadings(self.rules, self._nominal_voltage, self.dropped)
-        for batch, stamps in self._timed():
-            self._count_times(batch, stamps)
+        for stamps, values in self._blocks(self._values):
             there = stamps != NONE
             stamps = np.where(there, stamps, 0) + self._start_ns
             late = there & ((stamps >= LAST_TIME_NS) | (stamps <= 0))
             self.dropped["time_out_of_range"] += int(late.sum())
-            values = {
-                rule.quantity: self._numbers(batch, rule)
-                for rule in self.rules
-                if rule.quantity not in ("time", "odometer")
-            }
             if self._no_speed:
                 self.dropped["speed_stands_still"] += int(np.isfinite(values["speed"]).sum())
                 values["speed"][:] = math.nan
@@ -229,21 +227,37 @@ class TableDrive(Source):
         for reason in [reason for reason, count in self.dropped.items() if not count]:
             del self.dropped[reason]
 
-    def _timed(self) -> Iterator[tuple[Batch, Stamps]]:
-        """Whole rows, some thousand at a time, and their times by the clock, which run on.
+    def _blocks(
+        self, numbers: Callable[[Batch, Stamps], Numbers]
+    ) -> Iterator[tuple[Stamps, Numbers]]:
+        """Times by the clock, which run on, and numbers of whole rows, some thousand at a time.
 
         What a broken file still gives comes before the error.
         """
         broken: list[InputError] = []
         running = self.clock.running()
-        rows = self._until_broken(broken)
+        places = self.clock.columns
+        batches = _batches(self._until_broken(broken))
+        timed = ((b, self.clock.stamps({i: _cells(b, i) for i in places})) for b in batches)
+        blocks = ((stamps, numbers(batch, stamps)) for batch, stamps in timed)
         if self._newest_first:  # databases export so; there is no end to begin from in a stream
-            rows = iter(list(rows)[::-1])
-        while batch := tuple(islice(rows, BATCH)):
-            cells = {place: _cells(batch, place) for place in self.clock.columns}
-            yield batch, running.add(self.clock.stamps(cells))
+            blocks = (
+                (stamps[::-1], {name: each[::-1] for name, each in values.items()})
+                for stamps, values in reversed(list(blocks))
+            )
+        for stamps, values in blocks:
+            yield running.add(stamps), values
         if broken:
             raise broken[0]
+
+    def _values(self, batch: Batch, stamps: Stamps) -> Numbers:
+        """SI values of the quantities that are used; cells without a time are counted."""
+        self._count_times(batch, stamps)
+        return {
+            rule.quantity: self._numbers(batch, rule)
+            for rule in self.rules
+            if rule.quantity not in ("time", "odometer")
+        }
 
     def _until_broken(self, broken: list[InputError]) -> Iterator[Row]:
         """Rows that are whole; the error that ends the file goes to `broken`."""
@@ -325,6 +339,20 @@ class TableDrive(Source):
         if started is not None and clock.kind == "number":
             return started - first, "log"
         return DRIVE_START_NS, ""
+
+
+def _batches(rows: Iterator[Row]) -> Iterator[Batch]:
+    """Rows in batches of so many rows or cells."""
+    batch: list[Row] = []
+    cells = 0
+    for row in rows:
+        batch.append(row)
+        cells += len(row[1])
+        if len(batch) == BATCH or cells > BATCH_CELLS:
+            yield tuple(batch)
+            batch, cells = [], 0
+    if batch:
+        yield tuple(batch)
 
 
 def _cells(batch: Batch, place: int) -> list[str]:

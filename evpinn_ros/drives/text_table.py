@@ -10,14 +10,16 @@ import csv
 from io import SEEK_END, TextIOWrapper
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO, Any
 import zlib
 
+from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, reason_of
-from evpinn_ros.common.plain_file import LONGEST_LINE, open_file
-from evpinn_ros.common.unpacking import open_gzipped
+from evpinn_ros.common.opener import LONGEST_LINE, open_unpacked
 
 MOST_COLUMNS = 10_000
+LONG_LINE, LONGEST_CELL = 2000, 200  # characters, of a cell in a long line those that are kept
 MOST_BLANK = 100_000  # lines in a row
 SEPARATORS = ",;\t|"
 LOOKED_AT = 20  # lines that tell the separator
@@ -48,16 +50,19 @@ class TextTable:
         torn: lines that are no row, for a quote in them is not closed; complete after `rows`.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Find the separator.
+    def __init__(self, path: Path, content: Path | None = None, separator: str = "") -> None:
+        """Find the separator, if it is not given.
+
+        The path is for messages; `content` is the file that holds the text, if it is another.
 
         Raises:
             InputError: it cannot be read.
         """
-        self.path = path
+        self.path, self._content = path, content or path
         self.torn = self._line = 0
         self._encoding = ""
-        self.separator = self._separator()
+        self._is_long = False  # the line that is read
+        self.separator = separator or self._separator()
 
     def rows(self) -> Iterator[Row]:
         """Every row that is not blank, comments and all.
@@ -71,6 +76,8 @@ class TextTable:
                 for row in csv.reader(self._whole_lines(file), delimiter=self.separator):
                     if len(row) > MOST_COLUMNS:
                         raise ValueError(f"a row of more than {MOST_COLUMNS} columns")
+                    if self._is_long:
+                        row = [cell[:LONGEST_CELL] for cell in row]
                     yield self._line, row
         except READ_ERRORS as error:
             where = f"{self.path}:{self._line + 1}" if self._line else str(self.path)
@@ -105,8 +112,7 @@ class TextTable:
         return max(SEPARATORS, key=merit) if lines else ","
 
     def _open(self) -> IO[bytes]:
-        packed = self.path.suffix.lower() == ".gz"
-        return open_gzipped(self.path) if packed else open_file(self.path)
+        return open_unpacked(self._content)
 
     def _whole_lines(self, file: IO[bytes]) -> Iterator[str]:
         """The lines that hold a row, counted.
@@ -125,6 +131,7 @@ class TextTable:
                 useless, self.torn = useless + 1, self.torn + 1
             elif self._line > 1 or not _says_separator(line):
                 useless = 0
+                self._is_long = len(line) > LONG_LINE
                 yield line
             if useless > MOST_BLANK:
                 what = "a quote that is never closed" if quote else "nothing"
@@ -139,6 +146,39 @@ class TextTable:
             if len(line) > LONGEST_LINE and line[-1] != "\n":
                 raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
             yield line.replace("\0", "")
+
+
+class ConvertedTable(TextTable):
+    """A table that is no text, as a parser of a foreign library wrote it, apart, as text."""
+
+    def __init__(self, path: Path, function: str) -> None:
+        """Have it written by a function `MODULE:NAME` of two paths.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        self._folder = TemporaryDirectory()  # lasts as long as the table
+        content = Path(self._folder.name, "table.csv")
+        self.broken = run_apart(function, path, content)
+        if not content.exists() or (self.broken and content.stat().st_size == 0):
+            self._folder.cleanup()
+            raise InputError(f"{path}: {self.broken or 'no table in it'}")
+        super().__init__(path, content, separator=",")
+
+    def rows(self) -> Iterator[Row]:
+        """The rows up to where the parser came.
+
+        Raises:
+            InputError: it broke off there.
+        """
+        yield from super().rows()
+        if self.broken:
+            raise InputError(f"{self.path}: {self.broken}")
+
+
+def plain_cell(text: str) -> str:
+    """The text of a cell, on one line."""
+    return " ".join(text.splitlines()).strip()
 
 
 def _says_separator(line: str) -> bool:

@@ -21,6 +21,8 @@ from evpinn_ros.drives.numbers import MISSING, POINT, Style, to_floats
 from evpinn_ros.drives.quantities import QUANTITIES
 from evpinn_ros.signals.readings import NANOSECONDS
 
+STARTED = r"start\w*\s*(?:time)?\s*[=:]\s*(.+)"
+LONGEST_COMMENT = 200  # characters: the expression above takes the square of them
 NONE = np.iinfo(np.int64).min  # where there is no time
 DAY_NS = 86_400 * NANOSECONDS
 HALF_DAY_NS = DAY_NS // 2
@@ -311,7 +313,7 @@ def start_of_comments(comments: Sequence[str]) -> int | None:
     OBD Fusion begins with `# StartTime = 10/14/2017 01:20:36.0000 PM` and counts from there.
     """
     for comment in comments:
-        if match := re.search(r"start\w*\s*(?:time)?\s*[=:]\s*(.+)", comment, re.IGNORECASE):
+        if match := re.search(STARTED, comment[:LONGEST_COMMENT], re.IGNORECASE):
             cells = [match[1].strip(' ,;"')]
             clock = clock_of_text((0,), [cells])
             if clock is not None and clock.kind == "date":

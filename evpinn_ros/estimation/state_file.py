@@ -1,28 +1,47 @@
-"""Learned state kept between drives: JSON, written atomically, validated when read."""
+"""What is known of a car, kept between drives: one JSON file, written whole, checked when read.
+
+The file has two halves: `learned`, of the estimator, and `energy`, of the energy account. Each is
+written by its owner, perhaps another process, and leaves the other as it is. Files of earlier
+versions hold one half alone, the account in `car.energy.json` beside `car.json`; they are read.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import Enum
+from itertools import pairwise
 import json
 import math
-import os
 from pathlib import Path
+import shutil
 from typing import Any, NoReturn
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.fsync import replaced, sync
-from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.opener import read_whole
+from evpinn_ros.common.writer import claimed, replaced, sync
 
 MAX_FILE_BYTES = 20_000_000  # mode paper saves 1 MB, hybrid less
+REFUSED_KEPT = 5  # files
+State = Mapping[str, Any]
+
+
+class Half(str, Enum):
+    """A half of a state file: its key."""
+
+    LEARNED = "learned"
+    ENERGY = "energy"
+
+
+KEYS = {half.value for half in Half}
 
 
 def account_path(state: Path) -> Path:
-    """File beside a state that keeps the energy account of the car: `car.energy.json`."""
+    """The file in which earlier versions kept the energy account: `car.energy.json`."""
     return state.with_suffix(".energy.json")
 
 
-def write_state(path: Path, state: Mapping[str, Any]) -> None:
-    """Write a state so that a crash at any instant leaves the old file or the new one whole.
+def write_state(path: Path, state: State) -> None:
+    """Write a JSON file so that a crash at any instant leaves the old one or the new one whole.
 
     Once it is written it outlives a loss of power.
 
@@ -32,35 +51,99 @@ def write_state(path: Path, state: Mapping[str, Any]) -> None:
     """
     text = json.dumps(state, allow_nan=False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as draft, draft.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+    with replaced(path) as draft:
+        draft.write_text(text, encoding="utf-8")
     sync(path.resolve().parent)
 
 
+def write_halves(path: Path, halves: Mapping[Half, State]) -> None:
+    """Write halves of a state file and keep the other; two writers wait for each other.
+
+    Raises:
+        OSError: the file cannot be written, or another process does not cease to write.
+        ValueError: a half holds a number that is not finite.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with claimed(path):
+        kept: State = {}
+        try:
+            if content := read_state(path):
+                kept = _halves(content, Half.LEARNED)
+        except InputError:  # it was damaged since it was read
+            set_aside(path)
+        write_state(path, {**kept, **{half.value: state for half, state in halves.items()}})
+
+
+def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
+    """One half of a state file.
+
+    Returns:
+        the half, None when there is none; and a line when the file holds the other half alone.
+
+    Raises:
+        InputError: the file cannot be read or is not a state; the text has file and reason.
+    """
+    content = read_state(path)
+    halves = {} if content is None else _halves(content, half)
+    found = halves.get(half.value)
+    if found is None and half is Half.ENERGY:
+        found = read_state(account_path(path))
+    if found is not None or not halves:
+        return found, None
+    return None, f"{path}: holds no '{half.value}' of the car, which begins anew; the rest is used"
+
+
 def read_state(path: Path) -> dict[str, Any] | None:
-    """Read a state, None when there is no such file.
+    """Read a JSON file of a state, None when there is no such file.
 
     Raises:
         InputError: the file cannot be read or is not a state; the text has file and reason.
     """
     try:
-        with open_file(path) as file:
-            text = file.read(MAX_FILE_BYTES + 1)
+        text = read_whole(path, MAX_FILE_BYTES, "a saved state")
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    if len(text) > MAX_FILE_BYTES:
-        raise InputError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a saved state")
     try:
         state = json.loads(text.decode("utf-8"), parse_constant=_refuse, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a saved state: {error}") from error
-    if not isinstance(state, dict):
+    if not isinstance(state, dict) or (
+        KEYS & state.keys()
+        and not (state.keys() <= KEYS and all(isinstance(each, dict) for each in state.values()))
+    ):
         raise InputError(f"{path}: not a saved state")
     return state
+
+
+def set_aside(path: Path, *, copied: bool = False) -> None:
+    """Keep a file that cannot be used as `.refused`, the newest five of its name.
+
+    It may be another car's. It is copied where one half alone is refused and the other goes on.
+    """
+    first, *_ = names = refused_names(path)
+    for older, newer in pairwise(reversed(names)):
+        if newer.exists():
+            newer.replace(older)
+    if not copied:
+        path.replace(first)
+        return
+    with replaced(first) as draft:
+        shutil.copyfile(path, draft)
+
+
+def refused_names(path: Path) -> list[Path]:
+    """Places of refused files, the newest first."""
+    first = path.with_name(path.name + ".refused")
+    return [first, *(first.with_name(f"{first.name}.{n}") for n in range(2, REFUSED_KEPT + 1))]
+
+
+def _halves(content: State, asked: Half) -> dict[str, Any]:
+    """The halves in a file; of an earlier version it has one, of which it says little."""
+    if KEYS & content.keys():
+        return dict(content)
+    if "before_reset" in content:
+        return {Half.ENERGY.value: content}
+    return {(Half.LEARNED if "mode" in content else asked).value: content}
 
 
 def _finite(digits: str) -> float:

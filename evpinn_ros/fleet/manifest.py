@@ -11,7 +11,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.common.plain_file import open_file
+from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.yaml_section import compose
 from evpinn_ros.drives.formats import recordings
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.errors import as_input_error, extra_needed
-from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.writer import replaced
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.fleet.car import read_result
 from evpinn_ros.fleet.manifest import CarDrives

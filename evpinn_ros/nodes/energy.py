@@ -20,6 +20,7 @@ from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.nodes.base import NOT_ACTIVE
 from evpinn_ros.nodes.diagnosis import WELL, Status
 from evpinn_ros.nodes.energy_diagnosis import (
@@ -73,6 +74,7 @@ class EnergyNode(StatefulNode):
     """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
 
     FILE, ANEW = "energy_file", "counts from zero"
+    HALF = Half.ENERGY
 
     def __init__(self, **kwargs: Any) -> None:
         """Start from the energy file or at zero; `kwargs` go to rclpy's Node.

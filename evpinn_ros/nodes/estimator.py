@@ -12,6 +12,7 @@ from evpinn_ros import topics
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
+from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.estimation.worker import ThreadWorker
 from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.diagnosis import WELL, Condition, Health, Status
@@ -36,6 +37,7 @@ class EstimatorNode(StatefulNode):
     """Learns one car; see `docs` for its topics, services and parameters."""
 
     FILE, ANEW = "state_file", "begins with the vehicle file"
+    HALF = Half.LEARNED
 
     def __init__(self, **kwargs: Any) -> None:
         """Start from the state file or the vehicle's priors; `kwargs` go to rclpy's Node.

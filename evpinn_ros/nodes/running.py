@@ -22,6 +22,7 @@ from rclpy.signals import (
 from rclpy.utilities import try_shutdown
 
 from evpinn_ros.common.errors import InputError, printable
+from evpinn_ros.common.stopping import at_stop, leave_terminal
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.deadline import deadline
 from evpinn_ros.nodes.supervision import tell, watchdog_period
@@ -49,7 +50,7 @@ def run(
     args: list[str] | None = None,
     beside: AbstractContextManager[object] | None = None,
 ) -> int:
-    """Make nodes and spin them until SIGINT, SIGTERM or a shutdown; this ends the process with 0.
+    """Make nodes and spin them until a signal to stop or a shutdown; this ends the process with 0.
 
     Args:
         makers: of the nodes, called once ROS is up; those who listen before those who speak.
@@ -63,7 +64,7 @@ def run(
     # A signal shall wake rclpy up and nothing else: a KeyboardInterrupt would strike anywhere, in
     # the middle of its C++ too, which turns it into some other error.
     signals: list[int] = []
-    _at_signals(lambda number, _: signals.append(number))
+    _at_signals(signals.append)
     with beside or nullcontext():
         code = _run(makers, args, signals)
     if code == 0:
@@ -71,9 +72,17 @@ def run(
     return code
 
 
-def _at_signals(handler: Callable[[int, FrameType | None], object]) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, handler)
+def _at_signals(act: Callable[[int], object]) -> None:
+    """Act at signals; a terminal that was closed gets no more lines, and stops as SIGTERM does."""
+
+    def handler(number: int, _: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            leave_terminal()
+            signal.raise_signal(signal.SIGTERM)  # which wakes rclpy up
+        else:
+            act(number)
+
+    at_stop(handler)
 
 
 def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
@@ -129,7 +138,7 @@ def _end(nodes: Sequence[GuardedNode]) -> int:
             errors.append(error)
     code = 1 if errors else code
 
-    def end_at_once(*_: object) -> None:
+    def end_at_once(_: int) -> None:
         if time.monotonic() - begin > ONE_WISH:
             os._exit(code)
 

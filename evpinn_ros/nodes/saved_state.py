@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.estimation.state_file import read_state, write_state
-
-REFUSED_KEPT = 5  # files
+from evpinn_ros.common.writer import claimed
+from evpinn_ros.estimation.state_file import (
+    Half,
+    read_half,
+    refused_names,
+    set_aside,
+    write_halves,
+)
 
 
 class Stateful(Protocol):
@@ -27,24 +31,27 @@ class Stateful(Protocol):
 
 
 class StateFile:
-    """The state file of one node.
+    """The state file of one node, which has a half of it; another node may have the other.
 
     Attributes:
         problem: why the file was not used or not written, None if all is well.
     """
 
-    def __init__(self, path: Path | None, owner: Stateful) -> None:
-        """Keep the state of `owner` at `path`; None keeps nothing."""
+    def __init__(self, path: Path | None, owner: Stateful, half: Half = Half.LEARNED) -> None:
+        """Keep the state of `owner` in a half of the file at `path`; None keeps nothing."""
         self.problem: str | None = None
-        self._path, self._owner = path, owner
+        self._path, self._owner, self._half = path, owner, half
         self._loaded: Mapping[str, Any] | None = None
-        self._refused = False
+        self._refused: tuple[int, int] | None = None  # which file that was
+        self._readable = True
 
     def load(self) -> None:
         """Restore the owner from the file, if there is a usable one."""
         try:
-            self._loaded = None if self._path is None else read_state(self._path)
+            if self._path is not None:
+                self._loaded, self.problem = read_half(self._path, self._half)
         except InputError as error:
+            self._readable = False
             self._refuse(str(error))
             return
         self.start_over()
@@ -78,7 +85,7 @@ class StateFile:
             return "no file for it is set"
         try:
             self._set_refused_aside(self._path)
-            write_state(self._path, self._owner.export())
+            write_halves(self._path, {self._half: self._owner.export()})
         except (OSError, ValueError) as error:
             self.problem = f"{self._path}: not written: {error}"
             return self.problem
@@ -86,18 +93,18 @@ class StateFile:
         return None
 
     def _refuse(self, problem: str) -> None:
-        aside = "" if self._path is None else f"; it will be kept as {_aside(self._path)[0].name}"
-        self.problem, self._refused = problem + aside, True
+        if self._path is not None:
+            self._refused = _identity(self._path)
+            problem = f"{problem}; it will be kept as {refused_names(self._path)[0].name}"
+        self.problem = problem
 
     def _set_refused_aside(self, path: Path) -> None:
-        """A file that was refused may be another car's: it is renamed, not overwritten."""
-        if self._refused and path.exists():
-            names = _aside(path)
-            for older, newer in pairwise(reversed(names)):
-                if newer.exists():
-                    newer.replace(older)
-            path.replace(names[0])
-        self._refused = False
+        """Keep a file that was refused, unless the node of its other half has done so."""
+        if self._refused is not None:
+            with claimed(path):
+                if _identity(path) == self._refused:
+                    set_aside(path, copied=self._readable)
+        self._refused = None
 
 
 def state_path(text: str) -> Path | None:
@@ -112,7 +119,10 @@ def state_path(text: str) -> Path | None:
         raise InputError(f"{text}: no home for '~'; give the whole path") from error
 
 
-def _aside(path: Path) -> list[Path]:
-    """Places of refused files, the newest first."""
-    first = path.with_name(path.name + ".refused")
-    return [first, *(first.with_name(f"{first.name}.{n}") for n in range(2, REFUSED_KEPT + 1))]
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Number and time of a file; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from std_srvs.srv import Trigger
 
+from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
@@ -23,12 +24,14 @@ class StatefulNode(ManagedNode):
 
     Attributes:
         FILE: parameter that names the file.
+        HALF: what it keeps there.
         ANEW: how the core begins without one.
         state_file: of the core.
         guard: of the stamps that the core is given.
     """
 
     FILE: ClassVar[str]
+    HALF: ClassVar[Half]
     ANEW: ClassVar[str]
 
     def go_on(self, core: Stateful, leader: Topic) -> str:
@@ -42,7 +45,7 @@ class StatefulNode(ManagedNode):
             State that it begins with, in a few words.
         """
         path = state_path(self.values[self.FILE])
-        self.state_file, self.guard = StateFile(path, core), StampGuard(leader)
+        self.state_file, self.guard = StateFile(path, core, self.HALF), StampGuard(leader)
         self.state_file.load()
         if (problem := self.state_file.problem) is not None:
             self.get_logger().warning(f"{self.get_name()} {self.ANEW}: {problem}")

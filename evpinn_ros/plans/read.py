@@ -11,8 +11,7 @@ import numpy as np
 from evpinn_ros.bags.can_frames import is_bag
 from evpinn_ros.can.logs import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError, as_input_error, with_kind
-from evpinn_ros.common.plain_file import open_file
-from evpinn_ros.common.unpacking import open_gzipped
+from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.drives.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
 from evpinn_ros.energy.plan import Legs, Plan, PlanError
 from evpinn_ros.plans.recorded import driven_plan
@@ -79,8 +78,7 @@ def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
 
 def _content(path: Path, size: int) -> bytes:
     """The first bytes of a file, unpacked where it is gzipped; every plan's file opens here."""
-    opener = open_gzipped if path.suffix.lower() == ".gz" else open_file
-    with as_input_error(path, EOFError, ValueError, zlib.error), opener(path) as file:
+    with as_input_error(path, EOFError, ValueError, zlib.error), open_unpacked(path) as file:
         return file.read(size)
 
 

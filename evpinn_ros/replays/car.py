@@ -15,7 +15,7 @@ from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.state_file import account_path, read_state, write_state
+from evpinn_ros.estimation.state_file import Half, read_half, write_halves
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.chain import Chain
@@ -35,6 +35,7 @@ class CarReplay:
         chain: the cores, with what they learned so far.
         options: of every replay.
         done: the results so far.
+        missing: a line when half of the state was missing, else None.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class CarReplay:
         self.chain = Chain(
             self.vehicle, settings, InlineWorker(time.perf_counter), jump_rule(values)
         )
-        _restore(self.chain, state)
+        self.missing = _restore(self.chain, state)
 
     def open(
         self,
@@ -115,17 +116,18 @@ class CarReplay:
         return found
 
     def write_state(self, path: Path) -> None:
-        """Write what was learned, as `state_file.write_state` does, and beside it of the battery.
+        """Write what was learned, as `state_file.write_halves` does, of the car and its battery.
 
-        That is the energy account as it begins the next trip: capacity, voltage, consumption.
+        Of the battery that is the energy account as it begins the next trip: capacity, voltage,
+        consumption.
         """
-        write_state(path, self.chain.estimator.export())
         account = EnergyAccount(
             EnergyMeter(load_rknn()), self.vehicle.key, self.vehicle.battery_capacity
         )
         account.take(self.chain.account.saved())
         account.begin_next_trip()
-        write_state(account_path(path), account.export())
+        learned = self.chain.estimator.export()
+        write_halves(path, {Half.LEARNED: learned, Half.ENERGY: account.export()})
 
 
 def mode_of(name: str) -> Mode:
@@ -140,22 +142,29 @@ def mode_of(name: str) -> Mode:
         raise InputError(f"no mode '{name}'; known are {', '.join(Mode)}") from None
 
 
-def _restore(chain: Chain, state: Path | None) -> None:
+def _restore(chain: Chain, state: Path | None) -> str | None:
     """Go on from what was learned on earlier drives, where the file is there.
+
+    Returns:
+        A line when half of it is missing.
 
     Raises:
         InputError: it cannot be used, with the reason.
     """
-    saved = read_state(state) if state is not None else None
-    if state is None or saved is None:
-        return
-    counted = read_state(account_path(state))
+    if state is None:
+        return None
+    learned, missing = read_half(state, Half.LEARNED)
+    counted, uncounted = read_half(state, Half.ENERGY)
     with as_input_error(state, ValueError):
-        chain.estimator.restore(saved)
-    with as_input_error(account_path(state), ValueError):
+        if learned is not None:
+            chain.estimator.restore(learned)
         if counted is not None:
             chain.account.restore(counted)
-    chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
+    if learned is not None or counted is not None:
+        chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
+    if counted is not None and learned is None:
+        missing = missing or f"{state}: not there; its energy account is, and goes on"
+    return missing or uncounted
 
 
 def _parameters(

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from evpinn_ros.common.fsync import replaced
 from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.common.writer import replaced
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.replays.history import Drive

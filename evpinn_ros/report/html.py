@@ -11,7 +11,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.writer import replaced
 
 BROWSER = Path(__file__).with_name("browser")  # what runs in the reader's browser
 UPLOT = BROWSER / "uplot"  # version 1.6.32 from npm, with its licence

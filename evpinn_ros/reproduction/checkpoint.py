@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
-from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.opener import check_file
+from evpinn_ros.common.writer import replaced
 
 MOST_BYTES = (
     256 << 20
@@ -64,6 +65,7 @@ def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None
     if not path.exists():
         return None
     try:
+        check_file(path)
         with ZipFile(path) as archive:
             # The sizes in the directory bind: zipfile unpacks no more of a member than that.
             if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:

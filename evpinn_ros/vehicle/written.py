@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from evpinn_ros.common.fsync import replaced
+from evpinn_ros.common.writer import replaced
 from evpinn_ros.vehicle.files import CONSTANTS, Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Prior
 

@@ -23,8 +23,7 @@ from evpinn_ros.can.log_readers import LARGEST_OBJECT
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common import unpacking
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import LONGEST_LINE
-from evpinn_ros.common.unpacking import FREE_BYTES, most_unpacked
+from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.reproduction import checkpoint
 

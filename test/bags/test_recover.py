@@ -25,7 +25,7 @@ from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.cli.main import app
-from evpinn_ros.common import plain_file
+from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.topics.messages import scalar
 
@@ -244,7 +244,7 @@ def read_fails(monkeypatch, path: Path, from_byte: int) -> None:
         file = BadSector if asked == path else io.FileIO
         return io.BufferedReader(file(asked), window)
 
-    monkeypatch.setattr(plain_file, "open_file", opened)
+    monkeypatch.setattr(opener, "open_file", opened)
 
 
 def test_a_file_that_cannot_be_read_stops_no_other(tmp_path, monkeypatch):

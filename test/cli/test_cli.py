@@ -76,7 +76,9 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
     report = (folder / "report.html").read_text()
     assert 'data-plot="power"' in report and "speed, mph" in report
     assert (folder / "learned" / "metadata.yaml").is_file()
-    assert json.loads((folder / "state.json").read_text())["vehicle"] == "tesla_model_3_lr"
+    assert (
+        json.loads((folder / "state.json").read_text())["learned"]["vehicle"] == "tesla_model_3_lr"
+    )
 
 
 def test_can_log_and_bag_of_one_drive_give_the_same_scores(evpinn, folder):

@@ -30,6 +30,15 @@ def test_work_goes_on_to_where_it_is_whole_and_the_command_ends_with_130():
         ctrl_c()
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_service_manager_and_a_closed_terminal_wait_for_results_too(number):
+    with pytest.raises(typer.Exit) as ended, Interruption() as interruption:
+        signal.raise_signal(number)
+        assert interruption.asked
+    assert ended.value.exit_code == 128 + number
+    assert signal.getsignal(number) is signal.SIG_DFL
+
+
 def test_without_ctrl_c_nothing_happens():
     with Interruption():
         pass

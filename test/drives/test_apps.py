@@ -2,10 +2,13 @@
 
 from datetime import datetime, timedelta, timezone
 import gzip
+from itertools import islice
 import math
 from pathlib import Path
 import subprocess
 import sys
+import time
+import tracemalloc
 import zipfile
 
 import polars as pl
@@ -13,7 +16,7 @@ import pytest
 
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.plain_file import LONGEST_LINE
+from evpinn_ros.common.opener import LONGEST_LINE
 from evpinn_ros.drives.contents import contents
 from evpinn_ros.drives.formats import is_drive_table
 from evpinn_ros.drives.sources import open_drive
@@ -321,7 +324,7 @@ def test_tables_of_nothing_are_refused_at_once(tmp_path):
         for part in good.namelist():
             sheet = part.startswith("xl/worksheets/")
             bad.writestr(part, SHEET.format(cells) if sheet else good.read(part))
-    with pytest.raises(InputError, match="bytes of empty cells"):
+    with pytest.raises(InputError, match="rows are empty"):
         open_drive(tmp_path / "bad.xlsx")
 
 
@@ -393,3 +396,28 @@ def test_months_of_other_languages_and_a_byte_of_windows(tmp_path):
     text = "\n".join(["t_s,speed_mps,power_w,note", *rows])
     (tmp_path / "w.csv").write_bytes(text.encode("cp1252"))
     assert len(times(open_drive(tmp_path / "w.csv"))) == 3000
+
+
+def test_a_long_comment_costs_no_square_of_its_length(tmp_path):
+    path = tmp_path / "spaces.csv"
+    path.write_text("# start" + " " * 100_000 + "\nt_s,speed_mps,power_w\n0,1,2\n1,2,3\n")
+    begin = time.process_time()
+    assert len(list(open_drive(path).readings())) == 4
+    assert time.process_time() - begin < 5.0
+
+
+@pytest.mark.slow
+def test_a_table_newest_first_is_not_held_as_text(tmp_path):
+    rows = 200_000
+    path = tmp_path / "newest.csv"
+    with path.open("w") as file:
+        file.write("Timestamp,Speed (km/h),Voltage (V),Current (A),Note\n")
+        for i in range(rows, 0, -1):
+            file.write(f"{1_700_000_000 + i},{i % 90},360,{i % 50},{i:060d}\n")
+    drive = open_drive(path)
+    tracemalloc.start()
+    stamps = [reading.stamp_ns for reading in islice(drive.readings(), 10)]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert stamps == sorted(stamps) and stamps[0] == 1_700_000_001 * 10**9
+    assert peak < 3 * path.stat().st_size

@@ -113,7 +113,7 @@ def test_reset_starts_the_trip_and_not_the_lifetime(bench, tmp_path):
     assert totals.lifetime.net.value == pytest.approx(59 * POWER)
     assert totals.consumption["1"] == pytest.approx(POWER / SPEED)
     assert bench.call(Trigger, "/ev/energy/save").success
-    assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
+    assert json.loads(path.read_text())["energy"]["vehicle"] == "tesla_model_3_lr"
 
 
 def test_without_a_file_save_says_so(bench):
@@ -252,7 +252,7 @@ def test_hostile_speeds_and_powers_stop_nothing(bench, tmp_path, wrong):
     assert int(bench.diagnosis(node)["meter"][2]["bad.speed_out_of_range"]) == 20
     assert int(bench.diagnosis(node)["meter"][2]["bad.power_out_of_range"]) == 40
     assert bench.call(Trigger, "/ev/energy/save").success
-    assert json.loads(path.read_text())["trip"]["speed"]["drawn"] <= 30 * SPEED
+    assert json.loads(path.read_text())["energy"]["trip"]["speed"]["drawn"] <= 30 * SPEED
 
 
 def test_a_saved_file_with_totals_of_no_car_is_set_aside(bench, tmp_path):
@@ -261,7 +261,7 @@ def test_a_saved_file_with_totals_of_no_car_is_set_aside(bench, tmp_path):
     drive(bench, first, range(10))
     stop(bench, first)
     saved = json.loads(path.read_text())
-    saved["trip"]["speed"]["drawn"] = 5e7  # one speed of 1e9 m/s, as it was counted once
+    saved["energy"]["trip"]["speed"]["drawn"] = 5e7  # one speed of 1e9 m/s, as it was counted once
     path.write_text(json.dumps(saved))
     node = bench.start(EnergyNode, energy_file=str(path))
     assert node.account.lifetime().distance == 0.0

@@ -75,14 +75,14 @@ def refused(name, *options):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_node_well_and_saves_the_state(bench, tmp_path, stop):
     path = tmp_path / "car.json"
     with process(*node("estimator", state_file=str(path)), stop=stop):
         bench.listen(topics.DIAGNOSTICS)
         bench.pump(lambda: bench.heard[topics.DIAGNOSTICS])
         assert not path.exists()
-    assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
+    assert json.loads(path.read_text())["learned"]["vehicle"] == "tesla_model_3_lr"
 
 
 @pytest.mark.parametrize(("name", "key"), [("estimator", "state_file"), ("energy", "energy_file")])

@@ -5,7 +5,16 @@ from pathlib import Path
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.saved_state import REFUSED_KEPT, StateFile, state_path
+from evpinn_ros.estimation.state_file import (
+    REFUSED_KEPT,
+    Half,
+    account_path,
+    read_half,
+    read_state,
+    write_halves,
+    write_state,
+)
+from evpinn_ros.nodes.saved_state import StateFile, state_path
 
 
 class Counter:
@@ -55,6 +64,57 @@ def test_a_file_that_was_used_is_not_set_aside(tmp_path):
         state_file.load()
         assert state_file.problem is None and state_file.save() is None
     assert [file.name for file in tmp_path.iterdir()] == ["car.json"]
+
+
+def test_a_refused_half_is_kept_and_costs_the_other_nothing(tmp_path):
+    path = tmp_path / "car.json"
+    write_halves(path, {Half.LEARNED: {"wrong": 1}, Half.ENERGY: {"count": 7}})
+    files = [StateFile(path, Counter(), half) for half in Half]
+    for state_file in files:
+        state_file.load()
+    assert "car.json.refused" in files[0].problem and files[1].problem is None
+    for state_file in files:
+        assert state_file.save() is None
+    assert read_state(path) == {"learned": {"count": 0}, "energy": {"count": 7}}
+    assert read_state(tmp_path / "car.json.refused")["learned"] == {"wrong": 1}
+
+
+def test_a_file_that_both_nodes_refuse_is_kept_once(tmp_path):
+    path = tmp_path / "car.json"
+    path.write_text("broken")
+    files = [StateFile(path, Counter(), half) for half in Half]
+    for state_file in files:
+        state_file.load()
+    for state_file in files:
+        assert state_file.save() is None
+    kept = sorted(each.name for each in tmp_path.iterdir())
+    assert kept == ["car.json", "car.json.refused"]
+    assert read_state(path) == {"learned": {"count": 0}, "energy": {"count": 0}}
+
+
+def test_files_of_earlier_versions_become_one_and_lose_nothing(tmp_path):
+    path = tmp_path / "car.json"
+    account = {"version": 1, "vehicle": "bmw_i3", "before_reset": {}, "count": 3}
+    write_state(path, {"version": 1, "vehicle": "bmw_i3", "count": 2})
+    write_state(account_path(path), account)
+    files = [StateFile(path, Counter(), half) for half in Half]
+    for state_file in files:
+        state_file.load()
+        assert state_file.problem is None and state_file.save() is None
+    assert read_state(path) == {"learned": {"count": 2}, "energy": {"count": 3}}
+    assert read_state(account_path(path)) == account
+    write_state(account_path(path), {**account, "count": 9})  # which is read no more
+    assert read_half(path, Half.ENERGY) == ({"count": 3}, None)
+
+
+def test_a_half_that_is_missing_is_reported(tmp_path):
+    path = tmp_path / "car.json"
+    write_halves(path, {Half.ENERGY: {"count": 3}})
+    state_file = StateFile(path, Counter(), Half.LEARNED)
+    state_file.load()
+    assert "holds no 'learned'" in state_file.problem
+    assert state_file.save() is None and state_file.problem is None
+    assert read_state(path) == {"learned": {"count": 0}, "energy": {"count": 3}}
 
 
 def test_the_home_of_nobody_is_one_line():

@@ -22,7 +22,6 @@ from evpinn_ros.topics.readings import to_reading
 ROOT = Path(__file__).resolve().parents[2]
 UNITS = ROOT / "config" / "systemd"
 VEHICLE = "tesla_model_3"
-STATES = (".json", ".energy.json")
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
@@ -121,7 +120,8 @@ def test_what_the_unit_starts_keeps_its_promises(bench, bundled, systemd, tmp_pa
     finally:
         process.kill()
         process.communicate()
-    learned, counted = (json.loads((tmp_path / f"car{end}").read_text()) for end in STATES)
+    state = json.loads((tmp_path / "car.json").read_text())
+    learned, counted = state["learned"], state["energy"]
     assert learned["vehicle"] == counted["vehicle"] == f"{VEHICLE}_lr"
 
 

@@ -28,7 +28,6 @@ ROOT = Path(__file__).resolve().parents[3]
 LAUNCH = ("launch", "evpinn_ros")
 GUIDE = ROOT / "docs" / "guides" / "two_cars.md"
 SECONDS = 40.0  # of a bundled drive
-STATES = (".json", ".energy.json")  # of the nodes estimator and energy
 
 
 def hear(bench, topic, namespace="/ev"):
@@ -78,7 +77,7 @@ def car(bundled, tmp_path) -> Callable[..., Path]:
         bus = {"log_file": str(log), "log_rate": rate, "can_profile": "tesla_model_3"}
         states = {
             "estimator": {"state_file": str(tmp_path / f"{bag}.json")},
-            "energy": {"energy_file": str(tmp_path / f"{bag}.energy.json")},
+            "energy": {"energy_file": str(tmp_path / f"{bag}.json")},
         }
         nodes = {"can_bridge": bus, **states}
         values = {f"/**/{node}": {"ros__parameters": own} for node, own in nodes.items()}
@@ -258,7 +257,8 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
     def saved():
         for node in ("estimator", "energy"):
             assert ask(bench, f"/ev/{node}/save").success
-        return [json.loads((tmp_path / f"urban{end}").read_text()) for end in STATES]
+        state = json.loads((tmp_path / "urban.json").read_text())
+        return [state["learned"], state["energy"]]
 
     def counted():
         return {k: v for k, v in numbers(totals[-1]).items() if k.startswith("lifetime")}

@@ -61,7 +61,7 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         bench.pump(lambda: len(powers) > 20, 20.0)
         assert not state.exists()
         to("deactivate")
-        assert json.loads(state.read_text())["vehicle"] == "tesla_model_3_lr"
+        assert json.loads(state.read_text())["learned"]["vehicle"] == "tesla_model_3_lr"
         first = seconds(drive[0][1])
         send(40)
         assert not [power for power in powers if seconds(power) >= first]  # others were on the way

@@ -1,0 +1,124 @@
+"""Runs a parser of a foreign library in a process of its own, which may crash, hang or fill up.
+
+A workbook, a Parquet file or an .mf4 states sizes that the library believes. What it may take is
+bounded by the size of the file, and whatever it dies of is one line.
+`python -m evpinn_ros.common.apart MODULE:FUNCTION IN OUT` is the other process.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from importlib import import_module
+import os
+from pathlib import Path
+import resource
+import signal
+import subprocess
+import sys
+from typing import NamedTuple, NoReturn
+
+from evpinn_ros.common.errors import one_line
+from evpinn_ros.common.opener import RATIO, check_file
+
+MEBIBYTE = 1 << 20
+MOST_MEMORY, MOST_OUTPUT = 2 << 30, 16 << 30
+PATIENCE = 6.0  # times of its processor time that a process may wait for a core
+PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent has died
+
+
+class Limits(NamedTuple):
+    """Limits of a parser, after what it needs to be imported."""
+
+    memory: int  # bytes
+    output: int  # bytes of the file it writes
+    seconds: int  # of the processor
+
+    @classmethod
+    def of(cls, size: int) -> Limits:
+        """Limits for a file of so many bytes; libraries hold a table at 5 to 20 times its size."""
+        return cls(
+            min(160 * MEBIBYTE + 40 * size, MOST_MEMORY),
+            min(16 * MEBIBYTE + RATIO * size, MOST_OUTPUT),
+            8 + 12 * size // MEBIBYTE,
+        )
+
+
+def run_apart(function: str, path: Path, out: Path) -> str | None:
+    """Have a function `MODULE:NAME` read a file and write another, in a process of its own.
+
+    Returns:
+        Reason in one line when it failed; the part that it wrote stays.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    limits = Limits.of(check_file(path))
+    command = [sys.executable, "-m", __spec__.name, function, str(path), str(out)]
+    few = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env={**os.environ, **few},
+    ) as process:
+        try:
+            _, errors = process.communicate(timeout=PATIENCE * limits.seconds)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return f"not read within {PATIENCE * limits.seconds:g} s"
+        except BaseException:
+            process.kill()
+            raise
+    return _reason(process.returncode, errors, limits) if process.returncode else None
+
+
+def _reason(code: int, errors: str, limits: Limits) -> str:
+    if -code in (signal.SIGXCPU, signal.SIGKILL):
+        return f"takes more than {limits.seconds} s to read"
+    # Allocators of C++ and Rust end the process where there is no more.
+    if "memory allocation" in errors or "bad_alloc" in errors or "MemoryError" in errors:
+        return f"takes more than {limits.memory // MEBIBYTE} MiB to read"
+    if code < 0 or not errors.strip():
+        return f"its parser crashed ({signal.Signals(-code).name if code < 0 else code})"
+    return errors.strip().splitlines()[-1]
+
+
+def _limit(limits: Limits) -> None:
+    """Set the limits of this process, from what it has taken so far."""
+    statm = Path("/proc/self/statm").read_text(encoding="ascii")
+    taken = int(statm.split()[0]) * resource.getpagesize()
+    spent = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    for which, limit in (
+        (resource.RLIMIT_AS, taken + limits.memory),
+        (resource.RLIMIT_FSIZE, limits.output),
+        (resource.RLIMIT_CPU, round(spent) + limits.seconds),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        most = resource.getrlimit(which)[1]
+        limit = limit if most == resource.RLIM_INFINITY else min(limit, most)
+        resource.setrlimit(which, (limit, limit))
+
+
+def _main(function: str, path: Path, out: Path) -> NoReturn:
+    """Be the other process: end with 0, or 1 and a line."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    code = 1
+    try:
+        module, name = function.split(":")
+        work = getattr(import_module(module), name)
+        _limit(Limits.of(check_file(path)))
+        work(path, out)
+        code = 0
+    except MemoryError:
+        print("MemoryError", file=sys.stderr)
+    except BaseException as error:  # a panic of Rust is no Exception
+        print(one_line(error), file=sys.stderr)
+    sys.stderr.flush()
+    os._exit(code)  # what a library holds need not be taken to pieces
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))

@@ -1,0 +1,139 @@
+"""The one way in: every file from outside is opened here, and nothing but a file.
+
+A named pipe would be waited for, a device read for ever, and what is packed can hold anything. Who
+parses is bounded by what stands here: bytes of a file, its ratio, characters of a line. A parser
+of a foreign library runs in a process of its own (`common.apart`) where its format can lie.
+"""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import io
+import os
+from pathlib import Path
+import stat
+from typing import IO, BinaryIO, cast
+
+from evpinn_ros.common.errors import InputError, as_input_error
+
+WINDOW = 4 << 20  # bytes that `FileBytes` reads at once
+LONGEST_LINE = 1_000_000
+"""Characters of a line of text, one without an end would fill the memory: a frame of CAN FD takes
+200, a row of a wide table 10 000."""
+RATIO, FREE_BYTES = 200, 1 << 20
+
+
+def most_unpacked(size: int) -> int:
+    """Bytes that so many packed bytes may unpack to.
+
+    Drives of real cars shrink to a fifth, a bag in which nothing ever changes to a hundredth.
+    """
+    return FREE_BYTES + RATIO * size
+
+
+def open_file(path: Path, window: int = -1) -> BinaryIO:
+    """A file, to be read as bytes, and so many ahead; -1 for some thousand.
+
+    Raises:
+        OSError: it cannot be opened, or is something else than a file.
+        ValueError: no file can have such a name.
+    """
+    return open(path, "rb", window, opener=_open)
+
+
+def open_unpacked(path: Path) -> IO[bytes]:
+    """A file, unpacked if it is a `.gz`; where it unpacks to too much, reading raises OSError."""
+    if path.suffix.lower() != ".gz":
+        return open_file(path)
+    return cast(IO[bytes], io.BufferedReader(_BoundedGzip(path), 1 << 16))
+
+
+def read_whole(path: Path, most: int, what: str) -> bytes:
+    """All bytes of a small file.
+
+    Raises:
+        FileNotFoundError: it is not there.
+        InputError: it cannot be read, or is larger than `most` bytes and so not `what`.
+    """
+    try:
+        with open_file(path) as file:
+            content = file.read(most + 1)
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if len(content) > most:
+        raise InputError(f"{path}: larger than {most} bytes, not {what}")
+    return content
+
+
+def check_file(path: Path) -> int:
+    """Bytes of a file that a library will open by its name.
+
+    Raises:
+        InputError: it cannot be opened, or is something else than a file.
+    """
+    with as_input_error(path, ValueError), open_file(path) as file:
+        return os.fstat(file.fileno()).st_size
+
+
+def _open(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags | os.O_NONBLOCK)  # a pipe without a writer opens at once
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):  # of a folder Python says it better
+        return descriptor
+    os.close(descriptor)
+    raise OSError(errno.EINVAL, "a pipe or a device, no file", path)
+
+
+class _BoundedGzip(io.RawIOBase):
+    """Content of a gzipped file, as far as its size allows."""
+
+    def __init__(self, path: Path) -> None:
+        self._packed = open_file(path)
+        self._left = most_unpacked(os.fstat(self._packed.fileno()).st_size)
+        self._file = gzip.GzipFile(fileobj=self._packed)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        data = self._file.read1(len(buffer))
+        self._left -= len(data)
+        if self._left < 0:
+            raise gzip.BadGzipFile(f"unpacks to over {RATIO} times its size")
+        buffer[: len(data)] = data
+        return len(data)
+
+    def close(self) -> None:
+        if not self.closed:
+            self._file.close()
+            self._packed.close()
+        super().close()
+
+
+class FileBytes:
+    """A file read at any place, a window at a time; a map of it would crash on a bad sector."""
+
+    def __init__(self, path: Path) -> None:
+        """Open it; InputError when that fails."""
+        self.path = path
+        with as_input_error(path):
+            self._file = open_file(path, WINDOW)
+            self.size = os.fstat(self._file.fileno()).st_size
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        self._file.close()
+
+    def read(self, begin: int, length: int) -> bytes:
+        """The bytes from here on, fewer at the end of the file."""
+        try:
+            self._file.seek(begin)
+            return self._file.read(max(0, min(length, self.size - begin)))
+        except OSError as error:
+            raise InputError(
+                f"{self.path}: {error.strerror} in {length} bytes from byte {begin}; "
+                "copy the disk with ddrescue first"
+            ) from error

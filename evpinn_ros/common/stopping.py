@@ -1,0 +1,35 @@
+"""Signals that ask a process to stop: Ctrl-C, a service manager, a terminal that was closed.
+
+Imports nothing that takes time, for signals may come before anything else is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import os
+import signal
+import stat
+from types import FrameType
+
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+Handler = Callable[[int, FrameType | None], object]
+
+
+def at_stop(handler: Handler) -> None:
+    """Call a handler at each signal to stop; a hang-up that is ignored, as by nohup, stays so."""
+    for number in STOPS:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+def leave_terminal() -> None:
+    """Write to no terminal any more, for it is closed: each line would be an error."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        try:
+            if stat.S_ISCHR(os.fstat(stream).st_mode):
+                os.dup2(nowhere, stream)
+        except OSError:  # closed already
+            continue
+    os.close(nowhere)

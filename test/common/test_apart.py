@@ -1,0 +1,73 @@
+"""A parser of a foreign library may crash, hang or fill up: it does so apart, in one line."""
+
+import pytest
+
+from evpinn_ros.common import apart
+
+PROGRAM = """
+import os, sys, time
+
+def copy(path, out):
+    out.write_bytes(path.read_bytes())
+
+def sleep(path, out):
+    time.sleep(60)
+
+def turn(path, out):
+    while True:
+        pass
+
+def fill(path, out):
+    held = [bytes(1 << 20) for _ in range(10_000)]
+
+def write(path, out):
+    with out.open("wb") as file:
+        while True:
+            file.write(bytes(1 << 20))
+
+def crash(path, out):
+    os.abort()
+
+def panic(path, out):
+    raise type("PanicException", (BaseException,), {})("range end index 7")
+
+def leave(path, out):
+    sys.exit("broken")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        ("copy", None),
+        ("sleep", "not read within 3 s"),
+        ("turn", "takes more than 1 s to read"),
+        ("fill", "takes more than 160 MiB to read"),
+        ("write", "File too large"),
+        ("crash", "its parser crashed (SIGABRT)"),
+        ("panic", "range end index 7"),
+        ("leave", "broken"),
+    ],
+)
+def test_whatever_a_parser_does_is_one_line(tmp_path, monkeypatch, function, said):
+    (tmp_path / "parsers.py").write_text(PROGRAM)
+    (tmp_path / "in").write_text("abc")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    if function in ("sleep", "turn"):
+        limits = apart.Limits(1 << 30, 1 << 30, 1)
+        monkeypatch.setattr(apart.Limits, "of", lambda _: limits)
+        monkeypatch.setattr(apart, "PATIENCE", 3.0 if function == "sleep" else 60.0)
+    if function == "turn":  # the other process asks for itself
+        (tmp_path / "sitecustomize.py").write_text(
+            "import resource; resource.setrlimit(resource.RLIMIT_CPU, (1, 1))"
+        )
+    found = apart.run_apart(f"parsers:{function}", tmp_path / "in", tmp_path / "out")
+    assert found == said or (said and said in found)
+    assert function != "copy" or (tmp_path / "out").read_text() == "abc"
+
+
+def test_what_a_parser_may_take_grows_with_the_file_up_to_what_a_computer_has():
+    small, large = apart.Limits.of(0), apart.Limits.of(1 << 40)
+    assert small.memory <= 256 << 20 and small.seconds <= 10
+    assert large.memory == apart.MOST_MEMORY and large.output == apart.MOST_OUTPUT

@@ -1,0 +1,164 @@
+"""A file is whole or not there, whatever ends its writing."""
+
+import errno
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+from evpinn_ros.common import writer
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.writer import DRAFT, check_outputs, claimed, replaced
+from evpinn_ros.estimation.state_file import Half, read_half, read_state, write_halves
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_draft_takes_the_place_of_the_file(tmp_path):
+    path = tmp_path / "car.json"
+    for text in ("one", "two"):
+        with replaced(path) as draft:
+            draft.write_text(text)
+        assert path.read_text() == text and names(tmp_path) == ["car.json"]
+
+
+@pytest.mark.parametrize("end", [OSError(errno.ENOSPC, "full"), ValueError(), KeyboardInterrupt()])
+@pytest.mark.parametrize("before", [None, "old"])
+def test_what_is_not_whole_leaves_nothing(tmp_path, end, before):
+    path = tmp_path / "car.json"
+    if before is not None:
+        path.write_text(before)
+
+    def write():
+        with replaced(path) as draft:
+            draft.write_text("half")
+            raise end
+
+    with pytest.raises(type(end)):
+        write()
+    assert names(tmp_path) == ([] if before is None else ["car.json"])
+    assert before is None or path.read_text() == before
+
+
+def test_a_link_goes_on_to_lead_to_the_file(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link.json").symlink_to(tmp_path / "real" / "car.json")
+    with replaced(tmp_path / "link.json") as draft:
+        draft.write_text("new")
+    assert (tmp_path / "link.json").is_symlink()
+    assert (tmp_path / "real" / "car.json").read_text() == "new"
+    assert names(tmp_path / "real") == ["car.json"]
+
+
+def test_a_device_is_written_to_and_stays_one(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    reading = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    with replaced(tmp_path / "pipe") as draft:
+        draft.write_text("through")
+    assert os.read(reading, 100) == b"through" and names(tmp_path) == ["pipe"]
+    os.close(reading)
+
+
+def test_a_link_at_a_draft_is_not_followed_and_a_file_like_one_is_kept(tmp_path):
+    victim, path = tmp_path / "victim", tmp_path / "car.json"
+    victim.write_text("precious")
+    (tmp_path / "car.json.new").symlink_to(victim)
+    (tmp_path / f"{DRAFT}link").symlink_to(victim)
+    with replaced(path) as draft:
+        draft.write_text("state")
+    assert victim.read_text() == "precious" and path.read_text() == "state"
+    assert (tmp_path / "car.json.new").is_symlink()
+    (tmp_path / "car.json.new").unlink()
+    (tmp_path / "car.json.new").write_text("mine")
+    with replaced(path) as draft:
+        draft.write_text("state")
+    assert (tmp_path / "car.json.new").read_text() == "mine"
+
+
+def test_a_draft_of_a_killed_process_goes_and_that_of_a_living_one_stays(tmp_path):
+    (tmp_path / f"{DRAFT}dead").write_text("half")
+    with replaced(tmp_path / "one") as living:
+        living.write_text("one")
+        with replaced(tmp_path / "two") as draft:
+            draft.write_text("two")
+        assert names(tmp_path) == [living.name, "two"]
+    assert names(tmp_path) == ["one", "two"]
+
+
+def test_a_file_keeps_its_permissions_and_a_new_one_has_those_of_the_umask(tmp_path):
+    path = tmp_path / "car.json"
+    for mode in (None, 0o600, 0o644):
+        if mode is not None:
+            path.chmod(mode)
+        with replaced(path) as draft:
+            draft.write_text("state")
+        mask = os.umask(0)
+        os.umask(mask)
+        assert path.stat().st_mode & 0o777 == (mode or 0o666 & ~mask)
+
+
+def test_a_name_as_long_as_can_be_is_written(tmp_path):
+    path = tmp_path / ("x" * 255)
+    with replaced(path) as draft:
+        draft.write_text("state")
+    assert path.read_text() == "state"
+
+
+def test_links_in_a_circle_are_one_line(tmp_path):
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    with pytest.raises(OSError, match=r"circle|levels"), replaced(tmp_path / "a"):
+        pass
+    with pytest.raises(InputError, match=r"circle|levels"):
+        check_outputs([tmp_path / "a"])
+
+
+def test_no_output_is_written_over_an_input_or_another(tmp_path):
+    drive, bag = tmp_path / "d.csv", tmp_path / "bag"
+    drive.write_text("1")
+    bag.mkdir()
+    (tmp_path / "link").symlink_to(drive)
+    (tmp_path / "hard").hardlink_to(drive)
+    for path in (drive, tmp_path / "link", tmp_path / "hard", bag, bag / "bag_0.mcap"):
+        with pytest.raises(InputError, match="over the input"):
+            check_outputs([path], [drive, bag])
+    with pytest.raises(InputError, match="two results"):
+        check_outputs([tmp_path / "new", tmp_path / "x" / ".." / "new"], [drive])
+    check_outputs([None, Path("-"), Path("/dev/null"), Path("/dev/null")], [drive])
+    check_outputs([bag / "report.html", tmp_path / "new"], [drive, bag, tmp_path / "absent"])
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from evpinn_ros.estimation.state_file import Half, write_halves
+half, count = Half(sys.argv[2]), int(sys.argv[3])
+for number in range(1, count + 1):
+    write_halves(Path(sys.argv[1]), {half: {"number": number, "bulk": [number] * 2000}})
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_tear_and_lose_nothing(tmp_path):
+    path, count = tmp_path / "car.json", 150
+    command = [sys.executable, "-c", WRITER, str(path)]
+    processes = [subprocess.Popen([*command, half.value, str(count)]) for half in Half]
+    reads = 0
+    while any(process.poll() is None for process in processes):
+        state = read_state(path) or {}
+        reads += 1
+        for half in state.values():
+            assert set(half["bulk"]) == {half["number"]}
+    assert [process.returncode for process in processes] == [0, 0] and reads > 10
+    assert [read_half(path, half)[0]["number"] for half in Half] == [count, count]
+    assert names(tmp_path) == ["car.json"]
+
+
+def test_a_writer_that_waits_too_long_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "PATIENCE", 0.1)
+    with claimed(tmp_path / "a"), pytest.raises(OSError, match="has been writing"):
+        write_halves(tmp_path / "b", {Half.LEARNED: {}})
