@@ -124,6 +124,8 @@ class EnergyAccount(Saveable[SavedAccount]):
         gauge: state of charge and capacity.
         battery: its charge and voltage, for the end of a plan.
         reconciled: of the last battery dropout that ended, None before.
+        usual: energy per distance of usual driving (`energy.usual`), J/m, NaN if unknown; who
+            learns the car sets it.
         refused: readings of what no car can do, by reason, since the process began.
     """
 
@@ -137,6 +139,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         """
         self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
         self.battery = BatteryModel(capacity)
+        self.usual = math.nan
         self._vehicle = vehicle
         self.refused: Counter[str] = Counter()
         self.reset()
@@ -328,8 +331,9 @@ class EnergyAccount(Saveable[SavedAccount]):
         """It needs what the last 10 km cost; the long run is 100 km, or before them all."""
         recent = consumption.get("10", math.nan)
         long = consumption.get("100", consumption.get("lifetime", math.nan))
+        expected = long if math.isnan(self.usual) else (long + self.usual) / 2.0
         spread = cost_spread(self.trip.windows[-1].whole)
-        return remaining(usable, Cost(recent, long, spread))
+        return remaining(usable, Cost(recent, expected, spread))
 
     def saved(self) -> SavedAccount:
         """State to save."""

@@ -15,6 +15,7 @@ from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.posterior import FORCE_NOISE, CarModel
 from evpinn_ros.estimation.states import State
+from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Path, Unevenness
 from evpinn_ros.signals.stream import MAX_SPEED
 
 # More than any road vehicle is charged with, and so than any draws: CharIN's Megawatt Charging
@@ -63,4 +64,20 @@ def car_is_possible(car: CarModel) -> bool:
     power = rows @ car.mean
     variance = ((rows @ car.covariance) * rows).sum(-1) + car.load_variance
     noise = car.noise.max() * FORCE_NOISE**2 * speed**2
-    return bool((np.abs(power) <= MAX_POWER).all() and (variance + noise <= MAX_POWER**2).all())
+    within = (np.abs(power) <= MAX_POWER).all() and (variance + noise <= MAX_POWER**2).all()
+    return bool(within) and _is_possible(car.unevenness, car)
+
+
+def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
+    """True if no leg's uneven speed takes more power than a car has."""
+    scatter = uneven.squares, uneven.expected
+    numbers = np.concatenate((uneven.metres.ravel(), uneven.rows.ravel(), scatter))
+    if not np.isfinite(numbers).all() or min(uneven.metres.min(), *scatter) < 0.0:
+        return False
+    if uneven.expected <= 0.0 or uneven.share > MOST_SHARE:
+        return False
+    speed, duration = map(np.ravel, np.meshgrid(MIDDLES, DURATIONS))
+    zero = np.zeros_like(speed)
+    legs = Path(duration, speed * duration, zero, zero, zero, zero + 1.2, zero)
+    power = uneven.of_legs(car.equation, legs) @ car.mean / duration
+    return bool((np.abs(power) <= MAX_POWER).all())

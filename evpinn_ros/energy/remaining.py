@@ -1,9 +1,11 @@
 """Distance to empty with the energy in the battery.
 
-What a metre costs ahead begins as it was lately and returns to what it is in the long run, over
-`MEMORY`. So the energy of the next d metres is
+What a metre costs ahead begins between what it was lately and what is to be expected, and returns
+to what is to be expected over `MEMORY`. Expected is the mean of the last 100 km and of the car's
+usual legs at the temperature and with the loads of now (`energy.usual`). So the energy of the next
+d metres is
 
-    E(d) = c_long d + (c_recent - c_long) L (1 - exp(-d / L)),    L = MEMORY
+    E(d) = c_expected d + RECENT (c_recent - c_expected) L (1 - exp(-d / L)),    L = MEMORY
 
 and the distance to empty is where it is the energy left. The error of the cost is taken as a
 process over distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
@@ -21,7 +23,8 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import relaxed, walked
 
-MEMORY = 30e3  # m; twelve BMW i3 trips do not tell it well: docs/project/benchmark_history.md
+MEMORY = 10e3  # m
+RECENT = 0.5  # of the last 10 km, by which the next begin to differ from what is expected
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
@@ -38,19 +41,20 @@ class Remaining(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """Energy per distance, J/m: lately, in the long run, and its relative 1-sigma."""
+    """Energy per distance, J/m: lately, as is to be expected, and its relative 1-sigma."""
 
     recent: float
-    long: float
+    expected: float
     spread: float
 
     def energy(self, distance: float) -> float:
         """Energy of the metres ahead, J."""
-        return self.long * distance + (self.recent - self.long) * float(relaxed(distance, MEMORY))
+        begins = RECENT * (self.recent - self.expected)
+        return self.expected * distance + begins * float(relaxed(distance, MEMORY))
 
     def sigma(self, distance: float) -> float:
         """1-sigma of that, J."""
-        level = self.spread * max(self.recent, self.long)
+        level = self.spread * max(self.recent, self.expected)
         return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
 
 
@@ -74,7 +78,7 @@ def remaining(usable: Uncertain, cost: Cost) -> Remaining | None:
         cost: of the road ahead.
     """
     numbers = (usable.value, usable.sigma, *cost)
-    if not all(map(math.isfinite, numbers)) or min(cost.recent, cost.long) <= 0:
+    if not all(map(math.isfinite, numbers)) or min(cost.recent, cost.expected) <= 0:
         return None
 
     def over(quantile: float) -> Callable[[float], float]:

@@ -26,6 +26,7 @@ from evpinn_ros.estimation.terms import Equation
 
 REFERENCE = "config/reference/uneven.csv"
 SPEEDS = np.array([3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 31.0])  # m/s, between classes
+MIDDLES = np.array([2.0, 4.5, 7.5, 10.5, 14.0, 18.0, 22.5, 28.0, 33.0])  # m/s, of classes
 DURATIONS = np.array([10.0, 30.0, 60.0, 200.0, 600.0, 2000.0])  # s, of classes
 SHORTEST = 8.0  # s; a leg that is shorter teaches nothing
 LEG_SECONDS = (10.0, 30.0, 60.0, 200.0, 600.0, 1200.0)  # by which drives are cut to learn
@@ -33,6 +34,7 @@ LEG_METRES = (100.0, 200.0, 500.0, 2000.0, 5000.0)
 JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
 PRIOR_METRES = 300.0  # that the simulated drives count for in each class
 PRIOR_SHARE, PRIOR_ENERGY = 0.35, 1e6  # scatter before any drive; J of unevenness it counts for
+MOST_SHARE = 100.0  # of that scatter, whatever a file claims
 SPREAD_KEPT = 0.97  # of the scatter's sums, from drive to drive
 LEAST_DRIVE = 1000.0  # m of a drive that scatter is judged by
 SHAPE = (len(SPEEDS) + 1, len(DURATIONS))
@@ -154,7 +156,7 @@ def saved_unevenness(found: Unevenness) -> SavedUnevenness:
 
 
 def unevenness_of(saved: SavedUnevenness) -> Unevenness:
-    """What was saved; ValueError where numbers are missing."""
+    """What was saved; ValueError where numbers are missing or no car drives so."""
     if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
         raise ValueError("numbers of the unevenness are missing")
     rows = np.zeros((*SHAPE, SIZE))
@@ -162,7 +164,10 @@ def unevenness_of(saved: SavedUnevenness) -> Unevenness:
     for index, name in enumerate(saved.names):
         if name in NAMES:
             rows[..., NAMES.index(name)] = theirs[..., index]
-    return Unevenness(saved.metres, rows, saved.squares, saved.expected)
+    found = Unevenness(saved.metres, rows, saved.squares, saved.expected)
+    if found.share > MOST_SHARE:
+        raise ValueError("the scatter of the unevenness is out of range")
+    return found
 
 
 def _add_drive(

@@ -19,6 +19,7 @@ from evpinn_ros.energy.forecaster import Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
 from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.nodes.base import NOT_ACTIVE
@@ -184,8 +185,9 @@ class EnergyNode(StatefulNode):
             self.account.add_reading(admitted)
 
     def _on_model(self, message: Any) -> None:
-        model = read_model(message, self._vehicle)
+        model = read_model(message, self._vehicle, self.forecaster.equation)
         self._learn(lambda forecaster: forecaster.set_model(model))
+        self.account.usual = usual_cost(model)
 
     def _on_air(self, topic: Topic, message: Any) -> None:
         reading: Any = to_reading(topic.type_name, message)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+import math
 from typing import Any, TypeAlias
 
 from evpinn_ros.energy.account import AccountSummary, EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState
 from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
 from evpinn_ros.estimation.worker import Worker
@@ -87,6 +89,8 @@ class Chain:
                     output.energy_sigma,
                     output.energy,
                 )
+                car = self.estimator.model()
+                self.account.usual = math.nan if car is None else usual_cost(car)
                 yield self.account.state
                 summary = self.account.tick()
                 if summary is not None:

@@ -12,6 +12,7 @@ from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.estimation.unevenness import SHAPE, Unevenness
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -28,12 +29,16 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
     it and tells its size.
     """
     celsius = UNKNOWN_CELSIUS if car.celsius is None else car.celsius
+    uneven = car.unevenness
     numbers = car.equation.seed, car.load_variance, car.growth, car.trust, car.seconds
     parts = {
         "numbers": np.array([*numbers, celsius, float(car.reports)]),
         "noise": car.noise,
         "mean": car.mean,
         "covariance": car.covariance.ravel(),
+        "uneven_metres": uneven.metres.ravel(),
+        "uneven_rows": uneven.rows.ravel(),
+        "uneven_scatter": np.array([uneven.squares, uneven.expected]),
     }
     data = [finite(number) for number in np.concatenate(list(parts.values())).tolist()]
     sizes = {f"{vehicle}/{MODEL_VERSION}": len(data)}
@@ -46,8 +51,13 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
     return new(topics.ARRAY_TYPE, layout=layout, data=data)
 
 
-def read_model(message: Any, vehicle: Vehicle) -> CarModel:
+def read_model(message: Any, vehicle: Vehicle, known: Equation | None = None) -> CarModel:
     """The car in a message.
+
+    Args:
+        message: as `model_message` makes it.
+        vehicle: the car.
+        known: its equation by the message before, which takes 50 ms to make anew.
 
     Raises:
         BadMessage: it is of another vehicle or version, or its numbers do not fit.
@@ -58,17 +68,23 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
     if next(iter(labels), None) != f"{vehicle.key}/{MODEL_VERSION}":
         raise BadMessage("other_vehicle_or_version")
     wanted = {"numbers": 7, "noise": 3, "mean": SIZE, "covariance": SIZE**2}
+    classes = math.prod(SHAPE)
+    wanted |= {"uneven_metres": classes, "uneven_rows": classes * SIZE, "uneven_scatter": 2}
     data = np.array(message.data, dtype=float)
     if {name: labels.get(name) for name in wanted} != wanted or sum(wanted.values()) != data.size:
         raise BadMessage("lengths_differ")
     if not np.isfinite(data).all():
         raise BadMessage("not_finite")
-    numbers, noise, mean, covariance = np.split(data, np.cumsum([*wanted.values()])[:-1])
+    numbers, noise, mean, covariance, metres, rows, scatter = np.split(
+        data, np.cumsum([*wanted.values()])[:-1]
+    )
     seed, load_variance, growth, trust, seconds, celsius, reports = numbers.tolist()
     if not 0.0 <= seed <= MOST_SEED or not math.isclose(seed, int(seed)):
         raise BadMessage("out_of_range")
+    if known is None or known.seed != int(seed):
+        known = Equation(vehicle, int(seed))
     car = CarModel(
-        equation=Equation(vehicle, int(seed)),
+        equation=known,
         mean=mean,
         covariance=covariance.reshape(SIZE, SIZE),
         noise=noise,
@@ -78,6 +94,9 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
         seconds=seconds,
         celsius=None if celsius == UNKNOWN_CELSIUS else celsius,
         reports=bool(reports),
+        unevenness=Unevenness(
+            metres.reshape(SHAPE), rows.reshape(*SHAPE, SIZE), *scatter.tolist()
+        ),
     )
     if not car_is_possible(car):
         raise BadMessage("out_of_range")
