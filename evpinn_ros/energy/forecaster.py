@@ -28,7 +28,6 @@ from evpinn_ros.energy.power_model import (
     vehicle_model,
 )
 from evpinn_ros.estimation.posterior import CarModel
-from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     PressureReading,
@@ -144,11 +143,6 @@ class Forecaster:
     def set_model(self, car: CarModel) -> None:
         """Take all that is known of the car's power."""
         self._model, self.basis = PowerModel(car), Basis.MODEL
-
-    @property
-    def equation(self) -> Equation:
-        """The one equation with the network of the car that forecasts rest on."""
-        return self._model.car.equation
 
     def set_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int

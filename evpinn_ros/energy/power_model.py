@@ -26,11 +26,11 @@ from evpinn_ros.estimation.posterior import (
 from evpinn_ros.estimation.states import PHYSICS, WEIGHTS, State
 from evpinn_ros.estimation.terms import (
     STANDING,
-    Equation,
     Warmth,
     Wheels,
     climate_powers,
     coldness,
+    equation_of,
 )
 from evpinn_ros.estimation.unevenness import Path, even_rows
 from evpinn_ros.vehicle.files import Vehicle
@@ -235,7 +235,7 @@ class PowerModel:
 
 def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:
     """The car of a vehicle file, of which nothing was learned yet."""
-    equation = Equation(vehicle, seed)
+    equation = equation_of(vehicle, seed)
     return PowerModel(initial_state(equation).model(equation))
 
 

@@ -40,7 +40,7 @@ from evpinn_ros.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.estimation.saved_car import SavedState, saved_state, state_of
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.tail import MAX_STEP, Tail
-from evpinn_ros.estimation.terms import Equation, Warmth
+from evpinn_ros.estimation.terms import Warmth, equation_of
 from evpinn_ros.estimation.trim import MOST_EVIDENCE, Persistence, Trim
 from evpinn_ros.estimation.unevenness import (
     SavedUnevenness,
@@ -80,7 +80,7 @@ class PinnLearner(Saveable[SavedPinn]):
     def __init__(self, vehicle: Vehicle, *, seed: int = 0, keep_drives: bool = False) -> None:
         """Start at the vehicle's priors, with a network whose output is zero."""
         self._keep_drives = keep_drives
-        self._equation = Equation(vehicle, seed)
+        self._equation = equation_of(vehicle, seed)
         self._trim = Trim(seed)
         self._suspicion = SignSuspicion()
         self._states = StateHysteresis()

@@ -26,6 +26,7 @@ physics.
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import lru_cache
 import math
 from typing import Any, NamedTuple
 
@@ -365,6 +366,12 @@ def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
     arrays = (np.array([column]) for column in columns)
     steps = Steps._make((*arrays, sample.motor_scaled))
     return steps, conditions_of(sample)
+
+
+@lru_cache(maxsize=16)
+def equation_of(vehicle: Vehicle, seed: int = 0) -> Equation:
+    """The equation of a car, made once: that takes 50 ms."""
+    return Equation(vehicle, seed)
 
 
 def coldness(celsius: float | None) -> float:

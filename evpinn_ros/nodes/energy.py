@@ -185,7 +185,7 @@ class EnergyNode(StatefulNode):
             self.account.add_reading(admitted)
 
     def _on_model(self, message: Any) -> None:
-        model = read_model(message, self._vehicle, self.forecaster.equation)
+        model = read_model(message, self._vehicle)
         self._learn(lambda forecaster: forecaster.set_model(model))
         self.account.usual = usual_cost(model)
 

@@ -11,7 +11,7 @@ import numpy as np
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError, known_names
-from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
@@ -110,7 +110,7 @@ def simulate(
         trace = drive_equation_car(car, parameters, motion, equation, vehicle.beta)
         truth = Truth(parameters, identifiable(parameters, car.frontal_area))
     else:
-        definition = Equation(vehicle)
+        definition = equation_of(vehicle)
         if not isinstance(car, Car):
             wish = _wish(vehicle, car or {}, factory)
             car = tuned(draw_car(vehicle, wish, factory), motion, around, wish, definition)

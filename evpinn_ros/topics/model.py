@@ -11,7 +11,7 @@ from evpinn_ros import topics
 from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.estimation.states import SIZE
-from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.estimation.unevenness import SHAPE, Unevenness
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
 from evpinn_ros.vehicle.files import Vehicle
@@ -51,13 +51,8 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
     return new(topics.ARRAY_TYPE, layout=layout, data=data)
 
 
-def read_model(message: Any, vehicle: Vehicle, known: Equation | None = None) -> CarModel:
+def read_model(message: Any, vehicle: Vehicle) -> CarModel:
     """The car in a message.
-
-    Args:
-        message: as `model_message` makes it.
-        vehicle: the car.
-        known: its equation by the message before, which takes 50 ms to make anew.
 
     Raises:
         BadMessage: it is of another vehicle or version, or its numbers do not fit.
@@ -81,10 +76,8 @@ def read_model(message: Any, vehicle: Vehicle, known: Equation | None = None) ->
     seed, load_variance, growth, trust, seconds, celsius, reports = numbers.tolist()
     if not 0.0 <= seed <= MOST_SEED or not math.isclose(seed, int(seed)):
         raise BadMessage("out_of_range")
-    if known is None or known.seed != int(seed):
-        known = Equation(vehicle, int(seed))
     car = CarModel(
-        equation=known,
+        equation=equation_of(vehicle, int(seed)),
         mean=mean,
         covariance=covariance.reshape(SIZE, SIZE),
         noise=noise,

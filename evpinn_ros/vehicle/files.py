@@ -84,6 +84,10 @@ class Vehicle:
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     paper_start: Mapping[str, Prior] = field(default_factory=dict)
 
+    def __hash__(self) -> int:
+        """By its key alone, for mappings have no hash."""
+        return hash(self.key)
+
     @property
     def initial(self) -> Parameters:
         """The prior values, the start of every estimate."""
