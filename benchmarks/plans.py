@@ -92,7 +92,7 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
     learned = LearnedCar.new(Equation(car.vehicle, seed))
     before: list[tuple[float, float, float]] = []  # energy J, distance m, duration s
     for drive in car.drives:
-        intervals = list(_intervals(car, drive))
+        intervals = list(intervals_of(car, drive))
         if before:
             learned = learned.begin_drive()
         done = [each for each in intervals if not math.isnan(each.energy)]
@@ -106,7 +106,8 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
         before.append((totals[0], totals[1], totals[2]))
 
 
-def _intervals(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
+def intervals_of(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
+    """What a car learns from in a drive."""
     stream = SampleStream(
         StreamSettings(), car.vehicle.air_density, car.vehicle.motor_ratio, intervals_alone=True
     )

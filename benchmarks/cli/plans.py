@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from benchmarks.cli.output import TABLE_WIDTH, json_at_the_end, names_in, table_of
+from benchmarks.empty import EMPTY_COLUMNS, EmptyScore, empty_scores
 from benchmarks.plans import CARS, PLAN_COLUMNS, PlanScore, plan_scores
 from benchmarks.unseen.drives import cars_in
 from evpinn_ros.cli.console import progress_bar, show
@@ -27,17 +28,26 @@ def plans(
 ) -> None:
     """Forecast driven trips as plans of several resolutions, and compare with what they took.
 
+    A second table tells how well the distance to empty was known along the same drives.
+
     Example: evpinn bench plans $DATA --cars i3,changchun
     """
     there = cars_in(data)
     keys = names_in(cars) or [key for key in CARS if key in there]
-    rows: list[PlanScore] = []
+    rows: list[Any] = []
+    roads: list[Any] = []
     with (
-        json_at_the_end(metrics, lambda: [asdict(row) for row in rows]),
+        json_at_the_end(metrics, lambda: [asdict(row) for row in (*rows, *roads)]),
         ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool,
-        progress_bar("cars", len(keys)) as report,
+        progress_bar("cars", 2 * len(keys)) as report,
     ):
-        for number, found in enumerate(pool.map(partial(plan_scores, data), keys), start=1):
+        planned = pool.map(partial(plan_scores, data), keys)
+        driven = pool.map(partial(empty_scores, data), keys)
+        for number, found in enumerate(planned, start=1):
             rows += found
             report(number)
+        for number, more in enumerate(driven, start=len(keys) + 1):
+            roads += more
+            report(number)
     show(table_of("Plans", rows, PLAN_COLUMNS, left=3), at_least=TABLE_WIDTH)
+    show(table_of("Distance to empty", roads, EMPTY_COLUMNS, left=1), at_least=TABLE_WIDTH)
