@@ -68,9 +68,10 @@ def empty_scores(data: str, key: str, seed: int = 0) -> list[EmptyScore]:
     for horizon in HORIZONS:
         errors = list(_errors(pieces, horizon))
         if errors:
-            medians = 100.0 * np.median(np.abs(np.array(errors)[:, :3]), axis=0)
-            covered = 100.0 * float(np.mean([error[3] for error in errors]))
-            found.append(EmptyScore(key, horizon / 1e3, len(errors), *medians.tolist(), covered))
+            ours, by_10, by_100, covered = 100.0 * np.array(errors, float).T
+            medians = (float(np.median(np.abs(each))) for each in (ours, by_10, by_100))
+            scores = *medians, float(covered.mean())
+            found.append(EmptyScore(key, horizon / 1e3, len(errors), *scores))
     return found
 
 
@@ -118,6 +119,6 @@ def _errors(pieces: list[Piece], horizon: float) -> Iterator[tuple[float, float,
         left = float(energies[end] - energies[index])
         found = remaining(Uncertain(left, 0.0), piece.cost)
         if found is not None and left > 0.0:
-            plain = (left / cost / driven - 1.0 for cost in (piece.recent, piece.long))
+            by_10, by_100 = (left / cost / driven - 1.0 for cost in (piece.recent, piece.long))
             inside = found.lower <= driven <= found.upper
-            yield found.distance / driven - 1.0, *plain, inside
+            yield found.distance / driven - 1.0, by_10, by_100, inside

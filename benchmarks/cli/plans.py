@@ -5,13 +5,13 @@ from __future__ import annotations
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from benchmarks.cli.output import TABLE_WIDTH, json_at_the_end, names_in, table_of
-from benchmarks.empty import EMPTY_COLUMNS, EmptyScore, empty_scores
-from benchmarks.plans import CARS, PLAN_COLUMNS, PlanScore, plan_scores
+from benchmarks.empty import EMPTY_COLUMNS, empty_scores
+from benchmarks.plans import CARS, PLAN_COLUMNS, plan_scores
 from benchmarks.unseen.drives import cars_in
 from evpinn_ros.cli.console import progress_bar, show
 from evpinn_ros.cli.options import MetricsOption
