@@ -124,6 +124,7 @@ def project(terms: np.ndarray, energy: np.ndarray, duration: np.ndarray) -> np.n
     """
     weight = 1.0 / np.sqrt(duration)
     size = np.sqrt(np.mean(terms**2, axis=0))
+    size[size == 0.0] = 1.0  # a drive without braking tells nothing of it
     rows = terms / size * weight[:, None]
     return np.asarray(np.linalg.lstsq(rows, energy * weight, rcond=None)[0] / size)
 
