@@ -24,6 +24,8 @@ sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the p
 from docs.metric_table import METRICS
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli.main import app
+from evpinn_ros.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
+from evpinn_ros.estimation.states import NETWORK, State
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 from evpinn_ros.vehicle.certified import certified_cars
@@ -202,6 +204,34 @@ def metrics_page() -> str:
     return "\n".join([*lines, ""])
 
 
+def states_page() -> str:
+    """Every state of a car, from the one table of them."""
+    lines = [
+        MADE,
+        "# States",
+        "",
+        "What is learned of a car, of a drive and of the last minutes: one Gaussian, in which",
+        "physics and network stand side by side",
+        "([how it learns](../explanation/architecture.md#learning)). Each state multiplies a term",
+        "of the one equation (`evpinn_ros/estimation/terms.py`). A state of level *car* is saved",
+        f"and drifts a little; one of *drive* keeps {DRIVE_KEPT:.0%} of itself",
+        "for the next; one of *fast* forgets itself within minutes.",
+        "",
+        "| state | unit | level | prior | 1-sigma | source |",
+        "|---|---|---|---|---|---|",
+    ]
+    for state in State:
+        mean, std = (
+            "vehicle" if value is None else f"{value:g}" for value in (state.mean, state.std)
+        )
+        row = f"`{state.name.lower()}`", state.unit, state.level.value, mean, std, state.source
+        lines.append(f"| {' | '.join(row)} |")
+    stds = " or ".join(f"{std:g}" for std in NETWORK_STDS)
+    source = "output weights of the network; which prior holds is weighed by evidence"
+    lines.append(f"| `network_0` to `network_{NETWORK - 1}` | N | car | 0 | {stds} | {source} |")
+    return "\n".join(lines) + "\n"
+
+
 def commands_page() -> str:
     """Every command: help, examples, arguments and options."""
     found = list(_commands(typer.main.get_command(app), "evpinn"))
@@ -285,6 +315,7 @@ PAGES = {
     "reference/vehicles.md": vehicles_page,
     "reference/commands.md": commands_page,
     "reference/metrics.md": metrics_page,
+    "reference/states.md": states_page,
 }
 
 

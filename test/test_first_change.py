@@ -14,7 +14,7 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 
 def block(language: str) -> str:
-    """The walkthrough's block of code in this language, without its indentation."""
+    """The one block of code in this language, without its indentation."""
     (found,) = re.findall(rf"^   ```{language}\n(.*?)^   ```$", PAGE, re.DOTALL | re.MULTILINE)
     return dedent(found)
 
@@ -25,6 +25,7 @@ def copy(tmp_path) -> Path:
     # With what is compiled, which holds for files of the same time and takes seconds to make.
     skipped = shutil.ignore_patterns("*.npz")
     shutil.copytree(ROOT / "evpinn_ros", tmp_path / "evpinn_ros", ignore=skipped)
+    (tmp_path / "config").symlink_to(ROOT / "config")
     page = ROOT / "test" / "drives" / "test_columns.py"
     text = page.read_text(encoding="utf-8") + "\n\n" + block("python")
     (tmp_path / "test_columns.py").write_text(text, encoding="utf-8")
@@ -45,3 +46,12 @@ def test_the_test_fails_before_the_change_and_passes_after_it(copy):
     diff = dedent(block("diff")).encode()
     subprocess.run(["git", "apply", "-"], input=diff, cwd=copy, check=True)
     assert passes(copy)
+
+
+def test_a_term_is_two_lines(copy):
+    diff = block("patch").encode()
+    subprocess.run(["git", "apply", "--unidiff-zero", "-"], input=diff, cwd=copy, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", block("py")], cwd=copy, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "J for 1 N/(m/s): 800.0\n", done.stderr
