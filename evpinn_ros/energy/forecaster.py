@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
-from evpinn_ros.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, Uncertain
 from evpinn_ros.energy.forecast import (
     Forecast,
     battery_after,
     difference,
     forecast_plan,
 )
-from evpinn_ros.energy.plan import UNNAMED, Plan, Question
+from evpinn_ros.energy.plan import UNNAMED, Plan, PlanConditions, Question
 from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.energy.power_model import (
     PlanEnd,
@@ -59,17 +59,27 @@ STALE_AFTER = Air(1800.0, 1800.0, WIND_STALE_AFTER)
 """s since each was received, after which it counts as unknown."""
 
 
+class PlanBasis(NamedTuple):
+    """Arguments of `forecast_plan` beside the plan."""
+
+    model: PowerModel
+    weather: Weather
+    head_wind: float
+
+
 @dataclass(frozen=True, slots=True)
 class PlanAnswer:
     """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
 
-    `differences` is what it takes more than each plan asked together with it, by name, J.
+    `differences` is what it takes more than each plan asked together with it, by name, J;
+    `conditions` are the names of those that a planner gave, all else being the last known.
     """
 
     forecast: Forecast
     charge: Uncertain
     voltage: float
     differences: Mapping[str, Uncertain]
+    conditions: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -122,6 +132,8 @@ class Forecaster:
         self.basis = Basis.VEHICLE_FILE
         self._model = vehicle_model(self._vehicle)
         self._air: dict[str, tuple[float, int]] = {}  # values, and when they were received, ns
+        self._conditions = PlanConditions()
+        self._loaded: tuple[PowerModel, PowerModel] | None = None  # the car, and with its payload
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
@@ -151,6 +163,10 @@ class Forecaster:
         for name in Air._fields:
             if hasattr(reading, name):
                 self._air[name] = getattr(reading, name), now_ns
+
+    def set_conditions(self, conditions: PlanConditions) -> None:
+        """Take the conditions of all plans from now on, in place of those before."""
+        self._conditions, self._loaded = conditions, None
 
     def air(self, now_ns: int) -> Air:
         """Air at this moment; a clock that went back makes nothing younger."""
@@ -183,33 +199,43 @@ class Forecaster:
         Raises:
             PlanError: there is no finite answer.
         """
-        air = self.air(now_ns)
-        density = density_of_air(self._vehicle.air_density, air.celsius, air.pascal)
-        weather, wind = Weather(density, air.celsius), air.head or 0.0
-        result = forecast_plan(plan, self._model, weather, wind)
-        differences = self._compare(asked, plan, result.end, (weather, wind))
+        air, given, model = self.air(now_ns), self._conditions, self._planned_model()
+        celsius = air.celsius if given.temperature is None else given.temperature
+        density = density_of_air(self._vehicle.air_density, celsius, air.pascal)
+        wind = (air.head if given.head_wind is None else given.head_wind) or 0.0
+        basis = PlanBasis(model, Weather(density, celsius, given.heating), wind)
+        if given.charge is not None:
+            charge = Uncertain(given.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
+        result = forecast_plan(plan, *basis)
+        differences = self._compare(asked, plan, result.end, basis)
         end = battery.after(result, charge)
         if end is None:
             end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
-        return PlanAnswer(result, *end, differences)
+        return PlanAnswer(result, *end, differences, given.given)
+
+    def _planned_model(self) -> PowerModel:
+        """The car with the payload of plans, the same object as long as neither changes."""
+        if self._loaded is None or self._loaded[0] is not self._model:
+            payload = self._conditions.payload or 0.0
+            self._loaded = self._model, self._model.with_payload(payload)
+        return self._loaded[1]
 
     def _compare(
         self,
         asked: Question,
         plan: Plan,
         end: PlanEnd,
-        air: tuple[Weather, float],
+        basis: PlanBasis,
     ) -> dict[str, Uncertain]:
         """Energy of a plan beyond those asked together with it, by their names, J."""
         if asked.together is None or asked.together != self._together:
             self._together, self._others = asked.together, {}
-        basis = self._model, air
         if basis != self._compared_with:  # the others were answered with the car of before
             self._compared_with = basis
             for name, (other, _) in self._others.items():
-                self._others[name] = other, forecast_plan(other, self._model, *air).end
+                self._others[name] = other, forecast_plan(other, *basis).end
         differences = {
-            name: difference(self._model, end, other)
+            name: difference(basis.model, end, other)
             for name, (_, other) in self._others.items()
             if name != asked.name
         }

@@ -146,6 +146,11 @@ class PlanConditions:
             if value is not None and not least <= value <= most:
                 raise PlanError(f"{name} is {value:g}, not {least:g} to {most:g}")
 
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of those that are given."""
+        return tuple(name for name in CONDITION_RANGES if getattr(self, name) is not None)
+
 
 class Question(NamedTuple):
     """A plan's name, and what it has in common with those asked together with it; or None."""

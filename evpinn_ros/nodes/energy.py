@@ -52,6 +52,7 @@ from evpinn_ros.topics.plans import (
     forecast_bytes,
     path_plan,
     question,
+    read_conditions,
     request_header,
     speed_profile_plan,
 )
@@ -110,6 +111,7 @@ class EnergyNode(StatefulNode):
         self.listen(topics.MODEL, self._on_model)
         for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
             self.listen(topic, partial(self._on_air, topic))
+        self.listen(topics.CONDITIONS, self._on_conditions)
         for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
             self.listen(topic, partial(self._on_plan, read), raw=True)
         if is_installed():
@@ -196,6 +198,10 @@ class EnergyNode(StatefulNode):
             raise BadMessage(reason)
         now_ns = self.now_ns()
         self._learn(lambda forecaster: forecaster.set_air(reading, now_ns))
+
+    def _on_conditions(self, message: Any) -> None:
+        conditions = read_conditions(message)
+        self._learn(lambda forecaster: forecaster.set_conditions(conditions))
 
     def _learn(self, update: Job) -> None:
         """Let both forecasters know something; what is wrong raises before the second has it."""

@@ -136,6 +136,7 @@ def answered_status(answer: PlanAnswer) -> Status:
         values |= {f"difference/{name}": apart.value, f"difference_sigma/{name}": apart.sigma}
     # A number of numpy would write its type beside its digits.
     texts = {key: repr(float(value)) for key, value in values.items()}
+    texts["conditions"] = ", ".join(answer.conditions) or "the last known"
     return Status("plan", Level.OK, ANSWERED, texts)
 
 

@@ -271,6 +271,12 @@ SPEED_PROFILE = Topic(
     "m, m/s",
     type_name=TRAJECTORY_TYPE,
 )
+CONDITIONS = Topic(
+    "plan/conditions",
+    "planner",
+    "optional, for all plans from then on: `temperature` degC, `heating` W, `head_wind` m/s, "
+    "`payload` kg, `charge` 0..1; NaN or not named: the last known",
+)
 FORECAST = Topic(
     "energy/forecast",
     "energy",

@@ -7,15 +7,18 @@ message.
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 import struct
 from typing import Any
 
 import numpy as np
 
 from evpinn_ros.energy.plan import (
+    CONDITION_RANGES,
     MAX_POINTS,
     NOMINAL_SPEED,
     Plan,
+    PlanConditions,
     PlanError,
     Question,
     plan_from_path,
@@ -23,7 +26,7 @@ from evpinn_ros.energy.plan import (
 )
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.cdr import ENCAPSULATION, CdrReader, cdr_text
-from evpinn_ros.topics.messages import NewMessage
+from evpinn_ros.topics.messages import BadMessage, NewMessage
 
 FORECAST_JOINT = "energy"
 DISTANCE_JOINT = "distance"
@@ -46,6 +49,23 @@ _POINT = np.dtype(
         ("nanosec", "<u4"),
     ]
 )
+
+
+def read_conditions(message: Any) -> PlanConditions:
+    """Conditions of plans in a named vector; NaN is as good as no name.
+
+    Raises:
+        BadMessage: it names something else, or a number that no trip has.
+    """
+    given = dict(zip(message.name, message.position, strict=False))
+    if not len(given) == len(message.name) == len(message.position):
+        raise BadMessage("lengths_differ")
+    if not given.keys() <= CONDITION_RANGES.keys():
+        raise BadMessage("unknown_name")
+    try:
+        return PlanConditions(**{k: float(v) for k, v in given.items() if not math.isnan(v)})
+    except PlanError as error:
+        raise BadMessage("out_of_range") from error
 
 
 def forecast_bytes(

@@ -1,0 +1,84 @@
+"""Conditions of plans: what a planner gives, else the last known."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from evpinn_ros.energy.battery_model import BatteryModel
+from evpinn_ros.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.energy.forecaster import Forecaster
+from evpinn_ros.energy.plan import PlanConditions, plan_from_speed_profile
+from evpinn_ros.signals.readings import TemperatureReading
+from evpinn_ros.topics.messages import BadMessage
+from evpinn_ros.topics.plans import read_conditions
+from evpinn_ros.vehicle.files import load_vehicle
+
+CAR = load_vehicle("bmw_i3")
+TIME = np.arange(0.0, 601.0, 10.0)
+TRIP = plan_from_speed_profile(TIME, None, np.minimum(20.0, 2.0 * np.minimum(TIME, 600.0 - TIME)))
+
+
+def answer(forecaster: Forecaster, charge: Uncertain = UNKNOWN):
+    capacity = Uncertain(CAR.battery_capacity, 1e6)
+    return forecaster.answer(TRIP, charge, capacity, 0, BatteryModel(CAR.battery_capacity))
+
+
+def energy(**given: float) -> float:
+    forecaster = Forecaster(CAR)
+    forecaster.set_conditions(PlanConditions(**given))
+    return float(answer(forecaster).forecast.energy[-1])
+
+
+def message(**given: float):
+    return SimpleNamespace(name=[*given], position=[*given.values()], velocity=[], effort=[])
+
+
+def test_cold_wind_and_payload_cost_and_a_tail_wind_gives():
+    plain = energy()
+    assert energy(temperature=-10.0) > 1.1 * plain
+    assert energy(heating=4000.0) > energy(heating=0.0) + 0.99 * 600 * 4000.0
+    assert energy(head_wind=10.0) > plain > energy(head_wind=-10.0)
+    assert energy(payload=300.0) > plain
+
+
+def test_what_a_planner_gives_comes_before_what_the_car_measures():
+    forecaster = Forecaster(CAR)
+    forecaster.set_air(TemperatureReading(0, -15.0), 0)
+    cold = answer(forecaster)
+    forecaster.set_conditions(PlanConditions(temperature=20.0))
+    mild = answer(forecaster)
+    forecaster.set_conditions(PlanConditions())
+    assert cold.conditions == () and mild.conditions == ("temperature",)
+    assert mild.forecast.energy[-1] < cold.forecast.energy[-1]
+    assert answer(forecaster).forecast.energy[-1] == cold.forecast.energy[-1]
+
+
+def test_the_charge_of_a_plan_is_where_it_begins():
+    forecaster = Forecaster(CAR)
+    now = answer(forecaster, Uncertain(0.5, 0.01)).charge.value
+    forecaster.set_conditions(PlanConditions(charge=0.9))
+    assert answer(forecaster, Uncertain(0.5, 0.01)).charge.value == pytest.approx(now + 0.4)
+
+
+def test_a_named_vector_gives_what_it_names():
+    found = read_conditions(message(temperature=-5.0, heating=math.nan, charge=0.8))
+    assert found == PlanConditions(temperature=-5.0, charge=0.8)
+    assert found.given == ("temperature", "charge")
+    assert read_conditions(message()) == PlanConditions()
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (message(temperature=400.0), "out_of_range"),
+        (message(payload=math.inf), "out_of_range"),
+        (message(humidity=0.3), "unknown_name"),
+        (SimpleNamespace(name=["heating"], position=[]), "lengths_differ"),
+        (SimpleNamespace(name=["heating", "heating"], position=[1.0, 2.0]), "lengths_differ"),
+    ],
+)
+def test_what_no_trip_has_is_refused(given, reason):
+    with pytest.raises(BadMessage, match=reason):
+        read_conditions(given)
