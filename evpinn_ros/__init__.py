@@ -10,12 +10,14 @@ from typing import Any
 __version__ = "0.1.0"
 
 __all__ = [
+    "EdgeEnergies",
     "Estimate",
     "Estimator",
     "InputError",
     "Result",
     "Vehicle",
     "__version__",
+    "edge_energies",
     "find_vehicles",
     "forecast",
     "load_vehicle",

@@ -1,5 +1,6 @@
 """The package from Python: what a command does in one call, with DataFrames in place of tables."""
 
+from evpinn_ros.api.edges import EdgeEnergies, edge_energies
 from evpinn_ros.api.estimator import Estimate, Estimator
 from evpinn_ros.api.plan import forecast
 from evpinn_ros.api.recordings import replay
@@ -8,11 +9,13 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
 
 __all__ = [
+    "EdgeEnergies",
     "Estimate",
     "Estimator",
     "InputError",
     "Result",
     "Vehicle",
+    "edge_energies",
     "find_vehicles",
     "forecast",
     "load_vehicle",

@@ -129,26 +129,15 @@ def planned_energy(
     air_density: float | None = None,
 ) -> PlannedEnergy:
     """The basis of the table of `forecast`, whose arguments and errors are these."""
+    vehicle, model, account = known_car(car)
     charge = UNKNOWN
     if conditions.charge is not None:
         charge = Uncertain(conditions.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
-    account = None
-    if isinstance(car, str | Path | Vehicle):
-        vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
-        model = vehicle_model(vehicle)
-    elif hasattr(car, "account"):
-        vehicle, model, account = car.vehicle, car.model, car.account
-        charge = charge if charge.known else account.charge()
-    else:
-        raise InputError(f"a car is a vehicle, a Result or an Estimator, not {_kind(car)}")
+    elif account is not None:
+        charge = account.charge()
     given = as_plan(plan, vehicle)
     trip = points_of(given) if isinstance(given, Legs) else given
-    density = air_density
-    if density is None:
-        density = density_of_air(vehicle.air_density, conditions.temperature, None)
-    if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
-        raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
-    weather = Weather(density, conditions.temperature, conditions.heating)
+    weather = weather_of(vehicle, conditions, air_density)
     model = model.with_payload(conditions.payload or 0.0)
     found = forecast_plan(given, model, weather, conditions.head_wind or 0.0)
     gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge
@@ -156,6 +145,34 @@ def planned_energy(
     if along is None:
         along = battery_along(found, charge, gauge.capacity)
     return PlannedEnergy(trip, found, along, model, gauge)
+
+
+def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
+    """The car of an argument `car` as it is known, with its account where there is one.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(car, str | Path | Vehicle):
+        vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
+        return vehicle, vehicle_model(vehicle), None
+    if hasattr(car, "account"):
+        return car.vehicle, car.model, car.account
+    raise InputError(f"a car is a vehicle, a Result or an Estimator, not {_kind(car)}")
+
+
+def weather_of(vehicle: Vehicle, conditions: PlanConditions, air_density: float | None) -> Weather:
+    """Weather by the conditions of a plan; air_density: kg/m^3, or None.
+
+    Raises:
+        InputError: no air is as dense.
+    """
+    density = air_density
+    if density is None:
+        density = density_of_air(vehicle.air_density, conditions.temperature, None)
+    if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
+        raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
+    return Weather(density, conditions.temperature, conditions.heating)
 
 
 def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:

@@ -73,11 +73,11 @@ def edge_energies(
 
     Args:
         legs: of the network.
-        model: of the car; its tyres and cabin are taken as warm unless `weather` has a start.
+        model: of the car; its tyres and cabin are taken as warm.
         weather: on the way.
         head_wind: against the car on every edge, m/s.
     """
-    warm = weather._replace(start_s=math.inf) if weather.start_s is None else weather
+    warm = weather._replace(start_s=math.inf)
     parts = [
         _rows(legs, slice(begin, begin + CHUNK), model, warm, head_wind)
         for begin in range(0, len(legs.length), CHUNK)

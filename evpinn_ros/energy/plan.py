@@ -257,7 +257,7 @@ def plan_from_speed_profile(
     return Plan(time - time[:1], distance - distance[:1], speed, height)
 
 
-def legs_of_trip(
+def legs_of(
     length: np.ndarray,
     duration: np.ndarray,
     climb: np.ndarray | None = None,
@@ -266,23 +266,37 @@ def legs_of_trip(
     start_speed: np.ndarray | None = None,
     end_speed: np.ndarray | None = None,
 ) -> Legs:
-    """The legs of one trip, in order; arrays of shape (n,), in SI, as `Legs` describes them.
+    """Legs that need not follow one another; arrays of shape (n,), in SI, as of `Legs`.
 
     NaN in `climb` stands for a height that is not known, NaN in the others for a speed.
 
     Raises:
-        PlanError: the legs are no trip, or so slow that their lengths are in km.
+        PlanError: the arrays are no legs.
     """
     length, duration = _array(length), _array(duration)
-    _check_size(length.size)
     climb, limit, start_speed, end_speed = (
         np.full(length.shape, np.nan) if each is None else _array(each)
         for each in (climb, limit, start_speed, end_speed)
     )
     known = ~np.isnan(climb)
-    legs = Legs(
-        length, duration, np.where(known, climb, 0.0), limit, known, start_speed, end_speed
-    )
+    climb = np.where(known, climb, 0.0)
+    return Legs(length, duration, climb, limit, known, start_speed, end_speed)
+
+
+def legs_of_trip(
+    length: np.ndarray,
+    duration: np.ndarray,
+    climb: np.ndarray | None = None,
+    **speeds: np.ndarray | None,
+) -> Legs:
+    """The legs of one trip, in order; arguments as of `legs_of`.
+
+    Raises:
+        PlanError: the legs are no trip, or so slow that their lengths are in km.
+    """
+    _check_size(np.size(length))
+    legs = legs_of(length, duration, climb, **speeds)
+    length, duration = legs.length, legs.duration
     total, driven = float(duration.sum()), float(duration[length > 0].sum())
     if total > LONGEST:
         raise PlanError(f"it takes {total / 86_400:.3g} days; the most are {LONGEST / 86_400:g}")

@@ -22,6 +22,7 @@ from evpinn_ros.energy.plan import (
     Legs,
     Plan,
     PlanError,
+    legs_of,
     legs_of_trip,
     plan_from_speed_profile,
 )
@@ -55,12 +56,25 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
         height = found.get("elevation_m")
         return plan_from_speed_profile(time, found.get("distance_m"), speed, height)
     if columns := leg_columns([*given]):
-        return _legs({
-            what: _numbers(name, given[name]) * factor
-            for what, (name, factor) in columns.items()
-        })  # fmt: skip
+        legs = _in_si(columns, given)
+        if "end" in legs and "start" not in legs:
+            legs["start"] = np.concatenate(([np.nan], legs["end"][:-1]))
+        return legs_of_trip(*_leg_numbers(legs), limit=legs.get("limit"))
     there = ", ".join([*map(str, given)][:FEW]) or "none"
     raise InputError(f"a plan has the {COLUMNS}; there are: {there}")
+
+
+def edges_of_columns(given: Mapping[str, Any]) -> Legs:
+    """Edges of a road network, of columns as those of legs; none follows another.
+
+    Raises:
+        InputError: columns are missing, or hold what is no number; `PlanError`: no edges.
+    """
+    columns = leg_columns([*given])
+    if not columns:
+        raise InputError("edges have two of the columns length_m, duration_s and speed_kmh")
+    edges = _in_si(columns, given)
+    return legs_of(*_leg_numbers(edges), limit=edges.get("limit"))
 
 
 def table_plan(path: Path) -> Plan | Legs | None:
@@ -118,8 +132,17 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     return found
 
 
-def _legs(given: Mapping[str, np.ndarray]) -> Legs:
-    """Legs by the columns given, in SI; a cell that is missing follows from two others."""
+def _in_si(
+    columns: Mapping[str, tuple[str, float]], given: Mapping[str, Any]
+) -> dict[str, np.ndarray]:
+    """Numbers of legs by what they hold, in SI."""
+    return {what: _numbers(name, given[name]) * factor for what, (name, factor) in columns.items()}
+
+
+def _leg_numbers(
+    given: Mapping[str, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Length, duration and climb; a cell that is missing follows from others."""
     unknown = np.full(len(next(iter(given.values()))), np.nan)
     length, duration, speed, climb = (
         given.get(name, unknown) for name in ("length", "duration", "speed", "climb")
@@ -132,11 +155,9 @@ def _legs(given: Mapping[str, np.ndarray]) -> Legs:
         raise PlanError(
             f"length, duration and speed contradict each other at leg {wrong.argmax()}"
         )
-    if "end" in given:
-        end = given["end"]
-        start = given.get("start", np.concatenate(([np.nan], end[:-1])))
-        climb = np.where(np.isnan(climb), end - start, climb)
-    return legs_of_trip(length, duration, climb, limit=given.get("limit"))
+    if "end" in given and "start" in given:
+        climb = np.where(np.isnan(climb), given["end"] - given["start"], climb)
+    return length, duration, climb
 
 
 def _numbers(name: str, values: Any) -> np.ndarray:

@@ -1,0 +1,110 @@
+"""Energy of the edges of a road network from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from evpinn_ros.api.plan import KnownCar, known_car, weather_of
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.energy import edges as energy_edges
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.plan import PlanConditions
+from evpinn_ros.vehicle.files import Vehicle
+
+
+class EdgeEnergies:
+    """Energies of the edges of a road network, and of routes over them.
+
+    Attributes:
+        table: a row an edge, with the index of the edges given: `energy_j`, negative where the
+            car gains, and its 1-sigma `sigma_j`.
+    """
+
+    def __init__(self, index: pd.Index, found: energy_edges.Edges) -> None:
+        """Edges named by an index; `edge_energies` makes them."""
+        self.table = pd.DataFrame({"energy_j": found.energy, "sigma_j": found.sigma}, index)
+        self._found = found
+
+    def route(self, edges: Iterable[Hashable]) -> Uncertain:
+        """Energy of a route, J, with its 1-sigma: what is not known of the car adds up.
+
+        Args:
+            edges: their labels in the index, in any order, each as often as it is driven.
+
+        Raises:
+            InputError: there is no such edge.
+        """
+        return self._found.route(self._places(edges))
+
+    def difference(self, one: Iterable[Hashable], other: Iterable[Hashable]) -> Uncertain:
+        """Energy that one route takes more than another, J: what both share cancels.
+
+        Raises:
+            InputError: there is no such edge.
+        """
+        return self._found.difference(self._places(one), self._places(other))
+
+    def _places(self, edges: Iterable[Hashable]) -> np.ndarray:
+        labels = [*edges]
+        places = self.table.index.get_indexer_for(pd.Index(labels, tupleize_cols=True))
+        if len(places) != len(labels) or (places < 0).any():
+            raise InputError("a route has an edge that is not in the table, or is there twice")
+        return np.asarray(places)
+
+
+def edge_energies(
+    edges: pd.DataFrame | Mapping[str, Any],
+    car: str | Path | Vehicle | KnownCar = "generic",
+    *,
+    temperature_c: float | None = None,
+    heating_w: float | None = None,
+    head_wind: float = 0.0,
+    payload_kg: float | None = None,
+    air_density: float | None = None,
+) -> EdgeEnergies:
+    """Energies of all edges of a road network at once, for a router.
+
+    An edge is driven at even speed, plus what uneven speed takes on such legs; tyres and cabin
+    are warm. Downhill an edge may give energy back, so a router needs Bellman and Ford's algorithm
+    or potentials.
+
+    Example:
+        >>> import evpinn_ros as ev
+        >>> edges = {"length_m": [500.0, 500.0], "speed_kmh": [50.0, 50.0], "climb_m": [25, -25]}
+        >>> found = ev.edge_energies(edges, "bmw_i3")
+        >>> bool(found.table.energy_j[0] > 0 > found.table.energy_j[1])
+        True
+
+    Args:
+        edges: a row an edge, with its unit in each name: two of `length_m`, `duration_s` and
+            `speed_kmh`; `climb_m`, or `start_elevation_m` and `end_elevation_m`, else its height
+            is not known and that is in the sigma.
+        car: a vehicle, by name or file, of which nothing was learned yet; or the `Result` or
+            `Estimator` that learned it.
+        temperature_c: of the air outside, degrees Celsius; if not given the last that the car
+            knew.
+        heating_w: power of heating and air conditioning, W; if not given what the temperature
+            makes likely.
+        head_wind: against the car on every edge, m/s over ground.
+        payload_kg: people and luggage beyond what the car carried when it learned, kg.
+        air_density: kg/m^3; if not given the vehicle's, at the temperature where that is given.
+
+    Raises:
+        InputError: a column is missing, no such vehicle, or (`PlanError`) no such edge can be.
+    """
+    # Here, for polars, which reads tables, takes a quarter of a second to import.
+    from evpinn_ros.plans.table import edges_of_columns
+
+    vehicle, model, _ = known_car(car)
+    given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg)
+    legs = edges_of_columns({str(name): edges[name] for name in edges})
+    weather = weather_of(vehicle, given, air_density)
+    model = model.with_payload(given.payload or 0.0)
+    found = energy_edges.edge_energies(legs, model, weather, head_wind)
+    index = edges.index if isinstance(edges, pd.DataFrame) else pd.RangeIndex(len(legs.length))
+    return EdgeEnergies(index, found)

@@ -1,0 +1,64 @@
+"""Energies of the edges of a road network from Python."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import evpinn_ros as ev
+
+EDGES = pd.DataFrame(
+    {
+        "length_m": [500.0, 500.0, 800.0, 600.0],
+        "speed_kmh": [50.0, 50.0, 80.0, 30.0],
+        "climb_m": [25.0, -25.0, 0.0, np.nan],
+    },
+    index=pd.MultiIndex.from_tuples([("a", "b"), ("b", "a"), ("b", "c"), ("a", "c")]),
+)
+FOUND = ev.edge_energies(EDGES, "bmw_i3")
+
+
+def test_a_row_an_edge_downhill_gives_back():
+    energy = FOUND.table.energy_j
+    assert FOUND.table.index.equals(EDGES.index)
+    assert energy["a", "b"] > 0 > energy["b", "a"]
+    assert (FOUND.table.sigma_j > 0).all()
+
+
+def test_a_route_is_the_sum_and_what_is_shared_adds_up():
+    route = [("a", "b"), ("b", "c")]
+    energy, sigma = FOUND.route(route)
+    parts = FOUND.table.loc[route]
+    assert energy == pytest.approx(parts.energy_j.sum())
+    alone = float(np.sqrt((parts.sigma_j**2).sum()))
+    assert alone < sigma <= parts.sigma_j.sum() * (1 + 1e-9)
+
+
+def test_what_two_routes_share_cancels():
+    one, other = [("a", "b"), ("b", "c")], [("a", "b"), ("b", "c"), ("a", "c")]
+    more = FOUND.difference(other, one)
+    assert more == pytest.approx(FOUND.route([("a", "c")]))
+    assert FOUND.difference(one, one) == (0.0, 0.0)
+
+
+def test_conditions_count():
+    cold = ev.edge_energies(EDGES, "bmw_i3", temperature_c=-10.0, payload_kg=200.0)
+    assert (cold.table.energy_j > FOUND.table.energy_j)["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("edges", "words"),
+    [
+        ({"length_m": [100.0]}, "two of the columns"),
+        ({"length_m": [-1.0], "speed_kmh": [50.0]}, "negative"),
+        ({"length": [100.0], "speed_kmh": [50.0]}, "unit"),
+        ({"length_m": ["x"], "speed_kmh": [50.0]}, "no number"),
+    ],
+)
+def test_what_is_no_edge_is_refused_in_words(edges, words):
+    with pytest.raises(ev.InputError, match=words):
+        ev.edge_energies(edges, "bmw_i3")
+
+
+def test_a_route_over_no_such_edge_is_refused():
+    with pytest.raises(ev.InputError, match="not in the table"):
+        FOUND.route([("c", "a")])
