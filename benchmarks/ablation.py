@@ -6,69 +6,69 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.variants import ConstantPlace, RecordedCar, Variant, VariantRow, constant, score
-from evpinn_ros.estimation.car_filter import LOAD_STD
-from evpinn_ros.estimation.car_state import State
-from evpinn_ros.estimation.long_hills import LongHills
-from evpinn_ros.signals.interval import Interval
+from benchmarks.variants import (
+    ConstantPlace,
+    RecordedCar,
+    Variant,
+    VariantRow,
+    constant,
+    prior,
+    score,
+)
+from evpinn_ros.estimation.bands import GROWTHS
+from evpinn_ros.estimation.posterior import BANK, CarState
+from evpinn_ros.estimation.states import State
 
-CARS = ("model3", "i3", "i3_speed", "e208", "leaf2013")
+CARS = ("model3", "i3", "i3_speed", "e208", "leaf2013", "changchun")
 NOTHING = 1e-6
-
-ONE_SCALE = {
-    constant("FORCES"): (0.002,),
-    constant("SLOPES"): (0.008,) * 3,
-    constant("HEIGHT_ERRORS"): (1.5,) * 3,
-}
-NO_SLOPE = {constant("SLOPES"): (NOTHING,) * 3, constant("HEIGHT_ERRORS"): (NOTHING,) * 3}
+FOR_EVER = 1e9  # cases: nothing that is rehearsed changes a band
 
 
-class _NoHills(LongHills):
-    """Roads that never stray."""
-
-    def after(self, interval: Interval) -> LongHills:
-        return self
-
-    def elsewhere(self) -> LongHills:
-        return self
+def _bank(
+    networks: tuple[float, float], loads: tuple[float, float]
+) -> dict[ConstantPlace, object]:
+    """The four hypotheses with other sizes of network, N, and load, W."""
+    sizes = np.array([(network, load) for network in networks for load in loads])
+    return {constant("BANK"): sizes}
 
 
+def _without(*states: State) -> dict[ConstantPlace, float]:
+    """States that stay at zero."""
+    means = {prior(state, "mean"): 0.0 for state in states}
+    return means | {prior(state, "std"): NOTHING for state in states}
+
+
+def _unseen(state: CarState, *_: object) -> CarState:
+    """The state as it was."""
+    return state
+
+
+NETWORKS, LOADS = (tuple(np.unique(sizes).tolist()) for sizes in BANK.T)
 STARTS = (State.COLD_START, State.HOT_START)
-
-
-def _without(*states: State) -> dict[ConstantPlace, tuple[float, float]]:
-    """States of the car that stay at zero."""
-    return {ConstantPlace("PRIORS", state): (0.0, NOTHING) for state in states}
-
-
 VARIANTS = (
     Variant("whole"),
-    Variant("one scale of the road", ONE_SCALE),
-    Variant("no unseen slope", NO_SLOPE),
-    Variant("no long hills", {constant("LongHills"): lambda _: _NoHills(0.0)}),
-    Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
-    Variant("dropouts hold the road before", {constant("lasting"): np.copy}),
-    Variant(
-        "no wandering load",
-        {constant("LOAD_STD"): NOTHING, constant("KNOWN_LOAD_STD"): NOTHING},
-    ),
-    Variant("reported loads wander as others", {constant("KNOWN_LOAD_STD"): LOAD_STD}),
+    Variant("no network", _bank((NOTHING, NOTHING), LOADS)),
+    Variant("small networks alone", _bank((NETWORKS[0], NETWORKS[0]), LOADS)),
+    Variant("no wandering load", _bank(NETWORKS, (NOTHING, NOTHING))),
+    Variant("one size of the load", _bank(NETWORKS, (LOADS[1], LOADS[1]))),
+    Variant("bands not rehearsed", {constant("PRIOR_CASES"): FOR_EVER}),
+    Variant("hills the same everywhere", {constant("GROWTHS"): np.full(3, GROWTHS[1])}),
+    Variant("no unseen hills", {constant("GROWTHS"): np.full(3, NOTHING * GROWTHS[0])}),
+    Variant("reported loads teach nothing", {constant("see_reported_climate"): _unseen}),
     Variant("no outliers", {constant("OUTLIER"): 1e3}),
-    Variant("noise not scaled", {constant("MOST_SCALE"): 1.0}),
+    Variant("noise not scaled", {constant("LEAST_SCALE"): 1.0, constant("MOST_SCALE"): 1.0}),
     Variant(
         "no offsets of a drive",
-        {
-            ConstantPlace("DRIVE_STD", state): NOTHING
-            for state in (State.ROLL_DRIVE, State.AUX_DRIVE)
-        },
+        {prior(each, "std"): NOTHING for each in (State.ROLLING_DRIVE, State.LOAD_DRIVE)},
     ),
     Variant("a drive keeps no offset of the last", {constant("DRIVE_KEPT"): 0.0}),
-    Variant("braking as sure as driving", {constant("BRAKE_NOISE"): 0.0}),
-    Variant("no loss by turning", _without(State.NO_LOAD)),
-    Variant("no loss by force squared", _without(State.COPPER)),
+    Variant("cars do not drift", {constant("DRIFT"): 0.0}),
+    Variant("no loss by turning", _without(State.TURNING)),
+    Variant("no loss by force squared", _without(State.FORCE_SQUARED)),
     Variant("no heating and cooling", _without(State.COLD, State.HOT, *STARTS)),
     Variant("no start of heating", _without(*STARTS)),
-    Variant("no cold tyres", _without(State.ROLL_START, State.ROLL_COLD)),
+    Variant("no cold tyres", _without(State.ROLLING_START, State.ROLLING_COLD)),
+    Variant("reported heating is all true", _without(State.DOUBTED)),
 )
 
 

@@ -17,8 +17,8 @@ from benchmarks.ledger import true_parts
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
-from evpinn_ros.estimation.pinn import LearnedCar
-from evpinn_ros.estimation.terms import WHOLE, Part
+from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.terms import WHOLE, Part, equation_of
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
@@ -128,7 +128,7 @@ def difference_checks(
         wish = prior_parameters(vehicle, np.random.default_rng(seed))._asdict()
         unlike = DriveKind.URBAN, DriveKind.HIGHWAY
         kinds = unlike if number % 2 else (DriveKind.MIXED, DriveKind.MIXED)
-        car, truths = LearnedCar(vehicle), []
+        car, truths = LearnedCar.new(equation_of(vehicle)), []
         for drive_seed, kind in enumerate(kinds, start=2 * seed):
             drive = simulate(
                 *(kind, vehicle, seconds, drive_seed),
@@ -136,7 +136,7 @@ def difference_checks(
                 can_profile=PROFILE,
                 altitude=altitude,
             )
-            car.begin_drive(keep=True)
+            car = car.begin_drive(compare=True)
             chain = SpanChain(vehicle, car)
             for reading in drive.readings:
                 chain.add_reading(reading)

@@ -37,7 +37,7 @@ from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.plan import plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.energy.power_model import PowerModel, Weather
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.state_file import read_state
@@ -182,11 +182,11 @@ def _reading(data: bytes) -> None:
 
 
 def _model(data: bytes) -> None:
-    model = read_model(decode(topics.ARRAY_TYPE, data), VEHICLE)
+    model = read_model(decode(topics.ARRAY_TYPE, data), load_vehicle(VEHICLE))
     time_s = np.arange(6.0)
     plan = plan_from_speed_profile(time_s, 10 * time_s, np.full(6, 10.0))
     with np.errstate(all="ignore"):  # its numbers may be huge; what is not finite is not sent
-        forecast_plan(plan, PowerModel(model), 1.2)
+        forecast_plan(plan, PowerModel(model), Weather(1.2))
 
 
 def _plan(data: bytes) -> None:

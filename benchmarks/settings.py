@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from benchmarks.variants import ConstantPlace, Variant, VariantRow, constant
-from evpinn_ros.estimation.car_state import State
+from benchmarks.variants import ConstantPlace, Variant, VariantRow, constant, prior
+from evpinn_ros.estimation.states import State
 
-CARS = ("i3", "i3_speed", "e208", "leaf2013", "sumo_id3", "simulated", "model3")
+CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun", "simulated", "model3")
 ONE_CAR = {"i3_speed": "i3", "sumo_id3": "sumo_i3", "sumo_e208": "sumo_i3"}
 """Cars that are judged, and left out, together: the same drives, or the same simulator."""
 
@@ -41,22 +41,20 @@ class Setting(NamedTuple):
 
 
 SETTINGS = (
-    Setting(constant("BRAKE_NOISE"), (0.1, 0.2, 0.3)),
-    Setting(constant("NOISE_TIME"), (1.5, 3.0, 6.0)),
-    Setting(constant("SHARE_NOISE"), (0.0, 0.03, 0.06)),
+    Setting(constant("NOISE_TIME"), (0.75, 1.5, 3.0)),
     Setting(constant("OUTLIER"), (2.5, 4.0)),
-    Setting(constant("FORCE_LENGTH"), (750.0, 1500.0, 3000.0)),
-    Setting(constant("SLOPE_LENGTH"), (300.0, 600.0, 1200.0)),
-    Setting(constant("LOAD_STD"), (75.0, 150.0, 300.0)),
-    Setting(constant("KNOWN_LOAD_STD"), (10.0, 30.0, 150.0)),
     Setting(constant("LOAD_TIME"), (150.0, 300.0, 600.0)),
     Setting(constant("LEAST_SCALE"), (0.05, 1.0)),
-    Setting(constant("GROWTH"), (0.05**2, 0.1**2, 0.2**2, 0.4**2)),
-    Setting(constant("DRIVE_KEPT"), (0.0, 0.5, 0.8, 0.9)),
-    Setting(ConstantPlace("DRIVE_STD", State.ROLL_DRIVE), (0.05, 0.10, 0.15)),
-    Setting(ConstantPlace("DRIVE_STD", State.AUX_DRIVE), (150.0, 250.0, 400.0)),
-    Setting(ConstantPlace("PRIORS", State.NO_LOAD), ((0.0, 1e-6), (150.0, 100.0), (300.0, 250.0))),
-    Setting(ConstantPlace("PRIORS", State.COPPER), ((0.0, 1e-6), (200.0, 200.0), (400.0, 400.0))),
+    Setting(constant("LARGE_NETWORK_ODDS"), (0.0, 7.0, 14.0)),
+    Setting(constant("EVIDENCE_KEPT"), (200.0, 400.0, 800.0)),
+    Setting(constant("PRIOR_CASES"), (4.0, 8.0, 16.0)),
+    Setting(constant("DRIFT"), (0.0, 0.02, 0.05)),
+    Setting(constant("DRIVE_KEPT"), (0.0, 0.8, 0.9)),
+    Setting(prior(State.ROLLING_DRIVE, "std"), (0.05, 0.08, 0.15)),
+    Setting(prior(State.LOAD_DRIVE, "std"), (150.0, 250.0, 400.0)),
+    Setting(prior(State.TURNING, "std"), (50.0, 100.0, 200.0)),
+    Setting(prior(State.FORCE_SQUARED, "std"), (100.0, 200.0, 400.0)),
+    Setting(prior(State.DOUBTED, "std"), (0.1, 0.2, 0.5)),
 )
 
 Scores = Mapping[str, Mapping[str, VariantRow]]

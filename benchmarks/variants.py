@@ -2,58 +2,54 @@
 
 Drives of a car become intervals once. A variant of the core then predicts every drive from what
 the ones before taught, and 200 s stretches within the drives, battery hidden; both are scored by
-error, coverage of the 90 % interval and likelihood (of the error over the gross energy, heavy
-tails cut off at 4 sigmas).
+error, CRPS, coverage of the 90 % interval and likelihood (of the error over the gross energy,
+heavy tails cut off at 4 sigmas). Each variant runs with several seeds of the network.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 import math
+from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.unseen.drives import load_car
-from evpinn_ros.estimation import car_filter, car_state, interval_noise
+from benchmarks.unseen.scores import crps
+from evpinn_ros.estimation import bands, learning, posterior
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.car_state import State
-from evpinn_ros.estimation.gaussian import replace_states
+from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.learner import gate_interval
+from evpinn_ros.estimation.states import State
+from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
 
 STRETCH, STEP, FIRST = 195.0, 200.0, 250.0  # s: hidden, between two, before the first
 MOST_SIGMAS = 4.0
-
-# What `car_filter` imports from `car_state` by its name is replaced where it is used.
-TABLES: Mapping[str, MutableMapping[Any, Any]] = {
-    "car_filter": vars(car_filter),
-    "interval_noise": vars(interval_noise),
-    "PRIORS": car_state.PRIORS,
-    "DRIVE_STD": car_state.DRIVE_STD,
-}
+SEEDS = 2
+HOLDERS: Mapping[str, Any] = {"posterior": posterior, "bands": bands, "learning": learning}
 
 
 class ConstantPlace(NamedTuple):
-    """Place of a constant: a table of `TABLES` and its key there."""
+    """Place of a constant: one of `HOLDERS` or the name of a state, and its name there."""
 
-    table: str
-    key: str | State
+    holder: str
+    key: str
 
     @property
     def name(self) -> str:
         """As the code has it."""
-        return self.key.name if isinstance(self.key, State) else self.key
+        return self.key if self.holder in HOLDERS else f"{self.holder} {self.key}"
 
     @property
     def present(self) -> Any:
         """The constant's value."""
-        return TABLES[self.table][self.key]
+        return getattr(_holder(self.holder), self.key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +83,8 @@ class VariantRow:
     stretch_gross: float
     stretch_coverage: float
     likelihood: float
+    carried_crps: float = math.nan
+    stretch_crps: float = math.nan
     by_drive: tuple[float, ...] = ()
 
     def gain(self, over: VariantRow) -> tuple[float, float]:
@@ -99,17 +97,25 @@ class VariantRow:
 # As `cli.output.table_of` takes them.
 SCORE_COLUMNS = (
     ("carried: net %", "{0.carried_net[0]:.1f}; {0.carried_net[1]:.1f}"),
+    ("CRPS %", "{0.carried_crps:.2f}"),
     ("in 90 %", "{0.carried_coverage:.0f}"),
     ("200 s: gross %", "{0.stretch_gross:.1f}"),
+    ("CRPS %", "{0.stretch_crps:.2f}"),
     ("in 90 %", "{0.stretch_coverage:.0f}"),
     ("likelihood", "{0.likelihood:.2f}"),
 )
 
 
 def constant(name: str) -> ConstantPlace:
-    """A constant of the filter or of the noise of its intervals."""
-    own = name in vars(interval_noise)
-    return ConstantPlace("interval_noise" if own else "car_filter", name)
+    """A constant of one of the modules in `HOLDERS`."""
+    return ConstantPlace(
+        next(key for key, module in HOLDERS.items() if name in vars(module)), name
+    )
+
+
+def prior(state: State, key: str) -> ConstantPlace:
+    """The `mean` or `std` of a state before any drive."""
+    return ConstantPlace(state.name, key)
 
 
 def read_car(data: str, key: str) -> RecordedCar:
@@ -141,22 +147,47 @@ def replaced(changes: Mapping[ConstantPlace, Any]) -> Iterator[None]:
 
 
 def score(variant: Variant, car: RecordedCar) -> VariantRow:
-    """Score a variant on a car's drives."""
+    """Score a variant on a car's drives, seeds averaged."""
     with replaced(variant.changes):
-        return _score(variant.name, car)
+        return _mean([_score(variant.name, car, seed) for seed in range(SEEDS)])
+
+
+def _holder(name: str) -> Any:
+    return HOLDERS.get(name) or State[name]
 
 
 def _replace(changes: Mapping[ConstantPlace, Any]) -> None:
     for place, value in changes.items():
-        TABLES[place.table][place.key] = value
+        setattr(_holder(place.holder), place.key, value)
 
 
-def _score(name: str, recorded: RecordedCar) -> VariantRow:
-    car, carried, stretches, by_drive = CarFilter(recorded.vehicle), [], [], []
+def _mean(rows: Sequence[VariantRow]) -> VariantRow:
+    """Mean of rows that differ by their seed."""
+    net, by_drive = (
+        np.mean([getattr(row, name) for row in rows], axis=0)
+        for name in ("carried_net", "by_drive")
+    )
+    return replace(
+        rows[0],
+        carried_net=(float(net[0]), float(net[1])),
+        carried_coverage=fmean(row.carried_coverage for row in rows),
+        stretch_gross=fmean(row.stretch_gross for row in rows),
+        stretch_coverage=fmean(row.stretch_coverage for row in rows),
+        likelihood=fmean(row.likelihood for row in rows),
+        carried_crps=fmean(row.carried_crps for row in rows),
+        stretch_crps=fmean(row.stretch_crps for row in rows),
+        by_drive=tuple(by_drive.tolist()),
+    )
+
+
+def _score(name: str, recorded: RecordedCar, seed: int) -> VariantRow:
+    # A new equation, for that of `equation_of` may hold priors of another variant.
+    car = LearnedCar.new(Equation(recorded.vehicle, seed))
+    carried, stretches, by_drive = [], [], []
     for number, drive in enumerate(recorded.drives):
-        car.begin_drive()
+        car = car.begin_drive()
         whole = [_hidden(car, drive)] if number or len(recorded.drives) == 1 else []
-        parts = list(_learn(car, drive))
+        car, parts = _learned(car, drive)
         by_drive.append(sum(_likelihood(np.array(rows)) for rows in (whole, parts) if rows))
         carried += whole
         stretches += parts
@@ -171,37 +202,45 @@ def _score(name: str, recorded: RecordedCar) -> VariantRow:
         float(np.median(gross)),
         _coverage(cuts),
         _likelihood(drives) + _likelihood(cuts),
+        _crps(drives),
+        _crps(cuts),
         tuple(by_drive),
     )
 
 
-def _learn(
-    car: CarFilter, drive: Sequence[Interval]
-) -> Iterator[tuple[float, float, float, float]]:
-    """Learn from a drive; of each stretch true, predicted energy, its sigma, gross energy, J."""
+Hidden = tuple[float, float, float, float]
+"""True and predicted energy of what was hidden, its sigma, and gross energy, J."""
+
+
+def _learned(car: LearnedCar, drive: Sequence[Interval]) -> tuple[LearnedCar, list[Hidden]]:
+    """The car after a drive, and the stretches of it that it predicted."""
     ends = np.cumsum([interval.duration for interval in drive])
-    next_cut = FIRST
+    next_cut, found = FIRST, []
     for index, interval in enumerate(drive):
-        car.learn(interval)
+        car = car.after([interval])
         if ends[index] >= next_cut and ends[-1] - ends[index] > STRETCH:
             next_cut = ends[index] + STEP
             last = int(np.searchsorted(ends, ends[index] + STRETCH))
-            yield _hidden(car, drive[index + 1 : last + 1])
+            found.append(_hidden(car, drive[index + 1 : last + 1]))
+    return car, found
 
 
-def _hidden(car: CarFilter, intervals: Sequence[Interval]) -> tuple[float, float, float, float]:
-    """True and predicted energy of intervals whose battery is hidden, its sigma, gross energy."""
-    other = car.copy()
-    other.state = replace_states(other.state, {State.ENERGY: 0.0})
-    for interval in intervals:
-        other.learn(replace(interval, energy=math.nan))
+def _hidden(car: LearnedCar, intervals: Sequence[Interval]) -> Hidden:
+    """What intervals took, and what they are predicted to take with the battery hidden."""
+    other = car.after([replace(interval, energy=math.nan) for interval in intervals])
+    predicted, sigma = other.state.model(other.equation).predicted(other.dropout)
     energies = [interval.energy for interval in intervals]
-    return (sum(energies), *other.unmeasured(), max(sum(map(abs, energies)), 1.0))
+    return sum(energies), predicted, sigma, max(sum(map(abs, energies)), 1.0)
 
 
 def _coverage(rows: np.ndarray) -> float:
     away = np.abs(rows[:, 1] - rows[:, 0]) / rows[:, 2]
     return 100.0 * float(np.mean(away <= GAUSSIAN_QUANTILE))
+
+
+def _crps(rows: np.ndarray) -> float:
+    """Mean CRPS, percent of gross energy."""
+    return 100.0 * fmean(crps(found - true, s) / gross for true, found, s, gross in rows.tolist())
 
 
 def _likelihood(rows: np.ndarray) -> float:

@@ -12,10 +12,8 @@ import numpy as np
 from benchmarks.energy_library import read_cycle
 from benchmarks.population import CertifiedDistribution, population
 from evpinn_ros.energy.forecast import Profiles, forecast
-from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.energy.power_model import vehicle_model
 from evpinn_ros.energy.quadrature import trapezoid
-from evpinn_ros.estimation.car_state import prior_of
-from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.vehicle.certified import (
     AIR_DENSITY,
     CertifiedCar,
@@ -89,7 +87,8 @@ def _model(key: str) -> str:
 
 def of_vehicle(vehicle: Vehicle) -> CertifiedDistribution:
     """A vehicle file's prior of mass, c_rr and drag area."""
-    covariance = prior_of(vehicle).covariance[np.ix_(LEARNED, LEARNED)]
+    share = np.array([each.std / each.value for each in vehicle.priors.values()])[[*LEARNED]]
+    covariance = np.outer(share, share) * vehicle.correlation[np.ix_(LEARNED, LEARNED)]
     start = vehicle.initial
     mean = np.log([start.mass, start.c_rr, start.c_d * vehicle.frontal_area])
     return CertifiedDistribution(mean, covariance)
@@ -154,7 +153,7 @@ def cycle_energies(folder: Path, car: CertifiedCar, vehicle: Vehicle) -> Iterato
     Raises:
         InputError: a cycle is missing.
     """
-    model = PowerModel(PinnLearner(vehicle).linear_power(None))
+    model = vehicle_model(vehicle)
     for name, certified in zip(CYCLES, (car.udds, car.highway), strict=True):
         if math.isnan(certified):
             continue
