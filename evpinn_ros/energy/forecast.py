@@ -243,6 +243,8 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     climb = xp.zeros_like(length)
     if elevation is not None:
         climb = climb + xp.diff(elevation)
+        if not bool(xp.isfinite(climb).all()):
+            raise PlanError("elevation is not finite")
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
     air = 0.25 * (start + end) * (start**2 + end**2) * duration
     motion = Motion(duration, length, air, 0.5 * (end**2 - start**2), climb)

@@ -33,6 +33,7 @@ Seconds: TypeAlias = Annotated[float, Range(-MOST_SECONDS, MOST_SECONDS)]
 ROUNDING = 1.0 + 1e-6  # of sums
 MOST_MASS = 1e6  # kg over eta, of a train
 MOST_TRUST = 1e4  # factor of a variance
+MOST_NUMBER = 1e20  # of a state or covariance, in its unit: products of these stay numbers
 
 
 def speed_is_possible(speed: float) -> bool:
@@ -53,7 +54,7 @@ def car_is_possible(car: CarModel) -> bool:
     """
     numbers = np.concatenate((car.mean, car.covariance.ravel(), car.noise))
     numbers = np.append(numbers, (car.load_variance, car.growth, car.trust, car.seconds))
-    if not (np.isfinite(numbers).all() and 0.0 < car.mean[State.MASS] <= MOST_MASS):
+    if not (np.abs(numbers) <= MOST_NUMBER).all() or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
         return False
     least = min(float(np.diag(car.covariance).min()), float(car.noise.min()), car.load_variance)
     if min(least, car.growth, car.trust, car.seconds) < 0.0 or car.trust > MOST_TRUST:
@@ -72,7 +73,7 @@ def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
     """True if no leg's uneven speed takes more power than a car has."""
     scatter = uneven.squares, uneven.expected
     numbers = np.concatenate((uneven.metres.ravel(), uneven.rows.ravel(), scatter))
-    if not np.isfinite(numbers).all() or min(uneven.metres.min(), *scatter) < 0.0:
+    if not (np.abs(numbers) <= MOST_NUMBER).all() or min(uneven.metres.min(), *scatter) < 0.0:
         return False
     if uneven.expected <= 0.0 or uneven.share > MOST_SHARE:
         return False

@@ -240,7 +240,7 @@ def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:
 
 
 def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:
-    """The car that the identifiable combinations make, their errors taken as independent.
+    """The car that the identifiable combinations make, errors of these taken as independent.
 
     Args:
         combined: floats.
@@ -261,6 +261,9 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
         sigmas.p_aux,
     )
     covariance[index, index] = np.square(std)
+    # What is not known of the mass is not known of its rolling either.
+    both = [State.ROLLING, State.MASS], [State.MASS, State.ROLLING]
+    covariance[both] = c_rr * sigmas.mass_over_eta**2
     return PowerModel(replace(car, mean=mean, covariance=covariance))
 
 

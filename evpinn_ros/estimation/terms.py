@@ -180,7 +180,7 @@ class Equation:
         mass = float(self.mean[State.MASS])
         energy = float(self.mean[State.DRAG]) * drag + float(self.mean[State.ROLLING]) * rolling
         energy = energy + mass * (inertia + height)
-        driving = (energy > 0.0) * 1.0
+        driving = (energy > 0.0) + zeros(energy.shape, energy)  # of its precision
         least = within(way, LEAST_STEP, math.inf)
         force = within(energy / (mass * least), -MOST_FORCE, MOST_FORCE)
         gain = driving + (1.0 - driving) * self.back

@@ -21,7 +21,7 @@ import numpy as np
 
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.states import NAMES, SIZE
+from evpinn_ros.estimation.states import NAMES, SIZE, State
 from evpinn_ros.estimation.terms import Equation
 
 REFERENCE = "config/reference/uneven.csv"
@@ -48,7 +48,7 @@ class Path(NamedTuple):
         duration: s.
         distance: m.
         air: integral of v^3, m^3/s^2; of a leg not looked at.
-        kinetic: difference of v^2 / 2, J/kg; of a leg not looked at.
+        kinetic: difference of v^2 / 2, J/kg; of a leg of a plan not looked at.
         climb: difference of height, m.
         density: of the air, kg/m^3.
         wind: against the car, m/s.
@@ -177,10 +177,29 @@ def _add_drive(
     for owner in _cuts(drive):
         legs = drive.legs(owner)
         more = _summed(driven, owner, drive.duration) - even_rows(equation, legs)
+        more -= _carried(equation, legs)
         known = legs.duration >= SHORTEST
         classes = tuple(each[known] for each in _classes(legs))
         np.add.at(metres, classes, np.abs(legs.distance)[known])
         np.add.at(rows, classes, more[known])
+
+
+def _carried(equation: Equation, legs: Path) -> np.ndarray:
+    """Rows of the kinetic energy that a leg carries on beyond that of even speed, (n, SIZE).
+
+    It is of no leg but of the trip, over which it adds up to nothing: halfway between what it
+    costs to gain and what braking gives back. What is left of speeding up and braking is loss.
+    """
+    speed = np.concatenate(([0.0], np.abs(legs.distance) / legs.duration, [0.0]))
+    half = legs.duration / 2.0
+    joined = np.concatenate((half, [0.0])) + np.concatenate(([0.0], half))
+    gained = np.diff(speed**2) / 2.0
+    even = gained[:-1] * half / joined[:-1] + gained[1:] * half / joined[1:]
+    beyond = equation.vehicle.rotating_mass_factor * (legs.kinetic - even)
+    rows = np.zeros((len(beyond), SIZE))
+    rows[:, State.MASS] = beyond * (1.0 + equation.back) / 2.0
+    rows[:, State.BACK] = beyond * float(equation.mean[State.MASS]) / 2.0
+    return rows
 
 
 def even_rows(equation: Equation, legs: Path) -> np.ndarray:

@@ -1,13 +1,18 @@
 """Legs of a trip and what they are as points."""
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.dense import dense
-from evpinn_ros.energy.plan import Legs, PlanError, legs_of_trip
+from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.plan import Legs, Plan, PlanError, legs_of_trip, points_of
+from evpinn_ros.energy.power_model import Weather, vehicle_model
+from evpinn_ros.estimation.states import PHYSICS
+from evpinn_ros.estimation.unevenness import Path, even_rows
+from test.energy.cars import CAR
 
+MODEL = vehicle_model(CAR)
 LEG = st.tuples(st.floats(1.0, 600.0), st.floats(0.5, 40.0) | st.just(0.0), st.floats(-0.1, 0.1))
 
 
@@ -15,29 +20,47 @@ LEG = st.tuples(st.floats(1.0, 600.0), st.floats(0.5, 40.0) | st.just(0.0), st.f
 def test_points_keep_length_duration_and_climb_of_every_leg(rows):
     duration, speed, slope = np.array(rows).T
     legs = legs_of_trip(duration * speed, duration, slope * duration * speed)
-    plan = dense(legs)
-    end = np.concatenate(([0.0], np.cumsum(duration)))
-    at = np.searchsorted(plan.time, end)
-    np.testing.assert_array_equal(plan.time[at], end)
-    np.testing.assert_allclose(np.diff(plan.distance[at]), legs.length, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(np.diff(plan.elevation[at]), legs.climb, rtol=1e-6, atol=1e-6)
-    standing = legs.length == 0
-    assert not plan.speed[at[:-1]][standing].any() and not plan.speed[at[1:]][standing].any()
+    plan = points_of(legs)
+    np.testing.assert_allclose(np.diff(plan.time), legs.duration, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(plan.distance), legs.length, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(np.diff(plan.elevation), legs.climb, rtol=1e-6, atol=1e-6)
 
 
-def test_a_long_leg_between_stops_is_driven_at_its_mean_speed():
-    legs = legs_of_trip([0.0, 7500.0, 0.0], [60.0, 300.0, 60.0])
-    plan = dense(legs)
-    inside = (plan.time > 60.0) & (plan.time < 360.0)
-    assert plan.time[inside].tolist() == [70.0, 350.0]
-    assert plan.speed[inside] == pytest.approx(25.0)
+@settings(deadline=None)  # the first waits for the prior
+@given(st.lists(LEG, min_size=1, max_size=30))
+def test_a_leg_costs_the_same_whatever_is_before_and_after_it_but_for_its_ends(rows):
+    """Rows of legs add up: the whole is the sum, and beyond even speed nothing is below zero."""
+    duration, speed, slope = np.array(rows).T
+    legs = legs_of_trip(duration * speed, duration, slope * duration * speed)
+    zero = np.zeros_like(duration)
+    path = Path(duration, legs.length, zero, zero, legs.climb, zero + 1.2, zero)
+    whole, beyond = MODEL.leg_rows(path, Weather(1.2))
+    even = even_rows(MODEL.car.equation, path)
+    np.testing.assert_allclose((whole - beyond)[:, PHYSICS], even[:, PHYSICS], atol=1e-6)
 
 
-def test_points_have_the_speeds_that_are_given():
-    nan = np.nan
-    legs = legs_of_trip([100.0, 300.0], [10.0, 20.0], start_speed=[0.0, nan], end_speed=[nan, 5.0])
-    assert dense(legs).speed[[0, -1]].tolist() == [0.0, 5.0]
-    assert dense(legs_of_trip([100.0, 300.0], [10.0, 20.0])).speed[1] == pytest.approx(12.0, abs=1)
+def test_unevenness_vanishes_as_steps_become_short():
+    """Ten minutes in legs of less and less duration: what uneven speed takes goes to zero."""
+    shares = []
+    for seconds in (60.0, 1.0, 0.1, 0.01):
+        count = round(600.0 / seconds)
+        one, zero = np.full(count, seconds), np.zeros(count)
+        path = Path(one, 15.0 * one, zero, zero, zero, zero + 1.2, zero)
+        whole, beyond = MODEL.leg_rows(path, Weather(1.2))
+        shares.append(float((beyond @ MODEL.car.mean).sum() / (whole @ MODEL.car.mean).sum()))
+    assert shares[0] > 0.05 and shares[3] < 2e-3 * shares[0]
+    assert 8.0 < shares[2] / shares[3] < 12.0
+
+
+def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():
+    legs = legs_of_trip([9000.0], [600.0])
+    minute = legs_of_trip(np.full(10, 900.0), np.full(10, 60.0))
+    whole, parts = (forecast_plan(each, MODEL, Weather(1.2)) for each in (legs, minute))
+    time = np.arange(0.0, 601.0)
+    even = Plan(time, 15.0 * time, np.full(601, 15.0), np.zeros(601))
+    fine = forecast_plan(even, MODEL, Weather(1.2))
+    assert parts.energy[-1] > 1.05 * fine.energy[-1]
+    assert parts.sigma[-1] > fine.sigma[-1] and whole.sigma[-1] > fine.sigma[-1]
 
 
 def test_legs_need_not_be_one_trip():

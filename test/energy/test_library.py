@@ -1,6 +1,6 @@
 """`evpinn_ros.energy.forecast`: many profiles at once, numpy or torch."""
 
-from functools import cache
+from dataclasses import replace
 import subprocess
 import sys
 
@@ -9,34 +9,14 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from benchmarks.truth import CarChain
 import evpinn_ros.energy
 from evpinn_ros.energy.forecast import Profiles, forecast, forecast_plan
 from evpinn_ros.energy.plan import PlanError, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, combined_model, prior_identifiable
-from evpinn_ros.estimation.forecast_model import linear_power
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import simulate
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.identifiable import Identifiable
-from evpinn_ros.vehicle.linear_power import FEATURES
-from evpinn_ros.vehicle.physics import GRAVITY
+from evpinn_ros.energy.power_model import PowerModel, Weather
+from evpinn_ros.estimation.states import State
+from test.energy.cars import CAR, COMBINED, SIGMAS, plain, taught
 
-CAR = load_vehicle("tesla_model_3_lr")
-COMBINED, SIGMAS = prior_identifiable(CAR)
-SIMPLE = combined_model(COMBINED, SIGMAS, CAR, 1000.0)
-
-
-@cache
-def taught():
-    """A model that an estimator learned from a drive in town."""
-    chain = CarChain(CAR)
-    for reading in simulate(DriveKind.URBAN, CAR, 600.0, 4).readings:
-        chain.add_reading(reading)
-    return PowerModel(linear_power(chain.car.filter, chain.car.loads, CAR, 5.0))
-
-
-CONSTANT, DRIFT = FEATURES.index("constant"), FEATURES.index("present_drift")
+SIMPLE = plain(COMBINED, SIGMAS)
 LEARNED = pytest.param("learned", marks=pytest.mark.slow)
 MODELS = pytest.mark.parametrize("model", ["combinations", LEARNED], indirect=True)
 
@@ -66,17 +46,11 @@ def energy(found, model):
     return forecast(found, CAR, model).energy[0]
 
 
-def changed(model, column, amount):
-    """The same car with one coefficient more."""
-    linear = model.linear
-    mean = linear.mean.copy()
-    mean[column] += amount
-    return PowerModel(
-        type(linear)(**{
-            name: mean if name == "mean" else getattr(linear, name)
-            for name in type(linear).__dataclass_fields__
-        })
-    )  # fmt: skip
+def changed(model, state, amount):
+    """The same car with more of one state."""
+    mean = model.car.mean.copy()
+    mean[state] += amount
+    return PowerModel(replace(model.car, mean=mean))
 
 
 def test_the_package_has_it():
@@ -90,7 +64,7 @@ def test_a_batch_is_its_plans(model):
     for i, (speed, height) in enumerate(zip(many.speed, many.elevation, strict=True)):
         distance = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)))
         plan = plan_from_speed_profile(many.time, distance, speed, height)
-        one = forecast_plan(plan, model, CAR.air_density)
+        one = forecast_plan(plan, model, Weather(CAR.air_density))
         # One point in the middle of a leg against three, where the car turns to braking.
         assert found.energy[i] == pytest.approx(one.energy[-1], rel=0.01)
         assert found.sigma[i] == pytest.approx(one.sigma[-1], rel=0.01)
@@ -115,8 +89,10 @@ def test_torch_gives_the_same_and_its_own_kind(model):
     found = forecast(many, CAR, model)
     tensors = forecast(Profiles(*map(torch.as_tensor, many)), CAR, model)
     assert isinstance(found.energy, np.ndarray) and isinstance(tensors.energy, torch.Tensor)
-    assert tensors.energy.numpy() == pytest.approx(found.energy, rel=1e-10)
-    assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=1e-10)
+    # With numpy a table stands in for the network.
+    close = 1e-10 if model is SIMPLE else 1e-3
+    assert tensors.energy.numpy() == pytest.approx(found.energy, rel=close)
+    assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=5 * close)
 
 
 @pytest.mark.slow
@@ -141,8 +117,8 @@ def test_the_gradient_is_that_of_finite_differences(model, name, seed):
     for side in (step, -step):
         array = wanted.copy()
         array[index] += side
-        at = forecast(many._replace(**{name: array}), CAR, model)
-        ends.append(at.energy.sum() + at.sigma.sum())
+        at = forecast(Profiles(*map(torch.as_tensor, many._replace(**{name: array}))), CAR, model)
+        ends.append(float(at.energy.sum() + at.sigma.sum()))
     difference = (ends[0] - ends[1]) / (2 * step)
     assert gradient[index] == pytest.approx(difference, rel=1e-4, abs=1.0)
 
@@ -185,8 +161,10 @@ def test_what_is_no_profile_is_refused(change, reason, model):
 @MODELS
 @given(st.integers(0, 10_000), st.integers(1, 58))
 def test_a_profile_cut_in_two_adds_up(model, seed, cut):
-    # The drift that is present fades from the start of a plan, so a cut starts it anew.
-    model = changed(model, DRIFT, -model.linear.mean[DRIFT])
+    # Tyres, cabin and the load of now fade from the start of a plan, so a cut starts them anew.
+    mean = model.car.mean.copy()
+    mean[[State.ROLLING_START, State.COLD_START, State.HOT_START, State.LOAD]] = 0.0
+    model = PowerModel(replace(model.car, mean=mean))
     whole = profiles(seed, 1)
     first = Profiles(*(array[..., : cut + 1] for array in whole))
     second = Profiles(*(array[..., cut:] for array in whole))
@@ -194,19 +172,19 @@ def test_a_profile_cut_in_two_adds_up(model, seed, cut):
     assert parts == pytest.approx(energy(whole, model), rel=1e-9)
 
 
-@MODELS
 @given(st.floats(1.0, 1e5))
-def test_standing_costs_auxiliary_power(model, duration):
+def test_standing_costs_auxiliary_power(duration):
     found = Profiles(np.array([0.0, duration]), np.zeros((1, 2)))
-    fading = model.linear.drift_time * -np.expm1(-duration / model.linear.drift_time)
-    expected = model.linear.mean[CONSTANT] * duration + model.linear.mean[DRIFT] * fading
-    assert energy(found, model) == pytest.approx(expected, rel=1e-9, abs=0.1)
+    assert energy(found, SIMPLE) == pytest.approx(COMBINED.p_aux * duration, rel=1e-9)
 
 
 @MODELS
-@given(st.integers(0, 10_000), st.sampled_from([0, 1, 3, 4, CONSTANT]))
-def test_more_drag_rolling_or_auxiliary_load_is_never_cheaper(model, seed, column):
-    more = changed(model, column, 0.1 * abs(model.linear.mean[column]))
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([State.DRAG, State.ROLLING, State.P_AUX, State.LOAD_DRIVE, State.TURNING]),
+)
+def test_more_drag_rolling_or_load_is_never_cheaper(model, seed, state):
+    more = changed(model, state, 0.1 * max(abs(model.car.mean[state]), 1.0))
     assert energy(profiles(seed, 1), more) >= energy(profiles(seed, 1), model) - 1e-6
 
 
@@ -214,16 +192,11 @@ def test_more_drag_rolling_or_auxiliary_load_is_never_cheaper(model, seed, colum
 @given(st.integers(0, 10_000))
 def test_what_is_not_known_only_adds_to_sigma(model, seed):
     found = forecast(profiles(seed), CAR, model)
-    certain = type(model.linear)(**{
-        name: 0 * getattr(model.linear, name) if name == "directions" else value
-        for name, value in ((f, getattr(model.linear, f)) for f in
-                            type(model.linear).__dataclass_fields__)
-    })  # fmt: skip
-    assert (forecast(profiles(seed), CAR, PowerModel(certain)).sigma <= found.sigma).all()
+    certain = PowerModel(replace(model.car, covariance=0.0 * model.car.covariance))
+    assert (forecast(profiles(seed), CAR, certain).sigma <= found.sigma).all()
 
 
-# What holds for the physics alone: a table that was learned need not be convex, and where the car
-# turns to braking a learned model jumps, for its two sides are learned apart.
+# What holds for the physics alone: a network that was learned need not be convex.
 
 
 @given(st.floats(1, 40), st.floats(0, 4.0))
@@ -231,28 +204,22 @@ def test_hills_never_save_energy(speed, climb):
     height = min(climb, 0.2 * speed) * np.arange(30.0)
     base = Profiles(np.arange(30.0), np.full((1, 30), speed))
     up, down = (energy(base._replace(elevation=way * height), SIMPLE) for way in (1, -1))
-    # On a slope the car presses on the road less, so it rolls that much easier.
-    grade = height[1] / speed
-    rolling = 2 * COMBINED.c_rr * COMBINED.mass_over_eta * GRAVITY * speed * 29
-    easier = rolling * (1 - np.sqrt(1 - grade**2))
-    assert up + down - 2 * energy(base, SIMPLE) >= -easier - 1e-3
+    assert up + down - 2 * energy(base, SIMPLE) >= -1e-3
 
 
 @given(st.integers(0, 10_000))
 def test_more_mass_is_never_cheaper_from_rest_to_rest(seed):
-    heavy = COMBINED._replace(mass_over_eta=1.2 * COMBINED.mass_over_eta)
-    more = combined_model(heavy, SIGMAS, CAR, 1000.0)
-    assert energy(closed(seed), more) >= energy(closed(seed), SIMPLE) - 1e-6
+    heavy = plain(COMBINED._replace(mass_over_eta=1.2 * COMBINED.mass_over_eta), SIGMAS)
+    assert energy(closed(seed), heavy) >= energy(closed(seed), SIMPLE) - 1e-6
 
 
 @given(st.floats(5, 35), st.floats(0.3, 3.0))
 def test_driving_slower_saves_drag_and_costs_auxiliary_power(speed, slower):
     """The same way at constant speed in `slower` times the time."""
-    exact = combined_model(COMBINED, Identifiable(0.0, 0.0, 0.0, 0.0, 0.0), CAR, 0.0)
     time = np.arange(0.0, 601.0, 60.0)
     base = Profiles(time, np.full((1, time.size), speed))
     scaled = Profiles(slower * time, base.speed / slower)
     drag = 0.5 * CAR.air_density * COMBINED.drag_area_over_eta * speed**3 * 600
     change = drag * (slower**-2 - 1) + COMBINED.p_aux * 600 * (slower - 1)
-    found = energy(scaled, exact) - energy(base, exact)
+    found = energy(scaled, SIMPLE) - energy(base, SIMPLE)
     assert found == pytest.approx(change, rel=1e-6, abs=1e-3 * drag)

@@ -1,100 +1,112 @@
-"""The linear model of a car against the filter it is made from."""
+"""A car as plans take it, against the posterior that it is made from."""
+
+from dataclasses import replace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.power_model import Motion, PowerModel
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.car_state import State
-from evpinn_ros.estimation.forecast_model import linear_power
-from evpinn_ros.estimation.reported_loads import ReportedLoads
-from evpinn_ros.estimation.weak_form import Warmth, spent
-from evpinn_ros.signals.interval import Interval, Steps
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.road import Conditions
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.physics import GRAVITY
+from benchmarks.truth import CarChain
+from evpinn_ros.energy.power_model import Motion, PowerModel, Weather, vehicle_model
+from evpinn_ros.estimation.posterior import NOWHERE
+from evpinn_ros.estimation.states import State
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import simulate
+from test.energy.cars import CAR, taught
 
-CAR = load_vehicle("tesla_model_3_lr")
-CELSIUS = 5.0
-AIR = Conditions(1.2, 0.0, CELSIUS, 0.0, False)
-SETTLED = Warmth(0.0, 0.0)
-# A plan begins on a road of its own, and what fades within minutes is its drift.
-NOT_OF_A_PLAN = [
-    State.ROLL_START,
-    State.COLD_START,
-    State.HOT_START,
-    State.AUX,
-    State.FORCE,
-    State.HEIGHT,
-    State.SLOPE,
-    State.CLIMB,
-]
+MILD = Weather(1.2, 20.0)
 
 
 def trip(seed, points=600):
-    """Speed, acceleration and climb of a drive at 1 Hz with stops, hills and hard braking."""
+    """Seconds of a drive with stops, hills and hard braking."""
     rng = np.random.default_rng(seed)
     speed = np.maximum(12 + np.cumsum(rng.normal(0, 0.9, points)) * 0.8, 0.0).clip(0, 34)
-    grade = 0.03 * np.sin(np.arange(points) / 60.0 + seed)
-    return speed, np.gradient(speed), speed * np.sin(grade)
+    climb = speed * np.sin(0.03 * np.sin(np.arange(points) / 60.0 + seed))
+    return Motion(np.ones(points), speed, speed**3, speed * np.gradient(speed), climb)
 
 
-def steps_of(speed, acceleration, climb):
-    nothing = np.full(len(speed), np.nan)
-    return Steps(
-        duration=np.ones(len(speed)),
-        distance=speed,
-        air=speed**3,
-        kinetic=speed * acceleration,
-        climb=climb,
-        motor_drive=nothing,
-        motor_brake=nothing,
+def withheld():
+    """Intervals of a drive after another one, and the car without their battery."""
+    chain = CarChain(CAR)
+    for reading in simulate(DriveKind.URBAN, CAR, 300.0, 4).readings:
+        chain.add_reading(reading)
+    car, another, taken = chain.car.begin_drive(), CarChain(CAR), []
+    model, another.take = car.state.model(car.equation), taken.append
+    for reading in simulate(DriveKind.URBAN, CAR, 300.0, 5).readings:
+        another.add_reading(reading)
+    return model, car.after([replace(each, energy=np.nan) for each in taken]), taken
+
+
+def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
+    """Energy and sigma: the same rows, the same posterior."""
+    model, car, intervals = withheld()
+    predicted, sigma = car.state.model(car.equation).predicted(car.dropout)
+    rows, square, unseen = [], 0.0, 0.0
+    weather = Weather(intervals[0].conditions.air_density, intervals[0].conditions.celsius)
+    for each in intervals:
+        steps = each.steps
+        motion = Motion(steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb)
+        now = replace(model, seconds=sum(e.duration for e in intervals[: len(rows)]))
+        rows.append(PowerModel(now).rows(motion, weather).sum(0))
+        square += float(steps.distance**2 @ (1.0 / steps.duration))
+        unseen += 0.0 if each.height_known else abs(each.distance)
+    elapsed = sum(each.duration for each in intervals)
+    energy, spread = PowerModel(model).predicted(np.sum(rows, 0), elapsed, square, unseen)
+    gross = float(np.nansum([abs(each.energy) for each in intervals]))
+    assert energy == pytest.approx(predicted, abs=0.005 * gross)
+    assert spread == pytest.approx(sigma, rel=0.01)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 599))
+def test_rows_add_up_however_a_trip_is_cut(seed, cut):
+    motion, model = trip(seed), taught()
+    weather = MILD._replace(start_s=1e9)  # warm: a second part does not begin cold
+    whole = model.rows(motion, weather).sum(0)
+    parts = (
+        Motion(*(column[part] for column in motion)) for part in (slice(cut), slice(cut, None))
     )
+    added = sum(model.rows(part, weather).sum(0) for part in parts)
+    np.testing.assert_allclose(added, whole, rtol=1e-9, atol=1e-6)
 
 
-def learned(seed=0, minutes=20):
-    """A filter that has driven a car with losses that no vehicle file has."""
-    found, rng = CarFilter(CAR), np.random.default_rng(seed)
-    speed, acceleration, climb = trip(seed, 60 * minutes)
-    wheel = 1900.0 * (1.05 * acceleration + GRAVITY * 0.011) * speed + GRAVITY * 1900.0 * climb
-    wheel += 0.5 * 1.2 * 0.55 * speed**3
-    power = np.where(wheel > 0, wheel / 0.85, 0.7 * wheel) + 700.0 + 400.0 * (speed > 0.3)
-    power += 0.02 * wheel**2 / 1e4 + rng.normal(0, 300, len(speed))
-    for first in range(0, 60 * minutes, 6):
-        part = slice(first, first + 6)
-        steps = steps_of(speed[part], acceleration[part], climb[part])
-        start, end = first * NANOSECONDS, (first + 6) * NANOSECONDS
-        energy = float(power[part].sum())
-        found.learn(Interval(start, end, steps, AIR, True, energy, 0.0))
-    return found
-
-
-FILTER = learned()
-MODEL = PowerModel(linear_power(FILTER, ReportedLoads(), CAR, CELSIUS))
-
-
-def exact(motion):
-    """Energy, J, and its 1-sigma from all states that a forecast has, by the filter itself."""
-    mean, covariance = FILTER.mixture()
-    mean = mean.copy()
-    mean[NOT_OF_A_PLAN] = 0.0
-    found = spent(mean[None], steps_of(*motion), AIR, SETTLED, FILTER.constants)
-    gradient = found.gradient[0]
-    gradient[NOT_OF_A_PLAN] = 0.0
-    return found.energy[0], np.sqrt(gradient @ covariance @ gradient)
-
-
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
-def test_energy_and_sigma_are_those_of_the_filter(seed):
-    motion = trip(seed)
-    energy, sigma = exact(motion)
-    one_second = np.ones((1, len(motion[0])))
-    row = Motion(*(column[None] for column in motion), 1.2)
-    found = MODEL.energies(row, one_second)[0]
+def test_the_table_of_the_network_is_as_good_as_the_network(seed):
+    motion, model = trip(seed), taught()
+    many = Motion(*(column[None] for column in motion))
+    exact = model.rows(motion, MILD).sum(0)
+    looked_up = model.summed_rows(many, MILD)[0]
+    car = model.car
+    gross = float(np.abs(model.rows(motion, MILD) @ car.mean).sum())
+    assert looked_up @ car.mean == pytest.approx(exact @ car.mean, abs=1e-3 * gross)
 
-    assert found[0] == pytest.approx(energy, rel=2e-3)
-    assert np.sqrt((found[1:] ** 2).sum()) == pytest.approx(sigma, rel=0.02)
+
+def test_cold_weather_heats_and_stiffens_tyres_and_heating_given_is_what_it_takes():
+    model, motion = vehicle_model(CAR), trip(1)
+
+    def energy(weather):
+        return float(model.rows(motion, weather).sum(0) @ model.car.mean)
+
+    mild, cold = energy(MILD), energy(Weather(1.2, -10.0))
+    assert cold > mild + 600 * 1000.0
+    off, on = (energy(Weather(1.2, 20.0, watts)) for watts in (0.0, 2000.0))
+    assert on - off == pytest.approx(600 * 2000.0)
+    assert energy(Weather(1.2, 20.0, start_s=0.0)) > energy(Weather(1.2, 20.0, start_s=1e9))
+
+
+def test_payload_is_mass_and_rolling():
+    model, motion = vehicle_model(CAR), trip(2)
+    heavy = model.with_payload(300.0)
+    eta = CAR.priors["eta"].value
+    assert heavy.car.mean[State.MASS] - model.car.mean[State.MASS] == pytest.approx(300.0 / eta)
+    per_kg = model.car.mean[State.ROLLING] / model.car.mean[State.MASS]
+    assert heavy.car.mean[State.ROLLING] / heavy.car.mean[State.MASS] == pytest.approx(per_kg)
+    rows = model.rows(motion, MILD).sum(0)
+    assert rows @ heavy.car.mean > rows @ model.car.mean
+    assert model.with_payload(0.0) is model
+
+
+def test_nowhere_takes_nothing():
+    assert vehicle_model(CAR).car.predicted(NOWHERE) == (0.0, 0.0)

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message
-from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
-from evpinn_ros.energy.plan import LONGEST, plan_from_speed_profile
+from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.plan import LONGEST, legs_of_trip, plan_from_speed_profile
 from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.energy.power_model import PowerModel, vehicle_model
-from evpinn_ros.estimation.pinn import PinnLearner
+from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.nodes import factory
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.model import MOST_NUMBERS, model_message, read_model
 from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 CAR = load_vehicle("bmw_i3")
-MODEL = PinnLearner(CAR).linear_power(None)
+MODEL = vehicle_model(CAR, 3).car
+PARTS = ("mean", "covariance", "noise", "load_variance", "growth", "trust", "seconds", "celsius")
 
 
 @pytest.mark.parametrize("new", [new_message, factory.new_message])
@@ -27,13 +27,24 @@ def test_a_model_survives_the_message(new):
     message = model_message(new, "bmw_i3", MODEL)
     if new is new_message:
         message = decode(message.__msgtype__, encode(message))
-    found = read_model(message, "bmw_i3")
-    for field in dataclasses.fields(MODEL):
-        assert np.array_equal(getattr(found, field.name), getattr(MODEL, field.name)), field.name
+    found = read_model(message, CAR)
+    for name in (*PARTS, "reports"):
+        assert np.array_equal(getattr(found, name), getattr(MODEL, name)), name
+    for field in dataclasses.fields(MODEL.unevenness):
+        sent = getattr(MODEL.unevenness, field.name)
+        assert np.array_equal(getattr(found.unevenness, field.name), sent), field.name
+    assert (found.equation.seed, found.equation.vehicle) == (3, CAR)
+    legs = legs_of_trip([9000.0, 4000.0], [600.0, 200.0])
+    one, other = (forecast_plan(legs, PowerModel(each), Weather(1.2)) for each in (found, MODEL))
+    assert one.energy.tolist() == other.energy.tolist()
 
 
 def changed(**values):
     return model_message(new_message, "bmw_i3", dataclasses.replace(MODEL, **values))
+
+
+def uneven(**values):
+    return changed(unevenness=dataclasses.replace(MODEL.unevenness, **values))
 
 
 def shorter():
@@ -68,20 +79,23 @@ def far_too_long():
         (shorter, "lengths_differ"),
         (far_too_long, "too_large"),
         (lambda: changed(mean=MODEL.mean[:-1]), "lengths_differ"),
-        (lambda: changed(directions=MODEL.directions[:, :-1]), "lengths_differ"),
+        (lambda: changed(covariance=MODEL.covariance[:-1]), "lengths_differ"),
         (not_finite, "not_finite"),
-        (lambda: changed(mass=-1.0), "out_of_range"),
-        (lambda: changed(drift_time=0.0), "out_of_range"),
-        (lambda: changed(mass=1e-300), "out_of_range"),
-        (lambda: changed(moving_noise=1e308), "out_of_range"),
+        (lambda: changed(mean=-MODEL.mean), "out_of_range"),
+        (lambda: changed(load_variance=-1.0), "out_of_range"),
+        (lambda: changed(trust=1e9), "out_of_range"),
+        (lambda: changed(noise=MODEL.noise * 1e300), "out_of_range"),
         (lambda: changed(mean=MODEL.mean * 1e300), "out_of_range"),
-        (lambda: changed(directions=MODEL.directions * 1e300), "out_of_range"),
-        (lambda: changed(directions=np.tile(MODEL.directions, (300, 1)) * 1e3), "out_of_range"),
+        (lambda: changed(covariance=MODEL.covariance * 1e300), "out_of_range"),
+        (lambda: changed(covariance=-MODEL.covariance), "out_of_range"),
+        (lambda: uneven(rows=MODEL.unevenness.rows + 1e9), "out_of_range"),
+        (lambda: uneven(squares=1e30), "out_of_range"),
+        (lambda: uneven(metres=MODEL.unevenness.metres - 1.0), "out_of_range"),
     ],
 )
 def test_what_is_no_model_of_this_car_is_refused(make, reason):
     with pytest.raises(BadMessage) as error:
-        read_model(make(), "bmw_i3")
+        read_model(make(), CAR)
     assert error.value.reason == reason
 
 
@@ -103,10 +117,10 @@ def test_whatever_a_model_says_a_plan_has_a_finite_answer(changes, data):
     for place, value in changes.items():
         message.data[place % len(message.data)] = value
     try:
-        model = PowerModel(read_model(message, "bmw_i3"))
+        model = PowerModel(read_model(message, CAR))
     except BadMessage:
         return
-    found = forecast_plan(data.draw(st.sampled_from(PLANS)), model, 1.2, 60.0)
+    found = forecast_plan(data.draw(st.sampled_from(PLANS)), model, Weather(1.2), 60.0)
     columns = found.time, found.energy, found.power, found.sigma
     assert np.isfinite(columns).all() and (found.sigma >= 0).all()
 
@@ -114,8 +128,7 @@ def test_whatever_a_model_says_a_plan_has_a_finite_answer(changes, data):
 @pytest.mark.parametrize("name", vehicle_names())
 def test_every_car_of_ours_is_possible(name):
     vehicle = load_vehicle(name)
-    assert car_is_possible(vehicle_model(vehicle, FIRST_RESIDUAL).linear)
-    assert car_is_possible(PinnLearner(vehicle).linear_power(-30.0))
+    assert car_is_possible(vehicle_model(vehicle).car)
 
 
 def test_a_number_that_is_not_finite_is_not_sent():
