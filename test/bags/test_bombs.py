@@ -21,7 +21,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.can.log_readers import LARGEST_OBJECT
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.common import unpacking
+from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.drives.sources import open_drive
@@ -242,7 +242,7 @@ def test_a_line_without_an_end_is_not_read(tmp_path, name):
 
 def test_gzipped_text_that_unpacks_to_too_much_is_cut_there(tmp_path, monkeypatch):
     """70 kB of gzip were 8 million rows, and a minute and a half."""
-    monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 16)  # or the rows take seconds
+    monkeypatch.setattr(opener, "FREE_BYTES", 1 << 16)  # or the rows take seconds
     rows = b"t_s,speed_mps,power_w\n" + b"0,1,2\n" * 200_000
     (tmp_path / "drive.csv.gz").write_bytes(gzip.compress(rows))
     drive = open_drive(tmp_path / "drive.csv.gz", 350.0)

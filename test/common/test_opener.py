@@ -71,7 +71,7 @@ BESIDES = {  # what may open by itself, and why
     "evpinn_ros/common/apart.py": "the limits of its own process, of /proc",
     "evpinn_ros/common/writer.py": "folders, to lock and to sync",
     "evpinn_ros/energy/rknn.py": "weights of the package",
-    "evpinn_ros/vehicle/certified.py": "a table of the package",
+    "evpinn_ros/common/package_data.py": "tables of the package",
     "evpinn_ros/report/html.py": "a script of the package",
     "evpinn_ros/cli/vehicles.py": "comments of a file that the opener has read",
     "evpinn_ros/cli/main.py": "/dev/null, to write to",

@@ -2,6 +2,7 @@
 
 from datetime import datetime, timedelta, timezone
 import math
+import os
 from pathlib import Path
 
 import polars as pl
@@ -169,6 +170,17 @@ def test_parquet_and_spreadsheets(tmp_path):
         assert len(speeds) == SECONDS
         assert speeds[0].stamp_ns == START.timestamp() * 1e9
         assert speeds[20].speed == pytest.approx(8 - 8 * math.cos(2.5))
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"), [("d.xlsx", "openpyxl", "tables"), ("d.mf4", "asammdf", "mf4")]
+)
+def test_a_package_that_is_missing_is_told_in_words(tmp_path, monkeypatch, name, package, extra):
+    (tmp_path / f"{package}.py").write_text("raise ImportError")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    (tmp_path / name).write_bytes(b"anything")
+    with pytest.raises(InputError, match=rf"needs {package}: pip install 'evpinn_ros\[{extra}\]'"):
+        open_drive(tmp_path / name)
 
 
 def test_measured_signals_of_an_mf4(tmp_path):
