@@ -259,26 +259,31 @@ def test_gzipped_text_that_unpacks_to_too_much_is_cut_there(tmp_path, monkeypatc
 
 
 def blf(path, objects):
-    """A .blf log of one frame, and these bytes as each of its next two containers."""
+    """A .blf log of one frame, and these bytes as each of its next three containers."""
     with can.BLFWriter(str(path)) as writer:
         writer.on_message_received(can.Message(arbitration_id=1, data=b"1", timestamp=1e9))
     packed = zlib.compress(objects)
     size = 16 + 16 + len(packed)
     head = struct.pack("<4sHHII", b"LOBJ", 16, 1, size, 10)
     container = head + struct.pack("<H6xL4x", 2, len(objects)) + packed
-    path.write_bytes(path.read_bytes() + 2 * (container + bytes(size % 4)))
+    path.write_bytes(path.read_bytes() + 3 * (container + bytes(size % 4)))
 
 
 NO_SIZE = struct.pack("<4sHHII", b"LOBJ", 32, 9, 0, 1) + bytes(32)
-ENDLESS = struct.pack("<4sHHII", b"LOBJ", 32, 1, 1 << 31, 1) + bytes(LARGEST_OBJECT)
+ENDLESS = struct.pack("<4sHHII", b"LOBJ", 32, 1, 1 << 31, 1) + bytes(LARGEST_OBJECT // 2)
+LARGE = bytes(LARGEST_OBJECT + 1)
 
 
 @pytest.mark.parametrize(
     ("objects", "reason"),
-    [(NO_SIZE, "an object has no size"), (ENDLESS, "an object is larger than")],
+    [
+        (NO_SIZE, "an object has no size"),
+        (ENDLESS, "an object is larger than"),
+        (LARGE, "an object unpacks to more than"),
+    ],
 )
 def test_a_blf_object_that_never_ends(tmp_path, objects, reason):
-    """python-can reads the first for ever and keeps all that follows the second."""
+    """python-can reads the first for ever and keeps all that follows the others."""
     path = tmp_path / "a.blf"
     blf(path, objects)
     log = LogFile(path)
