@@ -101,7 +101,10 @@ def test_live_works_records_and_ends_well(ros2, bench, car, tmp_path):
         assert bag.problem is None
         assert bag.topics["/ev/power/smoothed"].count > 150
         assert "/diagnostics" in bag.topics
-    assert json.loads((tmp_path / "urban.json").read_text())["vehicle"] == "tesla_model_3_lr"
+    assert (
+        json.loads((tmp_path / "urban.json").read_text())["learned"]["vehicle"]
+        == "tesla_model_3_lr"
+    )
 
 
 def test_the_eco_planner_says_that_nothing_is_in_time(ros2, bench):
