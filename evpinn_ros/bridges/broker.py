@@ -19,11 +19,13 @@ import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evpinn_ros.common.errors import InputError, as_input_error, extra_needed
+from evpinn_ros.common.opener import read_whole
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
 
 PORT, TLS_PORT = 1883, 8883
+MOST_SECRET = 65_536  # bytes
 IN_FLIGHT = 20  # messages
 MOST_WAITING = 10_000  # messages that came and are not yet processed; a minute of 160 a second
 RECONNECT_S = 1, 30  # first and longest wait, doubled each time
@@ -75,11 +77,20 @@ def credentials(user: str | None, password_file: Path | None) -> tuple[str | Non
     user = user or os.environ.get(USER_VARIABLE) or None
     password = os.environ.get(PASSWORD_VARIABLE) or None
     if password_file is not None:
-        with as_input_error(password_file, ValueError):
-            password = password_file.read_text("utf-8").strip("\r\n")
+        password = secret_of(password_file)
     if password and not user:
         raise InputError(f"a password without a user; add --user, or set {USER_VARIABLE}")
     return user, password
+
+
+def secret_of(path: Path) -> str:
+    """The password or token in a file, without the end of its line.
+
+    Raises:
+        InputError: the file cannot be read, or is too large for that.
+    """
+    with as_input_error(path, ValueError):
+        return read_whole(path, MOST_SECRET, "a password or token").decode().strip("\r\n")
 
 
 class Message(NamedTuple):

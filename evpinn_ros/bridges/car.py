@@ -10,7 +10,7 @@ from typing import Any
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.state_file import account_path
+from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.saved_state import StateFile
 from evpinn_ros.replays.breakdown_text import breakdown_metrics
@@ -51,18 +51,18 @@ class BridgedCar:
         self._moved_ns: int | None = None
         self._power: dict[PowerKind, PowerEstimate] = {}
         self._files = [
-            StateFile(state, self.chain.estimator),
-            StateFile(state and account_path(state), self.chain.account),
+            StateFile(state, self.chain.estimator, Half.LEARNED),
+            StateFile(state, self.chain.account, Half.ENERGY),
         ]
         self._saved = 0
-        for file in self._files:
-            file.load()
+        for state_file in self._files:
+            state_file.load()
         self.chain.begin_next_drive()
 
     @property
     def problem(self) -> str | None:
-        """Reason why a file of its state was not used or not written, None if all is well."""
-        return next((file.problem for file in self._files if file.problem is not None), None)
+        """Reason why its state was not used or not written, None if all is well."""
+        return next((each.problem for each in self._files if each.problem is not None), None)
 
     def add_readings(self, readings: Iterable[Reading]) -> bool:
         """Take readings in order; give whether another drive began with them."""
@@ -93,8 +93,8 @@ class BridgedCar:
         """Write what was learned and counted, if there is anything new."""
         if self.readings == self._saved:
             return
-        for file in self._files:
-            file.save()
+        for state_file in self._files:
+            state_file.save()
         self._saved = self.readings
 
     def power(self) -> Document:

@@ -41,11 +41,10 @@ def vss(
     Example: evpinn vss --vehicle tesla_model_3_lr --databroker localhost:55555
     """
     # Imported here: other commands need neither the chain nor kuksa-client.
-    from evpinn_ros.bridges.broker import split_address
+    from evpinn_ros.bridges.broker import secret_of, split_address
     from evpinn_ros.bridges.car import BridgedCar
     from evpinn_ros.bridges.vss import DatabrokerFeed
     from evpinn_ros.common.blas_threads import limit_blas_threads
-    from evpinn_ros.common.errors import as_input_error
     from evpinn_ros.estimation.estimator import EstimatorSettings
     from evpinn_ros.vehicle.files import load_vehicle
 
@@ -54,8 +53,7 @@ def vss(
     limit_blas_threads()
     token = None
     if token_file is not None:
-        with as_input_error(token_file, ValueError):
-            token = token_file.read_text("utf-8").strip()
+        token = secret_of(token_file).strip()
     host, port = split_address(databroker, "--databroker", PORT)
     car = BridgedCar("vehicle", load_vehicle(vehicle), EstimatorSettings(), state)
     if car.problem is not None:

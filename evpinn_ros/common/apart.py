@@ -17,7 +17,7 @@ import subprocess
 import sys
 from typing import NamedTuple, NoReturn
 
-from evpinn_ros.common.errors import one_line
+from evpinn_ros.common.errors import one_line, printable
 from evpinn_ros.common.opener import RATIO, check_file
 
 MEBIBYTE = 1 << 20
@@ -112,10 +112,9 @@ def _main(function: str, path: Path, out: Path) -> NoReturn:
         _limit(Limits.of(check_file(path)))
         work(path, out)
         code = 0
-    except MemoryError:
-        print("MemoryError", file=sys.stderr)
     except BaseException as error:  # a panic of Rust is no Exception
-        print(one_line(error), file=sys.stderr)
+        said = "MemoryError" if isinstance(error, MemoryError) else one_line(error)
+        print(printable(said), file=sys.stderr)
     sys.stderr.flush()
     os._exit(code)  # what a library holds need not be taken to pieces
 

@@ -22,6 +22,16 @@ def share_directory() -> Path:
     raise FileNotFoundError(f"{PACKAGE}: config/vehicles is in none of the install locations")
 
 
+def bundled_lines(name: str) -> list[str]:
+    """Lines of a text file of the package data, without those that begin with #.
+
+    Raises:
+        FileNotFoundError: the package was installed without its data files.
+    """
+    lines = (share_directory() / name).read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if not line.startswith("#")]
+
+
 def _candidates() -> Iterator[Path]:
     module = Path(__file__).resolve()
     yield module.parents[2]

@@ -6,20 +6,26 @@ a file as a whole and can crash over a damaged one, so it runs apart (`common.ap
 
 from __future__ import annotations
 
+from contextlib import suppress
 import csv
 from pathlib import Path
 
-from asammdf import MDF
 import numpy as np
 
+from evpinn_ros.common.errors import extra_needed
 from evpinn_ros.common.opener import open_file
 from evpinn_ros.drives.quantities import may_be_of_use
+
+with suppress(ImportError):  # at once, for the process is limited from what it took until then
+    import asammdf  # noqa: F401
 
 HEADER = ("seconds", "name", "value", "unit")
 
 
 def write_signals(path: Path, out: Path) -> None:
     """Write the signals of an .mf4 that may be of use, in order of time; no file without any."""
+    with extra_needed(".mf4 needs asammdf", "mf4"):
+        from asammdf import MDF
     stamps, names, values = [], [], []
     found: list[tuple[str, str]] = []
     with open_file(path) as file, MDF(file) as measured:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 import csv
 from datetime import date, datetime, time
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import openpyxl
-
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, extra_needed
 from evpinn_ros.common.opener import open_file
 from evpinn_ros.drives.text_table import MOST_COLUMNS, plain_cell
+
+with suppress(ImportError):  # at once, for the process is limited from what it took until then
+    import openpyxl  # noqa: F401
 
 MOST_EMPTY = 1000  # rows in a row that hold nothing: the sheet is over
 EMPTY_ABOVE = 50  # rows above the header
@@ -21,8 +23,10 @@ EMPTY_ABOVE = 50  # rows above the header
 
 def write_sheet(path: Path, out: Path) -> None:
     """Write the first sheet of an .xlsx that holds a table, a row a line."""
+    with extra_needed(".xlsx needs openpyxl", "tables"):
+        from openpyxl import load_workbook
     with open_file(path) as file, out.open("w", newline="", encoding="utf-8") as table:
-        book = openpyxl.load_workbook(file, read_only=True, data_only=True)
+        book = load_workbook(file, read_only=True, data_only=True)
         writer = csv.writer(table)
         for sheet in book.worksheets:
             first = list(islice(_rows(sheet), 2))

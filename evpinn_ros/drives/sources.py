@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,6 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.formats import (
     CONVERTERS,
-    SHEET_SUFFIXES,
     TABLE_SUFFIXES,
     TEXT_SUFFIXES,
     is_drive_table,
@@ -240,8 +238,6 @@ def open_drive(
     suffix = suffix_of(path)
     if path.suffix.lower() == ".gz" and suffix not in TEXT_SUFFIXES:
         raise InputError(f"{path}: unpack it first")
-    if suffix in SHEET_SUFFIXES and find_spec("openpyxl") is None:
-        raise InputError(f"{path}: .xlsx needs openpyxl: pip install 'evpinn_ros[tables]'")
     if suffix not in TABLE_SUFFIXES:
         raise InputError(f"{path}: no table of a drive; known are {', '.join(TABLE_SUFFIXES)}")
     apart = CONVERTERS.get(suffix)

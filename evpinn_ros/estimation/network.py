@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import like, namespace
-from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.package_data import bundled_lines
 from evpinn_ros.estimation.states import NETWORK
 
 UNITS = 96
@@ -42,7 +42,7 @@ class Driving(NamedTuple):
 @cache
 def reference_driving() -> Driving:
     """Driving that the network is orthogonal over: UDDS, HWFET and WLTC at three slopes."""
-    rows = np.loadtxt(share_directory() / REFERENCE, delimiter=",", skiprows=4)
+    rows = np.array([line.split(",") for line in bundled_lines(REFERENCE)[1:]], float)
     speed, acceleration, seconds = np.tile(rows, (len(GRADES), 1)).T
     return Driving(speed, acceleration, np.repeat(GRADES, len(rows)), seconds / len(GRADES))
 

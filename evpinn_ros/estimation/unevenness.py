@@ -19,7 +19,7 @@ from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.package_data import bundled_lines
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.states import NAMES, SIZE, State
 from evpinn_ros.estimation.terms import Equation
@@ -268,10 +268,9 @@ def _classes(legs: Path) -> tuple[np.ndarray, np.ndarray]:
 def _prior(equation: Equation) -> np.ndarray:
     """Rows per metre of simulated drives, shape (*SHAPE, SIZE); zero where they have no leg."""
     metres, rows = np.zeros(SHAPE), np.zeros((*SHAPE, SIZE))
-    for line in (share_directory() / REFERENCE).read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
-            _add_drive(metres, rows, equation, drive, _moving(equation, drive))
+    for line in bundled_lines(REFERENCE):
+        drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
+        _add_drive(metres, rows, equation, drive, _moving(equation, drive))
     return np.asarray(rows / np.maximum(metres, 1.0)[..., None])
 
 

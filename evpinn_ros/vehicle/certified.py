@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.package_data import bundled_lines
 from evpinn_ros.vehicle.parameters import Prior
 from evpinn_ros.vehicle.physics import GRAVITY
 
@@ -98,8 +98,7 @@ def _prior(value: float, share: float, source: str) -> Prior:
 @cache
 def certified_cars() -> Mapping[str, CertifiedCar]:
     """Every certified car by its key: lower case, words joined by an underscore."""
-    with (share_directory() / TABLE).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    rows = list(csv.DictReader(bundled_lines(TABLE)))
     cars = {}
     for name in dict.fromkeys(row["name"] for row in rows):
         own = [row for row in rows if row["name"] == name]

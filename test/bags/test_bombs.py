@@ -21,7 +21,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.can.log_readers import LARGEST_OBJECT
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.common import unpacking
+from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.drives.sources import open_drive
@@ -242,7 +242,7 @@ def test_a_line_without_an_end_is_not_read(tmp_path, name):
 
 def test_gzipped_text_that_unpacks_to_too_much_is_cut_there(tmp_path, monkeypatch):
     """70 kB of gzip were 8 million rows, and a minute and a half."""
-    monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 16)  # or the rows take seconds
+    monkeypatch.setattr(opener, "FREE_BYTES", 1 << 16)  # or the rows take seconds
     rows = b"t_s,speed_mps,power_w\n" + b"0,1,2\n" * 200_000
     (tmp_path / "drive.csv.gz").write_bytes(gzip.compress(rows))
     drive = open_drive(tmp_path / "drive.csv.gz", 350.0)
@@ -259,26 +259,31 @@ def test_gzipped_text_that_unpacks_to_too_much_is_cut_there(tmp_path, monkeypatc
 
 
 def blf(path, objects):
-    """A .blf log of one frame, and these bytes as each of its next two containers."""
+    """A .blf log of one frame, and these bytes as each of its next three containers."""
     with can.BLFWriter(str(path)) as writer:
         writer.on_message_received(can.Message(arbitration_id=1, data=b"1", timestamp=1e9))
     packed = zlib.compress(objects)
     size = 16 + 16 + len(packed)
     head = struct.pack("<4sHHII", b"LOBJ", 16, 1, size, 10)
     container = head + struct.pack("<H6xL4x", 2, len(objects)) + packed
-    path.write_bytes(path.read_bytes() + 2 * (container + bytes(size % 4)))
+    path.write_bytes(path.read_bytes() + 3 * (container + bytes(size % 4)))
 
 
 NO_SIZE = struct.pack("<4sHHII", b"LOBJ", 32, 9, 0, 1) + bytes(32)
-ENDLESS = struct.pack("<4sHHII", b"LOBJ", 32, 1, 1 << 31, 1) + bytes(LARGEST_OBJECT)
+ENDLESS = struct.pack("<4sHHII", b"LOBJ", 32, 1, 1 << 31, 1) + bytes(LARGEST_OBJECT // 2)
+LARGE = bytes(LARGEST_OBJECT + 1)
 
 
 @pytest.mark.parametrize(
     ("objects", "reason"),
-    [(NO_SIZE, "an object has no size"), (ENDLESS, "an object is larger than")],
+    [
+        (NO_SIZE, "an object has no size"),
+        (ENDLESS, "an object is larger than"),
+        (LARGE, "an object unpacks to more than"),
+    ],
 )
 def test_a_blf_object_that_never_ends(tmp_path, objects, reason):
-    """python-can reads the first for ever and keeps all that follows the second."""
+    """python-can reads the first for ever and keeps all that follows the others."""
     path = tmp_path / "a.blf"
     blf(path, objects)
     log = LogFile(path)

@@ -48,14 +48,16 @@ def test_ovms_gives_the_energy_that_was_drawn() -> None:
 
 
 def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar) -> None:
-    """Within the sigma that either claims; both far surer than before the drive."""
+    """Within the sigma that either claims, and as sure; a town tells little of drag and tyres."""
     exact = car()
     send(exact, ovms(), as_ovms())
     for name, coarse in tesla.documents()["parameters"]["combinations"].items():
         fine = exact.documents()["parameters"]["combinations"][name]
         before = car().documents()["parameters"]["combinations"][name]
         assert abs(coarse["value"] - fine["value"]) < 2 * fine["std"], name
-        assert coarse["std"] < before["std"], name
+        assert coarse["std"] < 1.2 * fine["std"], name
+        if name in ("mass_over_eta", "regeneration", "p_aux"):
+            assert coarse["std"] < 0.6 * before["std"], name
 
 
 def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:

@@ -337,7 +337,8 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     published = json.loads(reader.newest()["evpinn/zoe/energy"])
     assert published["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
     assert reader.newest()["evpinn/status"] == "offline"
-    assert {p.name for p in state.iterdir()} == {"zoe.json", "zoe.energy.json"}
+    assert {p.name for p in state.iterdir()} == {"zoe.json"}
+    assert json.loads((state / "zoe.json").read_text()).keys() == {"learned", "energy"}
     layout = read_mapping(tmp_path / "topics.yaml")
     assert layout.subscriptions == ("my/+",)
     for client in (reader, writer):

@@ -8,6 +8,7 @@ import pytest
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
+from evpinn_ros.bridges.broker import secret_of
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
@@ -29,6 +30,7 @@ READERS = {
     "pipe.log": (lambda path: next(LogFile(path).frames()),),
     "pipe.log.gz": (lambda path: next(LogFile(path).frames()),),
     "pipe.json": (read_state,),
+    "pipe.password": (secret_of,),
     "pipe.mcap": (BagReader, lambda path: recover(path, path.with_name("new"))),
     "pipe.db3": (BagReader,),
 }
@@ -71,10 +73,11 @@ BESIDES = {  # what may open by itself, and why
     "evpinn_ros/common/apart.py": "the limits of its own process, of /proc",
     "evpinn_ros/common/writer.py": "folders, to lock and to sync",
     "evpinn_ros/energy/rknn.py": "weights of the package",
-    "evpinn_ros/vehicle/certified.py": "a table of the package",
+    "evpinn_ros/common/package_data.py": "tables of the package",
     "evpinn_ros/report/html.py": "a script of the package",
     "evpinn_ros/cli/vehicles.py": "comments of a file that the opener has read",
     "evpinn_ros/cli/main.py": "/dev/null, to write to",
+    "evpinn_ros/common/stopping.py": "/dev/null, to write to",
     "evpinn_ros/fleet/run.py": "a lock, to write to",
 }
 OPENS = {"open", "fdopen", "read_text", "read_bytes", "ZipFile", "GzipFile", "loadtxt", "memmap"}

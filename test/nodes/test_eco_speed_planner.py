@@ -200,7 +200,7 @@ def test_refused_plans_are_told_at_once_with_the_reason(bench, start, tmp_path, 
     start(route=str(route), timeout=15.0)
     refusal = "the energy node refuses: climbs more than it travels"
     bench.pump(lambda: refusal in capfd.readouterr().err)
-    assert "climbs more than it travels" in bench.diagnosis(energy)["plan"][1]
+    assert "climbs more than it travels" in bench.diagnosis(energy)["plan"][2]["last_refusal"]
 
 
 def test_answers_to_others_are_not_taken_for_its_own(bench, start):

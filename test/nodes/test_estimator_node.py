@@ -7,7 +7,6 @@ import pytest
 from std_srvs.srv import SetBool, Trigger
 
 from evpinn_ros import topics
-from evpinn_ros.energy.power_model import prior_identifiable
 from evpinn_ros.nodes import estimator as module
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
@@ -15,6 +14,7 @@ from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReadin
 from evpinn_ros.topics.messages import Level, read_named_vector
 from evpinn_ros.topics.readings import battery_message, speed_message
 from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.identifiable import prior_identifiable
 
 START = 1_700_000_000 * NANOSECONDS
 
@@ -71,7 +71,7 @@ def test_prediction_goes_on_without_the_battery(bench):
 def test_the_breakdown_is_told_live_and_adds_up(bench):
     node = bench.start(EstimatorNode)
     bench.listen(topics.ENERGY_BREAKDOWN)
-    drive(bench, node, 0.0, 30.0)
+    drive(bench, node, 0.0, 35.0)  # three intervals
     bench.settle()
     found = read_named_vector(bench.heard[topics.ENERGY_BREAKDOWN][-1])
     parts = dict(found.values)
@@ -89,7 +89,7 @@ def test_enable_pauses_learning_alone(bench):
     assert node.published[topics.POWER_SMOOTHED] > 30
     assert unsure(node) == pytest.approx(1.0, abs=0.01)
     bench.call(SetBool, "/ev/estimator/enable", data=True)
-    drive(bench, node, 16, 32)
+    drive(bench, node, 16, 48)
     assert unsure(node) < 0.9
 
 
@@ -112,13 +112,13 @@ def test_save_gives_the_reason_when_it_cannot(bench, tmp_path):
 def test_what_was_learned_is_saved_and_read_again(bench, tmp_path):
     path = tmp_path / "state" / "car.json"
     node = bench.start(EstimatorNode, state_file=str(path))
-    drive(bench, node, 0, 24)
+    drive(bench, node, 0, 36)
     answer = bench.call(Trigger, "/ev/estimator/save")
     assert answer.success and str(path) in answer.message
     saved = json.loads(path.read_text())
     again = bench.start(EstimatorNode, state_file=str(path))
-    assert unsure(again) == pytest.approx(unsure(node)) and unsure(node) < 0.9
-    drive(bench, node, 24, 25)
+    assert unsure(again) == pytest.approx(unsure(node)) and unsure(node) < 0.95
+    drive(bench, node, 36, 37)
     node.close()
     assert json.loads(path.read_text()) != saved, "saved at the end too"
 
@@ -147,7 +147,7 @@ def test_a_state_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, cont
     assert "kept as car.json.refused" in text
     assert prior["vehicle"] == "tesla_model_3_lr"
     node.save()
-    assert json.loads(path.read_text())["version"] == prior["version"]
+    assert json.loads(path.read_text())["learned"]["version"] == prior["version"]
     assert path.with_name("car.json.refused").read_text() == content
 
 

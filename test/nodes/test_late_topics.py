@@ -19,7 +19,7 @@ from evpinn_ros.vehicle.files import load_vehicle
 
 VEHICLE = "tesla_model_3_lr"
 
-SECONDS, ON_TIME = 24.0, 8.0  # s of the drive, and of it without a delay
+SECONDS, ON_TIME = 44.0, 8.0  # s of the drive, and of it without a delay
 POWERS = (topics.POWER_MEASURED, topics.POWER_SMOOTHED)
 JOINED = 2.0  # s of a late battery that is joined with speed all the same
 START = 1_700_000_000  # s
@@ -60,7 +60,7 @@ def test_nothing_is_forgotten_when_one_topic_is_late(bench, urban, late, lag):
         learned = estimator.estimator.parameters(), in_time.estimator.parameters()
         assert repr(learned[0]) == repr(learned[1])
     assert state.consumed == pytest.approx(expected.consumed, rel=1e-6 if lag < JOINED else 0.05)
-    assert estimator.estimator.status().accepted > 3
+    assert estimator.estimator.status().accepted > 1
 
 
 def chain_in_time(drive):

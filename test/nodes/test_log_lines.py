@@ -31,7 +31,7 @@ def test_the_estimator_logs_what_changes(bench, logged, urban, tmp_path):
     lines = [line.partition("]: ")[2] for line in logged().splitlines() if "estimator]" in line]
     assert f"written to {path}" in lines and "paused: predicting only" in lines
     assert len(lines) == len(set(lines)), lines
-    assert json.loads(path.read_text())["vehicle"] == "tesla_model_3_lr"
+    assert json.loads(path.read_text())["learned"]["vehicle"] == "tesla_model_3_lr"
     bench.start(EstimatorNode, state_file=str(path))
     assert f"continues from {path}" in logged()
 

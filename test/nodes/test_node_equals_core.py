@@ -30,7 +30,7 @@ HEARD = (
     topics.ENERGY_STATE,
     topics.ENERGY_CONSUMED,
 )
-SECONDS = 25.0  # of each bag; one message in flight takes milliseconds
+SECONDS = 45.0  # of each bag; one message in flight takes milliseconds
 POWERS = (topics.POWER_MEASURED, topics.POWER_SMOOTHED)
 
 
@@ -56,7 +56,7 @@ def test_nodes_over_topics_equal_the_cores(bench, bundled, bag):
 @pytest.mark.parametrize("policy", JumpPolicy)
 def test_of_a_bag_in_a_loop_too(bench, urban, policy):
     """It starts over in the middle, and a few readings of the future and the past are in it."""
-    once = list(urban(15.0))
+    once = list(urban(35.0))
     turns = [*once[:100], once[200], *once[100:], *once[:90], once[-1], *once[90:200]]
     core = equal(bench, turns, policy)
     assert core.account.trip.total.distance > 0.0
@@ -84,7 +84,7 @@ def equal(bench, drive, policy):
         bench.deliver(estimator, topic, ros_message)
         bench.pump(lambda: all(energy.received[t] == estimator.published[t] for t in POWERS))
     bench.settle()
-    assert core.estimator.status().accepted > 5
+    assert core.estimator.status().accepted > 1
     assert estimator.estimator.status().accepted == core.estimator.status().accepted
     for topic in HEARD:
         assert bench.heard[topic] == expected[topic], topic.name

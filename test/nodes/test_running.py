@@ -87,7 +87,7 @@ def test_a_middleware_that_hangs_cannot_keep_a_process_that_has_saved(bench, tmp
         assert process.returncode == 0, said
         assert "ROS did not shut down within 1 s: " in said and "all is saved" in said
         assert "in hang" in said and "in destroy_node" in said  # where it hung
-    assert json.loads(path.read_text())["learned"]["vehicle"] == "generic"
+    assert json.loads(path.read_text())["energy"]["vehicle"] == "generic"
 
 
 def test_it_fails_where_something_could_not_be_saved(bench, tmp_path):

@@ -36,7 +36,7 @@ def test_a_bag_in_a_loop_gives_the_same_numbers_again(bench, urban):
     estimator = bench.start(EstimatorNode, time_jump_policy="reset")
     energy = bench.start(EnergyNode, time_jump_policy="reset")
     bench.listen(*OUTPUTS)
-    drive = [(topic, message) for topic, _, message in urban(20.0)]
+    drive = [(topic, message) for topic, _, message in urban(35.0)]
     play(bench, estimator, energy, drive * 2)
     assert estimator.estimator.status().accepted > 2
     for topic in OUTPUTS:

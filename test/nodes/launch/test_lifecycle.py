@@ -111,7 +111,7 @@ def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, b
         ros2.ask("param", "set", name, "energy_file", str(state))
         for transition in ("configure", "activate", "deactivate"):
             assert "successful" in to(transition)
-        assert json.loads(state.read_text())["vehicle"] == "bmw_i3"
+        assert json.loads(state.read_text())["energy"]["vehicle"] == "bmw_i3"
 
 
 def test_endpoints_come_with_configure_and_go_with_cleanup(bench):

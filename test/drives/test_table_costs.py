@@ -1,0 +1,114 @@
+"""What a table costs: memory and the processor, however it is made."""
+
+import gzip
+from itertools import islice
+import subprocess
+import sys
+import time
+import tracemalloc
+import zipfile
+
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.opener import LONGEST_LINE
+from evpinn_ros.drives.sources import open_drive
+
+SHEET = (
+    '<?xml version="1.0"?><worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/'
+    'main"><sheetData>{}</sheetData></worksheet>'
+)
+
+
+def test_tables_of_nothing_are_refused_at_once(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    bombs = {
+        "columns.csv.gz": b",".join([b"a"] * 600_000),
+        "row.csv.gz": b'time,speed,power\n"' + b"x" * (LONGEST_LINE + 9),
+        "quote.csv.gz": b"time,speed,power\n" + b'"a\n' * 200_000,
+        "lines.csv.gz": b'time,speed,power\n"' + b"x,1,2\n" * 3_000_000,
+        "blank.csv.gz": b"time,speed,power\n" + b"\n" * 200_000,
+    }
+    for name, data in bombs.items():
+        (tmp_path / name).write_bytes(gzip.compress(data, 1))
+        with pytest.raises(InputError, match=name):
+            open_drive(tmp_path / name)
+    book = openpyxl.Workbook()
+    book.save(tmp_path / "good.xlsx")
+    cells = "".join(f'<row r="{i}"><c r="A{i}"/></row>' for i in range(1, 100_000))
+    with (
+        zipfile.ZipFile(tmp_path / "good.xlsx") as good,
+        zipfile.ZipFile(tmp_path / "bad.xlsx", "w", zipfile.ZIP_DEFLATED) as bad,
+    ):
+        for part in good.namelist():
+            sheet = part.startswith("xl/worksheets/")
+            bad.writestr(part, SHEET.format(cells) if sheet else good.read(part))
+    with pytest.raises(InputError, match="rows are empty"):
+        open_drive(tmp_path / "bad.xlsx")
+
+
+MEASURED = """
+import re, time
+from evpinn_ros.cli.main import main
+try:
+    main()
+except SystemExit as end:
+    peak = re.search("VmHWM: *(\\\\d+)", open("/proc/self/status").read().replace("\\t", " "))
+    print(end.code, time.process_time(), int(peak[1]) / 1024)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "data",
+    [
+        b",".join([b"a"] * 1_000_000),
+        b'time,speed,power\n"' + b"x" * 60_000_000,
+        b"time,speed,power\n" + b'"a\n' * 2_000_000,
+    ],
+    ids=["a million columns", "one endless quoted row", "quotes that never close"],
+)
+@pytest.mark.parametrize("command", [("info",), ("replay",)])
+def test_a_bomb_costs_no_command_a_second_or_200_mb(tmp_path, data, command):
+    """Of the processor, for the clock is everybody's, and beyond what a table of nothing costs."""
+    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(data, 9))
+    assert (tmp_path / "bomb.csv.gz").stat().st_size < 70_000
+    (tmp_path / "empty.csv.gz").write_bytes(gzip.compress(b"time,speed,power\n"))
+    seconds, megabytes = refused(command, tmp_path / "bomb.csv.gz")
+    started, _ = refused(command, tmp_path / "empty.csv.gz")
+    assert seconds - started < 1.0 and megabytes < 200.0
+
+
+def refused(command, path):
+    """Processor time, s, and memory, MB, of a command that refuses a file in one line."""
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, *command, str(path)], capture_output=True, text=True
+    )
+    code, seconds, megabytes = done.stdout.split()
+    assert code == "1" and path.name in done.stderr and done.stderr.count("\n") == 1
+    return float(seconds), float(megabytes)
+
+
+def test_a_long_comment_costs_no_square_of_its_length(tmp_path):
+    path = tmp_path / "spaces.csv"
+    path.write_text("# start" + " " * 100_000 + "\nt_s,speed_mps,power_w\n0,1,2\n1,2,3\n")
+    begin = time.process_time()
+    assert len(list(open_drive(path).readings())) == 4
+    assert time.process_time() - begin < 5.0
+
+
+@pytest.mark.slow
+def test_a_table_newest_first_is_not_held_as_text(tmp_path):
+    rows = 200_000
+    path = tmp_path / "newest.csv"
+    with path.open("w") as file:
+        file.write("Timestamp,Speed (km/h),Voltage (V),Current (A),Note\n")
+        for i in range(rows, 0, -1):
+            file.write(f"{1_700_000_000 + i},{i % 90},360,{i % 50},{i:060d}\n")
+    drive = open_drive(path)
+    tracemalloc.start()
+    stamps = [reading.stamp_ns for reading in islice(drive.readings(), 10)]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert stamps == sorted(stamps) and stamps[0] == 1_700_000_001 * 10**9
+    assert peak < 3 * path.stat().st_size
