@@ -15,9 +15,9 @@ import numpy as np
 from benchmarks.battery_end import BatteryBenchmark, BatteryRow
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.driven import drive_plan
-from evpinn_ros.energy.forecast import FIRST_RESIDUAL, forecast_plan
+from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import Plan
-from evpinn_ros.energy.power_model import PowerModel, combined_model
+from evpinn_ros.energy.power_model import PowerModel, Weather, combined_model
 from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
@@ -80,14 +80,12 @@ class ForecastBenchmark:
         if thermometer is not None:
             celsius = thermometer.celsius
             list(self._estimator.add_reading(thermometer))
-        known, linear = self._estimator.parameters(), self._estimator.linear_power()
-        combinations = combined_model(
-            known.identifiable, known.identifiable_std, self._vehicle, FIRST_RESIDUAL
-        )
-        model = combinations if linear is None else PowerModel(linear)
-        density = density_of_air(self._vehicle.air_density, celsius, None)
-        found = forecast_plan(plan, model, density)
-        simple = forecast_plan(plan, combinations, density)
+        known, learned = self._estimator.parameters(), self._estimator.model()
+        combinations = combined_model(known.identifiable, known.identifiable_std, self._vehicle)
+        model = combinations if learned is None else PowerModel(learned)
+        weather = Weather(density_of_air(self._vehicle.air_density, celsius, None), celsius)
+        found = forecast_plan(plan, model, weather)
+        simple = forecast_plan(plan, combinations, weather)
         for reading in drive:
             for _ in self._estimator.add_reading(reading):
                 pass

@@ -14,9 +14,8 @@ import numpy as np
 from benchmarks.fastsim_peer import AIR_DENSITY, fastsim_combined, run_fastsim
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.forecast import Profiles, forecast
-from evpinn_ros.energy.power_model import PowerModel, combined_model
+from evpinn_ros.energy.power_model import combined_model, vehicle_model
 from evpinn_ros.energy.quadrature import trapezoid
-from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 
@@ -55,7 +54,7 @@ def measure_throughput(vehicle: Vehicle) -> ForecastThroughput:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     profiles = hilly_profiles(BATCH, POINTS)
-    learned = PowerModel(PinnLearner(vehicle).linear_power(None))
+    learned = vehicle_model(vehicle)
     tensors = Profiles(*(torch.as_tensor(array) for array in profiles))
 
     def gradient() -> None:
@@ -80,8 +79,8 @@ def compare_cycles(folder: Path, vehicle: Vehicle) -> Iterator[CycleRow]:
     Raises:
         InputError: a cycle is missing.
     """
-    same = combined_model(fastsim_combined(), NO_SIGMA, vehicle, 0.0)
-    learned = PowerModel(PinnLearner(vehicle).linear_power(None))
+    same = combined_model(fastsim_combined(), NO_SIGMA, vehicle)
+    learned = vehicle_model(vehicle)
     for name in CYCLES:
         time_s, speed = read_cycle(folder / f"{name}.csv")
         peer = run_fastsim(time_s, speed, REPEATS)

@@ -18,7 +18,7 @@ import zstandard
 from evpinn_ros import topics
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.estimation.pinn import PinnLearner
+from evpinn_ros.energy.power_model import vehicle_model
 from evpinn_ros.signals import readings
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.topics.messages import header, scalar
@@ -156,8 +156,8 @@ def messages() -> list[bytes]:
 
 def model() -> list[bytes]:
     """The model of a car."""
-    learned = PinnLearner(load_vehicle(VEHICLE)).linear_power(None)
-    return [encode(model_message(new_message, VEHICLE, learned))]
+    car = vehicle_model(load_vehicle(VEHICLE)).car
+    return [encode(model_message(new_message, VEHICLE, car))]
 
 
 def plans() -> list[bytes]:

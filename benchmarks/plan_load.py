@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 from benchmarks.processor import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.estimation.pinn import PinnLearner
+from evpinn_ros.energy.power_model import vehicle_model
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
@@ -161,7 +161,7 @@ class _Planner:
 
     def await_node(self) -> None:
         """Wait until the node listens, and give it a model."""
-        model = PinnLearner(load_vehicle(VEHICLE)).linear_power(None)
+        model = vehicle_model(load_vehicle(VEHICLE)).car
         self._model.publish(model_message(new_message, VEHICLE, model))
         self._spin_until(lambda: self._plans.get_subscription_count() > 0, START_TIMEOUT)
         end = time.monotonic() + SETTLE

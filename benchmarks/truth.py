@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.parameter_set import identifiable_shares, parameter_set
 from evpinn_ros.estimation.payload import PayloadChange
-from evpinn_ros.estimation.pinn import LearnedCar
-from evpinn_ros.estimation.published import published
+from evpinn_ros.estimation.published import Published, published
+from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
@@ -47,7 +48,7 @@ class CarChain:
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.car = LearnedCar(vehicle)
+        self.car = LearnedCar.new(Equation(vehicle))
         self.motion = 0.0
         self._stream = SampleStream(
             StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
@@ -62,7 +63,7 @@ class CarChain:
 
     def take(self, interval: Interval) -> None:
         """Learn from an interval."""
-        self.car.learn(interval)
+        self.car = self.car.after([interval])
         steps = interval.steps
         moves = steps.distance > STANDSTILL_SPEED * steps.duration
         self.motion += float(steps.duration @ moves)
@@ -70,7 +71,11 @@ class CarChain:
 
     def parameters(self) -> ParameterSet:
         """Present estimate."""
-        return parameter_set(self._newest_ns, published(self.car.filter, self.car.sums))
+        return parameter_set(self._newest_ns, self.published())
+
+    def published(self) -> Published:
+        """What of the car is published."""
+        return published(self.car.state, self.car.equation, self.car.driven)
 
 
 def simulated_drives(
@@ -235,8 +240,8 @@ def false_alarms(
 
 def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[TruthCheck]:
     found = chain.parameters()
-    truth = true_so_far(drive, seconds)
-    share = identifiable_shares(published(chain.car.filter, chain.car.sums))
+    truth = true_so_far(drive, seconds, chain.car.equation)
+    share = identifiable_shares(chain.published())
 
     def one(name: str, value: float, std: float, prior: float, true: float) -> TruthCheck:
         return TruthCheck(drive.vehicle.key, drive.seed, seconds, name, value, std, prior, true)
@@ -250,7 +255,7 @@ def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[
             yield one(name, estimate.value, estimate.std, estimate.prior_share, true)
 
 
-def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
+def true_so_far(drive: SimulatedDrive, seconds: int, equation: Equation) -> Truth:
     """The true parameters of the first seconds of a drive."""
     count = seconds * SAMPLE_RATE
     trace = drive.trace
@@ -258,7 +263,7 @@ def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
         **{f.name: getattr(trace.motion, f.name)[:count] for f in fields(IntervalMotion)}
     )
     columns = {f.name: getattr(trace, f.name)[:count] for f in fields(Trace) if f.name != "motion"}
-    return true_values(drive.car, Trace(motion=motion, **columns))
+    return true_values(drive.car, Trace(motion=motion, **columns), equation)
 
 
 def _summary(group: list[TruthCheck]) -> TruthSummary:

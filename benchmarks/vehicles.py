@@ -12,10 +12,8 @@ import numpy as np
 from benchmarks.energy_library import read_cycle
 from benchmarks.population import CertifiedDistribution, population
 from evpinn_ros.energy.forecast import Profiles, forecast
-from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.energy.power_model import vehicle_model
 from evpinn_ros.energy.quadrature import trapezoid
-from evpinn_ros.estimation.car_state import prior_of
-from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.vehicle.certified import (
     AIR_DENSITY,
     CertifiedCar,
@@ -23,6 +21,7 @@ from evpinn_ros.vehicle.certified import (
     certified_cars,
 )
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.vehicle.physics import GRAVITY
 
 SPEEDS = (10.0, 20.0, 30.0)  # m/s
@@ -33,7 +32,7 @@ NINETY = 1.645
 PLAIN = np.array([1.0, 0.0, 0.0])
 JOULES_PER_WH_KM = 3.6  # J/m
 
-LEARNED = (2, 3, 4)  # of the parameters: mass, c_rr, c_d
+LEARNED = ("mass", "c_rr", "c_d")
 
 
 class PriorError(NamedTuple):
@@ -89,7 +88,10 @@ def _model(key: str) -> str:
 
 def of_vehicle(vehicle: Vehicle) -> CertifiedDistribution:
     """A vehicle file's prior of mass, c_rr and drag area."""
-    covariance = prior_of(vehicle).covariance[np.ix_(LEARNED, LEARNED)]
+    priors = [vehicle.priors[name] for name in LEARNED]
+    std = np.array([prior.std / prior.value for prior in priors])
+    places = [PARAMETER_NAMES.index(name) for name in LEARNED]
+    covariance = np.outer(std, std) * vehicle.correlation[np.ix_(places, places)]
     start = vehicle.initial
     mean = np.log([start.mass, start.c_rr, start.c_d * vehicle.frontal_area])
     return CertifiedDistribution(mean, covariance)
@@ -154,7 +156,7 @@ def cycle_energies(folder: Path, car: CertifiedCar, vehicle: Vehicle) -> Iterato
     Raises:
         InputError: a cycle is missing.
     """
-    model = PowerModel(PinnLearner(vehicle).linear_power(None))
+    model = vehicle_model(vehicle)
     for name, certified in zip(CYCLES, (car.udds, car.highway), strict=True):
         if math.isnan(certified):
             continue
