@@ -1,78 +1,127 @@
-"""The core with one part left out: what each part is worth without the battery."""
+"""The core with one part left out: what each part is worth without the battery.
+
+What the unevenness of speed is worth for plans shows `evpinn bench plans`, which has even speed
+beside it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.variants import ConstantPlace, RecordedCar, Variant, VariantRow, constant, score
-from evpinn_ros.estimation.car_filter import LOAD_STD
-from evpinn_ros.estimation.car_state import State
-from evpinn_ros.estimation.long_hills import LongHills
-from evpinn_ros.signals.interval import Interval
+from benchmarks.unseen.drives import load_car
+from benchmarks.unseen.method import OnlineChain
+from benchmarks.unseen.protocols import run_car
+from benchmarks.unseen.summary import summary
+from benchmarks.variants import ConstantPlace, Variant, replaced
+from evpinn_ros.estimation.gaussian import replace_states
+from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
+from evpinn_ros.estimation.states import OFFSETS, SIZE, WEIGHTS, State
+from evpinn_ros.estimation.terms import Equation, Warmth, standing_powers
+from evpinn_ros.signals.road import Conditions
 
-CARS = ("model3", "i3", "i3_speed", "e208", "leaf2013")
+CARS = ("model3", "i3", "i3_speed", "e208", "changchun", "simulated")
 NOTHING = 1e-6
 
-ONE_SCALE = {
-    constant("FORCES"): (0.002,),
-    constant("SLOPES"): (0.008,) * 3,
-    constant("HEIGHT_ERRORS"): (1.5,) * 3,
-}
-NO_SLOPE = {constant("SLOPES"): (NOTHING,) * 3, constant("HEIGHT_ERRORS"): (NOTHING,) * 3}
+
+def _bank(networks: tuple[float, ...], loads: tuple[float, ...]) -> dict[ConstantPlace, Any]:
+    """Other hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W."""
+    return {ConstantPlace("posterior", "BANK"): np.array(list(product(networks, loads)))}
 
 
-class _NoHills(LongHills):
-    """Roads that never stray."""
+def _without(*states: State) -> dict[ConstantPlace, float]:
+    """States that stay at zero."""
+    return {
+        ConstantPlace(state, key): value
+        for state in states
+        for key, value in {"mean": 0.0, "std": NOTHING}.items()
+    }
 
-    def after(self, interval: Interval) -> LongHills:
-        return self
 
-    def elsewhere(self) -> LongHills:
-        return self
+def _forget_network(state: CarState, equation: Equation, **keep: float) -> CarState:
+    """Begin a drive with a network that knows nothing of those before it."""
+    state = begin_drive(state, equation, **keep)
+    fresh = dict.fromkeys(range(SIZE)[WEIGHTS], BANK[:, 0] ** 2)
+    return state.with_gaussian(replace_states(state.gaussian, fresh))
+
+
+def _unreported(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
+    """Standing powers of a car that reports nothing."""
+    return standing_powers(conditions._replace(load_known=False), warmth)
+
+
+def _unseen(state: CarState, *_: Any) -> CarState:
+    """Learn nothing of what was reported."""
+    return state
+
+
+def _fixed(growth: float) -> dict[ConstantPlace, Any]:
+    """Unseen hills of one size, m^2 per m, instead of a learned one."""
+    return {ConstantPlace("bands", "GROWTHS"): np.full(3, growth)}
 
 
 STARTS = (State.COLD_START, State.HOT_START)
-
-
-def _without(*states: State) -> dict[ConstantPlace, tuple[float, float]]:
-    """States of the car that stay at zero."""
-    return {ConstantPlace("PRIORS", state): (0.0, NOTHING) for state in states}
-
+# Between the hypotheses of the bank, by their geometric mean.
+MIDDLE = tuple(float(np.sqrt(np.prod(stds))) for stds in (NETWORK_STDS, LOAD_STDS))
 
 VARIANTS = (
     Variant("whole"),
-    Variant("one scale of the road", ONE_SCALE),
-    Variant("no unseen slope", NO_SLOPE),
-    Variant("no long hills", {constant("LongHills"): lambda _: _NoHills(0.0)}),
-    Variant("no unseen force", {constant("FORCES"): (NOTHING,)}),
-    Variant("dropouts hold the road before", {constant("lasting"): np.copy}),
+    Variant("no network", _bank((NOTHING,), LOAD_STDS)),
+    Variant("network of one drive alone", {ConstantPlace("car", "begin_drive"): _forget_network}),
+    Variant("no bank, its middle alone", _bank(MIDDLE[:1], MIDDLE[1:])),
+    Variant("small network alone", _bank(NETWORK_STDS[:1], LOAD_STDS)),
+    Variant("large network alone", _bank(NETWORK_STDS[1:], LOAD_STDS)),
+    Variant("no wandering load", _bank(NETWORK_STDS, (NOTHING,))),
+    Variant("small wandering load alone", _bank(NETWORK_STDS, LOAD_STDS[:1])),
+    Variant("no offsets of a drive", _without(*OFFSETS)),
     Variant(
-        "no wandering load",
-        {constant("LOAD_STD"): NOTHING, constant("KNOWN_LOAD_STD"): NOTHING},
+        "a drive keeps no offset of the last",
+        {ConstantPlace("car", "begin_drive"): partial(begin_drive, keep=0.0)},
     ),
-    Variant("reported loads wander as others", {constant("KNOWN_LOAD_STD"): LOAD_STD}),
-    Variant("no outliers", {constant("OUTLIER"): 1e3}),
-    Variant("noise not scaled", {constant("MOST_SCALE"): 1.0}),
-    Variant(
-        "no offsets of a drive",
-        {
-            ConstantPlace("DRIVE_STD", state): NOTHING
-            for state in (State.ROLL_DRIVE, State.AUX_DRIVE)
-        },
-    ),
-    Variant("a drive keeps no offset of the last", {constant("DRIVE_KEPT"): 0.0}),
-    Variant("braking as sure as driving", {constant("BRAKE_NOISE"): 0.0}),
-    Variant("no loss by turning", _without(State.NO_LOAD)),
-    Variant("no loss by force squared", _without(State.COPPER)),
+    Variant("no cold tyres", _without(State.ROLLING_START, State.ROLLING_COLD)),
+    Variant("no loss by turning", _without(State.TURNING)),
+    Variant("no loss by force squared", _without(State.FORCE_SQUARED)),
     Variant("no heating and cooling", _without(State.COLD, State.HOT, *STARTS)),
     Variant("no start of heating", _without(*STARTS)),
-    Variant("no cold tyres", _without(State.ROLL_START, State.ROLL_COLD)),
+    Variant(
+        "reported loads ignored",
+        {
+            ConstantPlace("terms", "standing_powers"): _unreported,
+            ConstantPlace("learning", "see_reported_climate"): _unseen,
+        },
+    ),
+    Variant("bands not scaled", {ConstantPlace("bands", "PRIOR_CASES"): 1e12}),
+    Variant("hills of one size", _fixed(0.004)),
+    Variant("no unseen hills", _fixed(0.0)),
+    Variant("no heavy tails", {ConstantPlace("posterior", "OUTLIER"): 1e3}),
+    Variant(
+        "noise not scaled",
+        {ConstantPlace("posterior", key): 1.0 for key in ("LEAST_SCALE", "MOST_SCALE")},
+    ),
+    Variant("a car does not change", {ConstantPlace("posterior", "DRIFT"): 0.0}),
 )
 
+NO_TRIM = Variant("no trim", {ConstantPlace("trim", "REACH"): NOTHING})
 
-def ablate(car: RecordedCar) -> Iterator[VariantRow]:
-    """Every variant on one car."""
-    for variant in VARIANTS:
-        yield score(variant, car)
+
+class SecondsRow(NamedTuple):
+    """RMSE of power of one variant on one car, W, at ages of the last battery sample."""
+
+    variant: str
+    car: str
+    ages: dict[str, float]  # by s since the battery
+
+
+def seconds(data: str, key: str, variant: Variant) -> SecondsRow:
+    """Score the seconds after the last battery sample, which are the trim's.
+
+    Raises:
+        InputError: none of the car's drives can be read.
+    """
+    with replaced(variant.changes):
+        found = summary(run_car(load_car(data, key), OnlineChain))["by_battery_age"]
+    ages = {age: each["rmse_w"] for age, each in found.items() if each}
+    return SecondsRow(variant.name, key, ages)

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from benchmarks.variants import ConstantPlace, Variant, VariantRow, constant
-from evpinn_ros.estimation.car_state import State
+from benchmarks.variants import ConstantPlace, Variant, VariantRow
+from evpinn_ros.estimation.states import State
 
 CARS = ("i3", "i3_speed", "e208", "leaf2013", "sumo_id3", "simulated", "model3")
 ONE_CAR = {"i3_speed": "i3", "sumo_id3": "sumo_i3", "sumo_e208": "sumo_i3"}
@@ -40,23 +40,26 @@ class Setting(NamedTuple):
         ]
 
 
+def _posterior(key: str, *values: float) -> Setting:
+    return Setting(ConstantPlace("posterior", key), values)
+
+
 SETTINGS = (
-    Setting(constant("BRAKE_NOISE"), (0.1, 0.2, 0.3)),
-    Setting(constant("NOISE_TIME"), (1.5, 3.0, 6.0)),
-    Setting(constant("SHARE_NOISE"), (0.0, 0.03, 0.06)),
-    Setting(constant("OUTLIER"), (2.5, 4.0)),
-    Setting(constant("FORCE_LENGTH"), (750.0, 1500.0, 3000.0)),
-    Setting(constant("SLOPE_LENGTH"), (300.0, 600.0, 1200.0)),
-    Setting(constant("LOAD_STD"), (75.0, 150.0, 300.0)),
-    Setting(constant("KNOWN_LOAD_STD"), (10.0, 30.0, 150.0)),
-    Setting(constant("LOAD_TIME"), (150.0, 300.0, 600.0)),
-    Setting(constant("LEAST_SCALE"), (0.05, 1.0)),
-    Setting(constant("GROWTH"), (0.05**2, 0.1**2, 0.2**2, 0.4**2)),
-    Setting(constant("DRIVE_KEPT"), (0.0, 0.5, 0.8, 0.9)),
-    Setting(ConstantPlace("DRIVE_STD", State.ROLL_DRIVE), (0.05, 0.10, 0.15)),
-    Setting(ConstantPlace("DRIVE_STD", State.AUX_DRIVE), (150.0, 250.0, 400.0)),
-    Setting(ConstantPlace("PRIORS", State.NO_LOAD), ((0.0, 1e-6), (150.0, 100.0), (300.0, 250.0))),
-    Setting(ConstantPlace("PRIORS", State.COPPER), ((0.0, 1e-6), (200.0, 200.0), (400.0, 400.0))),
+    _posterior("NOISE_TIME", 0.75, 1.5, 3.0),
+    _posterior("OUTLIER", 2.5, 4.0),
+    _posterior("LOAD_TIME", 150.0, 300.0, 600.0),
+    _posterior("EVIDENCE_KEPT", 100.0, 400.0, 1600.0),
+    _posterior("LARGE_NETWORK_ODDS", 0.0, 7.0),
+    _posterior("SCALE_INTERVALS", 10.0, 30.0, 100.0),
+    _posterior("LEAST_SCALE", 0.05, 1.0),
+    _posterior("DRIFT", 0.0, 0.02, 0.05),
+    Setting(ConstantPlace("bands", "PRIOR_CASES"), (4.0, 8.0, 16.0)),
+    Setting(ConstantPlace(State.ROLLING_DRIVE, "std"), (0.05, 0.08, 0.12)),
+    Setting(ConstantPlace(State.LOAD_DRIVE, "std"), (150.0, 250.0, 400.0)),
+    Setting(ConstantPlace(State.TURNING, "mean"), (0.0, 150.0, 300.0)),
+    Setting(ConstantPlace(State.FORCE_SQUARED, "mean"), (0.0, 200.0, 400.0)),
+    Setting(ConstantPlace(State.COLD, "mean"), (30.0, 60.0)),
+    Setting(ConstantPlace(State.COLD_START, "mean"), (30.0, 60.0)),
 )
 
 Scores = Mapping[str, Mapping[str, VariantRow]]
@@ -113,4 +116,4 @@ def _one(key: str) -> str:
 
 
 def _text(value: Any) -> str:
-    return " +- ".join(f"{each:g}" for each in (value if isinstance(value, tuple) else (value,)))
+    return f"{value:g}"

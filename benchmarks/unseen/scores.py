@@ -100,17 +100,8 @@ class PartScore:
 
     @property
     def crps(self) -> float:
-        """Continuous ranked probability score of the energy, J: error and width judged together.
-
-        Of a normal prediction (Gneiting and Raftery, 2007, eq. 21); a sure one (sigma 0) is its
-        absolute error.
-        """
-        if self.sigma == 0:
-            return abs(self.error)
-        away = self.error / self.sigma
-        density = math.exp(-(away**2) / 2) / math.sqrt(2 * math.pi)
-        spread = away * math.erf(away / math.sqrt(2)) + 2 * density - 1 / math.sqrt(math.pi)
-        return self.sigma * spread
+        """Continuous ranked probability score of the energy, J."""
+        return crps(self.error, self.sigma)
 
     @property
     def log_score(self) -> float:
@@ -120,6 +111,20 @@ class PartScore:
         """
         away = min(abs(self.error) / max(self.sigma, 1e-9), MOST_SIGMAS)
         return -(away**2) / 2 - math.log(max(self.sigma, 1e-9) / self.gross)
+
+
+def crps(error: float, sigma: float) -> float:
+    """Continuous ranked probability score: error and width judged together, in their unit.
+
+    Of a normal prediction (Gneiting and Raftery, 2007, eq. 21); a sure one (sigma 0) is its
+    absolute error.
+    """
+    if sigma == 0:
+        return abs(error)
+    away = error / sigma
+    density = math.exp(-(away**2) / 2) / math.sqrt(2 * math.pi)
+    spread = away * math.erf(away / math.sqrt(2)) + 2 * density - 1 / math.sqrt(math.pi)
+    return sigma * spread
 
 
 def score_part(drive: UnseenDrive, track: Track, span: DrivePart) -> PartScore:
