@@ -33,7 +33,7 @@ likelihoods = st.fixed_dictionaries({name: st.floats(-9.0, 9.0) for name in NAME
 
 @pytest.fixture(scope="module")
 def car() -> RecordedCar:
-    """Two drives of some minutes in the cold, an outlier, and loads reported for a while."""
+    """Three drives of some minutes in the cold, an outlier, and loads reported for a while."""
     whole = read_car("", URBAN)
     (drive,) = whole.drives
     drive[SHORT // 2] = replace(drive[SHORT // 2], energy=1e6)
@@ -41,7 +41,7 @@ def car() -> RecordedCar:
         known = index < SHORT // 4
         here = interval.conditions._replace(celsius=0.0, load=300.0 * known, load_known=known)
         drive[index] = replace(interval, conditions=here)
-    return whole._replace(drives=[drive[:SHORT], drive[SHORT:]])
+    return whole._replace(drives=[drive[:SHORT], drive[SHORT:], drive[:SHORT]])
 
 
 @pytest.fixture(scope="module")
