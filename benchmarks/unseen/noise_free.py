@@ -43,7 +43,8 @@ def noise_free_truth(
     whole = len(energy) // count * count
     columns = (*moved, energy - p_aux * moved.duration)
     sums = (column[:whole].reshape(-1, count).sum(1) for column in columns)
-    duration, *steps, moving = sums
-    equation = Equation(vehicle)
-    wheels = equation.wheels(duration, *steps, air_density)
-    return combinations(equation, wheels, duration, moving) | {"p_aux": p_aux}
+    *steps, moving = sums
+    whole_steps, equation = Moved(*steps), Equation(vehicle)
+    wheels = equation.wheels(**whole_steps._asdict(), density=air_density)
+    found = combinations(equation, wheels, whole_steps.duration, moving)
+    return found | {"p_aux": p_aux}
