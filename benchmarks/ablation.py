@@ -1,35 +1,66 @@
-"""The core with one part left out: what each part is worth without the battery."""
+"""The core with one part left out: what each part is worth without the battery.
+
+What the unevenness of speed is worth for plans shows `evpinn bench plans`, which has even speed
+beside it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.variants import (
-    ConstantPlace,
-    RecordedCar,
-    Variant,
-    VariantRow,
-    constant,
-    prior,
-    score,
-)
-from evpinn_ros.estimation.bands import GROWTHS
-from evpinn_ros.estimation.posterior import BANK, CarState
-from evpinn_ros.estimation.states import State
+from benchmarks.unseen.drives import load_car
+from benchmarks.unseen.method import OnlineChain
+from benchmarks.unseen.protocols import run_car
+from benchmarks.unseen.summary import summary
+from benchmarks.variants import ConstantPlace, Variant, replaced
+from evpinn_ros.estimation.gaussian import replace_states
+from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
+from evpinn_ros.estimation.states import OFFSETS, SIZE, WEIGHTS, State
+from evpinn_ros.estimation.terms import Equation, Warmth, standing_powers
+from evpinn_ros.signals.road import Conditions
 
-CARS = ("model3", "i3", "i3_speed", "e208", "leaf2013", "changchun")
+CARS = ("model3", "i3", "i3_speed", "e208", "changchun", "simulated")
 NOTHING = 1e-6
-FOR_EVER = 1e9  # cases: nothing that is rehearsed changes a band
 
 
-def _bank(
-    networks: tuple[float, float], loads: tuple[float, float]
-) -> dict[ConstantPlace, object]:
-    """The four hypotheses with other sizes of network, N, and load, W."""
-    sizes = np.array([(network, load) for network in networks for load in loads])
-    return {constant("BANK"): sizes}
+def _bank(networks: tuple[float, ...], loads: tuple[float, ...]) -> dict[ConstantPlace, Any]:
+    """Other hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W."""
+    return {ConstantPlace("posterior", "BANK"): np.array(list(product(networks, loads)))}
+
+
+def _without(*states: State) -> dict[ConstantPlace, float]:
+    """States that stay at zero."""
+    return {
+        ConstantPlace(state, key): value
+        for state in states
+        for key, value in {"mean": 0.0, "std": NOTHING}.items()
+    }
+
+
+def _forget_network(state: CarState, equation: Equation, **keep: float) -> CarState:
+    """Begin a drive with a network that knows nothing of those before it."""
+    state = begin_drive(state, equation, **keep)
+    fresh = dict.fromkeys(range(SIZE)[WEIGHTS], BANK[:, 0] ** 2)
+    return state.with_gaussian(replace_states(state.gaussian, fresh))
+
+
+def _unreported(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
+    """Standing powers of a car that reports nothing."""
+    return standing_powers(conditions._replace(load_known=False), warmth)
+
+
+def _unseen(state: CarState, *_: Any) -> CarState:
+    """Learn nothing of what was reported."""
+    return state
+
+
+def _fixed(growth: float) -> dict[ConstantPlace, Any]:
+    """Unseen hills of one size, m^2 per m, instead of a learned one."""
+    return {ConstantPlace("bands", "GROWTHS"): np.full(3, growth)}
 
 
 def _without(*states: State) -> dict[ConstantPlace, float]:
@@ -45,34 +76,64 @@ def _unseen(state: CarState, *_: object) -> CarState:
 
 NETWORKS, LOADS = (tuple(np.unique(sizes).tolist()) for sizes in BANK.T)
 STARTS = (State.COLD_START, State.HOT_START)
+# Between the hypotheses of the bank, by their geometric mean.
+MIDDLE = tuple(float(np.sqrt(np.prod(stds))) for stds in (NETWORK_STDS, LOAD_STDS))
+
 VARIANTS = (
     Variant("whole"),
-    Variant("no network", _bank((NOTHING, NOTHING), LOADS)),
-    Variant("small networks alone", _bank((NETWORKS[0], NETWORKS[0]), LOADS)),
-    Variant("no wandering load", _bank(NETWORKS, (NOTHING, NOTHING))),
-    Variant("one size of the load", _bank(NETWORKS, (LOADS[1], LOADS[1]))),
-    Variant("bands not rehearsed", {constant("PRIOR_CASES"): FOR_EVER}),
-    Variant("hills the same everywhere", {constant("GROWTHS"): np.full(3, GROWTHS[1])}),
-    Variant("no unseen hills", {constant("GROWTHS"): np.full(3, NOTHING * GROWTHS[0])}),
-    Variant("reported loads teach nothing", {constant("see_reported_climate"): _unseen}),
-    Variant("no outliers", {constant("OUTLIER"): 1e3}),
-    Variant("noise not scaled", {constant("LEAST_SCALE"): 1.0, constant("MOST_SCALE"): 1.0}),
+    Variant("no network", _bank((NOTHING,), LOAD_STDS)),
+    Variant("network of one drive alone", {ConstantPlace("car", "begin_drive"): _forget_network}),
+    Variant("no bank, its middle alone", _bank(MIDDLE[:1], MIDDLE[1:])),
+    Variant("small network alone", _bank(NETWORK_STDS[:1], LOAD_STDS)),
+    Variant("large network alone", _bank(NETWORK_STDS[1:], LOAD_STDS)),
+    Variant("no wandering load", _bank(NETWORK_STDS, (NOTHING,))),
+    Variant("small wandering load alone", _bank(NETWORK_STDS, LOAD_STDS[:1])),
+    Variant("no offsets of a drive", _without(*OFFSETS)),
     Variant(
-        "no offsets of a drive",
-        {prior(each, "std"): NOTHING for each in (State.ROLLING_DRIVE, State.LOAD_DRIVE)},
+        "a drive keeps no offset of the last",
+        {ConstantPlace("car", "begin_drive"): partial(begin_drive, keep=0.0)},
     ),
-    Variant("a drive keeps no offset of the last", {constant("DRIVE_KEPT"): 0.0}),
-    Variant("cars do not drift", {constant("DRIFT"): 0.0}),
+    Variant("no cold tyres", _without(State.ROLLING_START, State.ROLLING_COLD)),
     Variant("no loss by turning", _without(State.TURNING)),
     Variant("no loss by force squared", _without(State.FORCE_SQUARED)),
     Variant("no heating and cooling", _without(State.COLD, State.HOT, *STARTS)),
     Variant("no start of heating", _without(*STARTS)),
-    Variant("no cold tyres", _without(State.ROLLING_START, State.ROLLING_COLD)),
-    Variant("reported heating is all true", _without(State.DOUBTED)),
+    Variant(
+        "reported loads ignored",
+        {
+            ConstantPlace("terms", "standing_powers"): _unreported,
+            ConstantPlace("learning", "see_reported_climate"): _unseen,
+        },
+    ),
+    Variant("bands not scaled", {ConstantPlace("bands", "PRIOR_CASES"): 1e12}),
+    Variant("hills of one size", _fixed(0.004)),
+    Variant("no unseen hills", _fixed(0.0)),
+    Variant("no heavy tails", {ConstantPlace("posterior", "OUTLIER"): 1e3}),
+    Variant(
+        "noise not scaled",
+        {ConstantPlace("posterior", key): 1.0 for key in ("LEAST_SCALE", "MOST_SCALE")},
+    ),
+    Variant("a car does not change", {ConstantPlace("posterior", "DRIFT"): 0.0}),
 )
 
+NO_TRIM = Variant("no trim", {ConstantPlace("trim", "REACH"): NOTHING})
 
-def ablate(car: RecordedCar) -> Iterator[VariantRow]:
-    """Every variant on one car."""
-    for variant in VARIANTS:
-        yield score(variant, car)
+
+class SecondsRow(NamedTuple):
+    """RMSE of power of one variant on one car, W, at ages of the last battery sample."""
+
+    variant: str
+    car: str
+    ages: dict[str, float]  # by s since the battery
+
+
+def seconds(data: str, key: str, variant: Variant) -> SecondsRow:
+    """Score the seconds after the last battery sample, which are the trim's.
+
+    Raises:
+        InputError: none of the car's drives can be read.
+    """
+    with replaced(variant.changes):
+        found = summary(run_car(load_car(data, key), OnlineChain))["by_battery_age"]
+    ages = {age: each["rmse_w"] for age, each in found.items() if each}
+    return SecondsRow(variant.name, key, ages)

@@ -18,7 +18,7 @@ from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.terms import WHOLE, Part, equation_of
+from evpinn_ros.estimation.terms import WHOLE, Equation, Part
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.drive import DriveKind
@@ -66,14 +66,12 @@ class SpanChain(CarChain):
     @property
     def seconds(self) -> float:
         """Of all intervals in the breakdown."""
-        found = self.breakdown
-        return 0.0 if found is None else found.seconds
+        return self.car.parts.totals.seconds
 
     @property
     def breakdown(self) -> Breakdown | None:
         """Present breakdown."""
-        found = self.car.breakdowns()
-        return None if found is None else found.of(-1)
+        return self.car.breakdowns().of(-1)
 
 
 def part_checks(
@@ -128,7 +126,7 @@ def difference_checks(
         wish = prior_parameters(vehicle, np.random.default_rng(seed))._asdict()
         unlike = DriveKind.URBAN, DriveKind.HIGHWAY
         kinds = unlike if number % 2 else (DriveKind.MIXED, DriveKind.MIXED)
-        car, truths = LearnedCar.new(equation_of(vehicle)), []
+        car, truths = LearnedCar.new(Equation(vehicle)), []
         for drive_seed, kind in enumerate(kinds, start=2 * seed):
             drive = simulate(
                 *(kind, vehicle, seconds, drive_seed),
@@ -136,14 +134,13 @@ def difference_checks(
                 can_profile=PROFILE,
                 altitude=altitude,
             )
-            car = car.begin_drive(compare=True)
-            chain = SpanChain(vehicle, car)
+            chain = SpanChain(vehicle, car.begin_drive(compare=True))
             for reading in drive.readings:
                 chain.add_reading(reading)
             car = chain.car
             truths.append(true_parts(drive.car, drive.trace, chain.spans))
         found = car.breakdowns()
-        if found is None or len(found.drives) < len(kinds):
+        if len(found.drives) < len(kinds):
             continue
         difference = found.difference(1, 0)
         for part in Part:

@@ -83,8 +83,7 @@ class ForecastBenchmark:
         known, learned = self._estimator.parameters(), self._estimator.model()
         combinations = combined_model(known.identifiable, known.identifiable_std, self._vehicle)
         model = combinations if learned is None else PowerModel(learned)
-        density = density_of_air(self._vehicle.air_density, celsius, None)
-        weather = Weather(density, celsius)
+        weather = Weather(density_of_air(self._vehicle.air_density, celsius, None), celsius)
         found = forecast_plan(plan, model, weather)
         simple = forecast_plan(plan, combinations, weather)
         for reading in drive:

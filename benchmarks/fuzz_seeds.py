@@ -156,8 +156,8 @@ def messages() -> list[bytes]:
 
 def model() -> list[bytes]:
     """The model of a car."""
-    learned = vehicle_model(load_vehicle(VEHICLE)).car
-    return [encode(model_message(new_message, VEHICLE, learned))]
+    car = vehicle_model(load_vehicle(VEHICLE)).car
+    return [encode(model_message(new_message, VEHICLE, car))]
 
 
 def plans() -> list[bytes]:

@@ -48,7 +48,7 @@ from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.parameter_file import check_parameter_file
 from evpinn_ros.topics.plans import path_plan, speed_profile_plan
 from evpinn_ros.topics.readings import READING_TOPICS, to_reading
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 SLOW = 0.25  # part of the inputs for a parser that takes several times as long as most
 
@@ -146,13 +146,18 @@ def _dbc_beside(folder: Path) -> None:
 
 
 @cache
+def _vehicle() -> Vehicle:
+    return load_vehicle(VEHICLE)
+
+
+@cache
 def _estimator() -> OnlineEstimator:
-    return OnlineEstimator(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(lambda: 0.0))
+    return OnlineEstimator(_vehicle(), EstimatorSettings(), InlineWorker(lambda: 0.0))
 
 
 @cache
 def _account() -> EnergyAccount:
-    vehicle = load_vehicle(VEHICLE)
+    vehicle = _vehicle()
     return EnergyAccount(EnergyMeter(load_rknn()), vehicle.key, vehicle.battery_capacity)
 
 
@@ -182,7 +187,7 @@ def _reading(data: bytes) -> None:
 
 
 def _model(data: bytes) -> None:
-    model = read_model(decode(topics.ARRAY_TYPE, data), load_vehicle(VEHICLE))
+    model = read_model(decode(topics.ARRAY_TYPE, data), _vehicle())
     time_s = np.arange(6.0)
     plan = plan_from_speed_profile(time_s, 10 * time_s, np.full(6, 10.0))
     with np.errstate(all="ignore"):  # its numbers may be huge; what is not finite is not sent

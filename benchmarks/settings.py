@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from benchmarks.variants import ConstantPlace, Variant, VariantRow, constant, prior
+from benchmarks.variants import ConstantPlace, Variant, VariantRow
 from evpinn_ros.estimation.states import State
 
 CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun", "simulated", "model3")
@@ -40,21 +40,26 @@ class Setting(NamedTuple):
         ]
 
 
+def _posterior(key: str, *values: float) -> Setting:
+    return Setting(ConstantPlace("posterior", key), values)
+
+
 SETTINGS = (
-    Setting(constant("NOISE_TIME"), (0.75, 1.5, 3.0)),
-    Setting(constant("OUTLIER"), (2.5, 4.0)),
-    Setting(constant("LOAD_TIME"), (150.0, 300.0, 600.0)),
-    Setting(constant("LEAST_SCALE"), (0.05, 1.0)),
-    Setting(constant("LARGE_NETWORK_ODDS"), (0.0, 7.0, 14.0)),
-    Setting(constant("EVIDENCE_KEPT"), (200.0, 400.0, 800.0)),
-    Setting(constant("PRIOR_CASES"), (4.0, 8.0, 16.0)),
-    Setting(constant("DRIFT"), (0.0, 0.02, 0.05)),
-    Setting(constant("DRIVE_KEPT"), (0.0, 0.8, 0.9)),
-    Setting(prior(State.ROLLING_DRIVE, "std"), (0.05, 0.08, 0.15)),
-    Setting(prior(State.LOAD_DRIVE, "std"), (150.0, 250.0, 400.0)),
-    Setting(prior(State.TURNING, "std"), (50.0, 100.0, 200.0)),
-    Setting(prior(State.FORCE_SQUARED, "std"), (100.0, 200.0, 400.0)),
-    Setting(prior(State.DOUBTED, "std"), (0.1, 0.2, 0.5)),
+    _posterior("NOISE_TIME", 0.75, 1.5, 3.0),
+    _posterior("OUTLIER", 2.5, 4.0),
+    _posterior("LOAD_TIME", 150.0, 300.0, 600.0),
+    _posterior("EVIDENCE_KEPT", 100.0, 400.0, 1600.0),
+    _posterior("LARGE_NETWORK_ODDS", 0.0, 7.0),
+    _posterior("SCALE_INTERVALS", 10.0, 30.0, 100.0),
+    _posterior("LEAST_SCALE", 0.05, 1.0),
+    _posterior("DRIFT", 0.0, 0.02, 0.05),
+    Setting(ConstantPlace("bands", "PRIOR_CASES"), (4.0, 8.0, 16.0)),
+    Setting(ConstantPlace(State.ROLLING_DRIVE, "std"), (0.05, 0.08, 0.12)),
+    Setting(ConstantPlace(State.LOAD_DRIVE, "std"), (150.0, 250.0, 400.0)),
+    Setting(ConstantPlace(State.TURNING, "mean"), (0.0, 150.0, 300.0)),
+    Setting(ConstantPlace(State.FORCE_SQUARED, "mean"), (0.0, 200.0, 400.0)),
+    Setting(ConstantPlace(State.COLD, "mean"), (30.0, 60.0)),
+    Setting(ConstantPlace(State.COLD_START, "mean"), (30.0, 60.0)),
 )
 
 Scores = Mapping[str, Mapping[str, VariantRow]]
@@ -111,4 +116,4 @@ def _one(key: str) -> str:
 
 
 def _text(value: Any) -> str:
-    return " +- ".join(f"{each:g}" for each in (value if isinstance(value, tuple) else (value,)))
+    return f"{value:g}"

@@ -19,7 +19,7 @@ from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.parameter_set import identifiable_shares, parameter_set
 from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.estimation.published import Published, published
-from evpinn_ros.estimation.terms import equation_of
+from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
@@ -48,7 +48,7 @@ class CarChain:
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.car = LearnedCar.new(equation_of(vehicle))
+        self.car = LearnedCar.new(Equation(vehicle))
         self.motion = 0.0
         self._stream = SampleStream(
             StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
@@ -74,7 +74,7 @@ class CarChain:
         return parameter_set(self._newest_ns, self.published())
 
     def published(self) -> Published:
-        """The projection that this rests on."""
+        """What of the car is published."""
         return published(self.car.state, self.car.equation, self.car.driven)
 
 
@@ -233,7 +233,7 @@ def false_alarms(
 
 def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[TruthCheck]:
     found = chain.parameters()
-    truth = true_so_far(drive, seconds)
+    truth = true_so_far(drive, seconds, chain.car.equation)
     share = identifiable_shares(chain.published())
 
     def one(name: str, value: float, std: float, prior: float, true: float) -> TruthCheck:
@@ -248,7 +248,7 @@ def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[
             yield one(name, estimate.value, estimate.std, estimate.prior_share, true)
 
 
-def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
+def true_so_far(drive: SimulatedDrive, seconds: int, equation: Equation) -> Truth:
     """The true parameters of the first seconds of a drive."""
     count = seconds * SAMPLE_RATE
     trace = drive.trace
@@ -256,8 +256,7 @@ def true_so_far(drive: SimulatedDrive, seconds: int) -> Truth:
         **{f.name: getattr(trace.motion, f.name)[:count] for f in fields(IntervalMotion)}
     )
     columns = {f.name: getattr(trace, f.name)[:count] for f in fields(Trace) if f.name != "motion"}
-    trace = Trace(motion=motion, **columns)
-    return true_values(drive.car, trace, equation_of(drive.vehicle))
+    return true_values(drive.car, Trace(motion=motion, **columns), equation)
 
 
 def _summary(group: list[TruthCheck]) -> TruthSummary:

@@ -21,6 +21,7 @@ from evpinn_ros.vehicle.certified import (
     certified_cars,
 )
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.vehicle.physics import GRAVITY
 
 SPEEDS = (10.0, 20.0, 30.0)  # m/s
@@ -31,7 +32,7 @@ NINETY = 1.645
 PLAIN = np.array([1.0, 0.0, 0.0])
 JOULES_PER_WH_KM = 3.6  # J/m
 
-LEARNED = (2, 3, 4)  # of the parameters: mass, c_rr, c_d
+LEARNED = ("mass", "c_rr", "c_d")
 
 
 class PriorError(NamedTuple):
@@ -87,8 +88,10 @@ def _model(key: str) -> str:
 
 def of_vehicle(vehicle: Vehicle) -> CertifiedDistribution:
     """A vehicle file's prior of mass, c_rr and drag area."""
-    share = np.array([each.std / each.value for each in vehicle.priors.values()])[[*LEARNED]]
-    covariance = np.outer(share, share) * vehicle.correlation[np.ix_(LEARNED, LEARNED)]
+    priors = [vehicle.priors[name] for name in LEARNED]
+    std = np.array([prior.std / prior.value for prior in priors])
+    places = [PARAMETER_NAMES.index(name) for name in LEARNED]
+    covariance = np.outer(std, std) * vehicle.correlation[np.ix_(places, places)]
     start = vehicle.initial
     mean = np.log([start.mass, start.c_rr, start.c_d * vehicle.frontal_area])
     return CertifiedDistribution(mean, covariance)

@@ -7,20 +7,23 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.cli.output import TABLE_WIDTH, json_at_the_end, names_in
+from benchmarks.cli.output import TABLE_WIDTH, figures_table, json_at_the_end, names_in
 from benchmarks.fastsim_peer import fastsim_version
 from benchmarks.unseen.drives import cars_in
+from benchmarks.unseen.goals import car_table, figures
 from benchmarks.unseen.run import (
+    CORE,
     METHODS,
     RECORDED,
+    WEAK_LS,
     Task,
     TaskResult,
     find_method,
-    recorded_core,
+    recorded,
     run_tasks,
 )
 from benchmarks.unseen.sumo_cars import sumo_is_there
-from benchmarks.unseen.table import age_table, energy_table, truth_table
+from benchmarks.unseen.table import age_table, energy_table, score_table, truth_table
 from benchmarks.unseen.truth import KINDS
 from evpinn_ros.cli.console import note, progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
@@ -73,6 +76,7 @@ def unseen(
             entry = found[result.task.car]
             if len(entry["methods"]) == len(names):
                 _show(result.task.car, entry, names)
+    _show_goals(found)
 
 
 def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:
@@ -96,15 +100,33 @@ def _add(found: dict[str, Any], result: TaskResult) -> None:
 def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
     # Of a file of one's own the name alone, for tables are narrow.
     methods = {name.rpartition("/")[2]: entry["methods"][name] for name in names}
-    if (recorded := recorded_core(car, entry["drives"])) is not None:
-        entry["methods"][RECORDED] = methods[RECORDED] = recorded
+    truth = next(iter(methods.values())).get("true", {})
+    before = recorded(car, entry["drives"], truth)
+    entry["methods"] |= {name: s for name, s in before.items() if name not in methods}
+    methods |= {name: scores for name, scores in before.items() if name not in methods}
     title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
     say()
     say(title)
     if "carried" in next(iter(methods.values())):
-        show(energy_table(methods), at_least=TABLE_WIDTH)
-        show(age_table(methods), at_least=TABLE_WIDTH)
-    if recorded is not None:
-        say(f"{RECORDED}: the core before its redesign, as it was measured then.")
+        for table in (score_table, energy_table, age_table):
+            show(table(methods), at_least=TABLE_WIDTH)
+    if before:
+        say(f"{RECORDED}: the core before it became one model, as it was measured then.")
     if "truth" in next(iter(methods.values())):
         show(truth_table(methods), at_least=TABLE_WIDTH)
+
+
+def _show_goals(found: dict[str, Any]) -> None:
+    """Goals over all cars that the core was scored on."""
+    rows = {car: entry["methods"] for car, entry in found.items()}
+    cars = {car: methods[CORE] for car, methods in rows.items() if CORE in methods}
+    beside = {
+        car: [methods[name] for name in (WEAK_LS, RECORDED) if name in methods]
+        for car, methods in rows.items()
+    }
+    recorded_cars = {car: scores for car, scores in cars.items() if "carried" in scores}
+    if recorded_cars:
+        say()
+        say("The core over the better of weak_ls and core_0dd2cfa, and its goals (issue 28)")
+        show(car_table(recorded_cars, beside), at_least=TABLE_WIDTH)
+        show(figures_table("", figures(recorded_cars, beside)), at_least=TABLE_WIDTH)

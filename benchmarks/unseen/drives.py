@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 from benchmarks.logs import find_logs
+from benchmarks.unseen.dynamometer import CHANGCHUN
 from benchmarks.unseen.fastsim_cars import (
     FASTSIM_CARS,
     fastsim_is_there,
@@ -92,11 +93,12 @@ class UnseenCar:
 
 @dataclass(frozen=True)
 class Folder:
-    """Folder of a car's drives, with the vehicle file and what of them is hidden."""
+    """Folder of a car's drives, with the vehicle file and what of them is hidden or known."""
 
     pattern: str
     vehicle: str
     hidden: tuple[type, ...] = (MotorReading,)
+    truth: Mapping[str, float] = field(default_factory=dict)
 
 
 ALL_BUT_SPEED = (AltitudeReading, AuxiliaryReading, MotorReading, TemperatureReading)
@@ -108,7 +110,7 @@ FOLDERS = {
     "i3_speed": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=ALL_BUT_SPEED),
     "i3_torque": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=()),
     "e208": Folder("peugeot_e208_car_scanner/*.csv.gz", "generic"),
-    "changchun": Folder("changchun_sedan/trip_*.csv.gz", "generic"),
+    "changchun": Folder("changchun_sedan/trip_*.csv.gz", "generic", truth=CHANGCHUN),
     "leaf2013": Folder("nissan_leaf_2013_leafspy/*.csv.gz", "nissan_leaf"),
     "can_model3": Folder("can/tesla_model3_2019/decoded*.csv", "tesla_model_3_lr"),
     "can_model_s": Folder("can/tesla_model_s_2017/decoded*.csv", "tesla_model_s"),
@@ -172,7 +174,7 @@ def load_car(data: str, key: str) -> UnseenCar:
     )
     if not drives:
         raise InputError(f"{data}: no drive of {key} can be read")
-    return UnseenCar(key, car, drives)
+    return UnseenCar(key, car, drives, dict(folder.truth))
 
 
 def _drives(

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.energy_library import read_cycle
 from benchmarks.fastsim_peer import fastsim_cycle, fastsim_version
-from benchmarks.unseen.noise_free import combinations_of
+from benchmarks.unseen.noise_free import Moved, noise_free_truth
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -28,7 +28,6 @@ from evpinn_ros.signals.readings import (
 from evpinn_ros.simulation.road import hilly_road
 from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE
 from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.physics import GRAVITY
 
 FASTSIM_CARS = {
     "fastsim_leaf": "2016 Nissan Leaf 30 kWh thrml.yaml",
@@ -48,7 +47,6 @@ class FastsimDrive(NamedTuple):
     speed: np.ndarray  # m/s
     height: np.ndarray  # m
     power: np.ndarray  # of the battery, W
-    wheel: np.ndarray  # of the wheels, W
     p_aux: float  # W
     air_density: float  # kg/m^3
 
@@ -81,22 +79,22 @@ def fastsim_readings(traces: list[FastsimDrive]) -> Iterator[tuple[Reading, ...]
 
 
 def fastsim_truth(traces: list[FastsimDrive], vehicle: Vehicle) -> dict[str, float]:
-    """The combinations that these drives determine, of an unlimited sensor."""
-    terms, power, wheel = [], [], []
+    """The combinations that these drives determine, of an unlimited sensor (`noise_free`)."""
+    parts = []
     for trace in traces:
-        mean = (trace.speed[1:] + trace.speed[:-1]) / 2
-        gained = vehicle.rotating_mass_factor * np.diff(trace.speed**2) / 2
-        own = (
-            gained + GRAVITY * np.diff(trace.height),
-            GRAVITY * mean,
-            trace.air_density / 2 * mean**3,
-            np.ones_like(mean),
+        before, after = trace.speed[:-1], trace.speed[1:]
+        seconds = np.diff(trace.seconds)
+        moved = Moved(
+            duration=seconds,
+            distance=(before + after) / 2.0 * seconds,
+            air=(before + after) * (before**2 + after**2) / 4.0 * seconds,
+            kinetic=(after**2 - before**2) / 2.0,
+            climb=np.diff(trace.height),
         )
-        terms.append(np.stack(own))
-        power.append(trace.power[1:])
-        wheel.append(trace.wheel[1:])
-    columns = np.concatenate(power), np.concatenate(wheel)
-    return combinations_of(np.concatenate(terms, axis=1), *columns, traces[0].p_aux)
+        parts.append((*moved, trace.power[1:] * seconds))
+    *columns, energy = (np.concatenate(each) for each in zip(*parts, strict=True))
+    first = traces[0]
+    return noise_free_truth(Moved(*columns), energy, first.p_aux, vehicle, first.air_density)
 
 
 def _drive(
@@ -114,7 +112,6 @@ def _drive(
         np.array(course["speed_ach_meters_per_second"]),
         height,
         np.array(battery["pwr_out_electrical_watts"]),
-        np.array(course["pwr_tractive_watts"]),
         float(np.mean(course["pwr_aux_watts"][1:])),
         float(course["air_density_kilograms_per_cubic_meter"][-1]),
     )

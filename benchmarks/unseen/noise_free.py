@@ -1,36 +1,50 @@
-"""Truth of a car whose power is known without noise: what its own trace determines.
+"""Truth of a car by others whose power is known without noise: what its own trace determines.
 
-These are the coefficients of eq. 21, by least squares with the simulator's own speed, acceleration
-and slope while its wheels are driven, and the share of the braking energy so counted that came
-back; p_aux is what a standing car draws. The parameters of a simulator's file over a mean eta are
-no such truth: what a map of losses takes without torque is a force, and no battery tells it apart
-from that of the tyres.
+It is the functional of our own simulated cars and of what the estimator publishes
+(`simulation.truth.combinations`), over steps of `TRUTH_STEP`; p_aux is what a standing car draws.
+The parameters of a simulator's file over a mean eta are no such truth: what a map of losses takes
+without torque is a force, and no battery tells it apart from that of the tyres.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.simulation.truth import TRUTH_STEP, combinations
+from evpinn_ros.vehicle.files import Vehicle
 
-def combinations_of(
-    terms: np.ndarray, power: np.ndarray, wheel: np.ndarray, p_aux: float
+
+class Moved(NamedTuple):
+    """Steps of a trace, shape (n,)."""
+
+    duration: np.ndarray  # s
+    distance: np.ndarray  # m
+    air: np.ndarray  # integral of v^3, m^3/s^2
+    kinetic: np.ndarray  # difference of v^2 / 2, J/kg
+    climb: np.ndarray  # difference of height, m
+
+
+def noise_free_truth(
+    moved: Moved, energy: np.ndarray, p_aux: float, vehicle: Vehicle, air_density: float
 ) -> dict[str, float]:
     """The combinations by `method.NAMES`.
 
     Args:
-        terms: what m/eta, C_rr m/eta, A C_d/eta and a constant are multiplied with, shape (4, n).
-        power: of the battery, W, shape (n,).
-        wheel: power at the wheels, whose sign tells driving from braking, shape (n,).
+        moved: steps of one length, one after the other.
+        energy: of the battery in each, J, shape (n,).
         p_aux: standing load, W.
+        vehicle: whose car tells which steps drive and which brake.
+        air_density: kg/m^3.
     """
-    driving, braking = wheel > 0, wheel < 0
-    found = np.linalg.lstsq(terms[:, driving].T, power[driving], rcond=None)[0]
-    offered = -(found[:3] @ terms[:3, braking]).sum()
-    mass, rolling, drag, constant = found.tolist()
-    return {
-        "mass_over_eta": mass,
-        "regeneration": float((constant - power[braking]).sum() / offered),
-        "rolling_over_eta": rolling,
-        "drag_area_over_eta": drag,
-        "p_aux": p_aux,
-    }
+    count = max(1, round(TRUTH_STEP / float(np.median(moved.duration))))
+    whole = len(energy) // count * count
+    columns = (*moved, energy - p_aux * moved.duration)
+    sums = (column[:whole].reshape(-1, count).sum(1) for column in columns)
+    *steps, moving = sums
+    whole_steps, equation = Moved(*steps), Equation(vehicle)
+    wheels = equation.wheels(**whole_steps._asdict(), density=air_density)
+    found = combinations(equation, wheels, whole_steps.duration, moving)
+    return found | {"p_aux": p_aux}

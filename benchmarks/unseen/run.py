@@ -22,7 +22,7 @@ from evpinn_ros.common.errors import InputError, known_names, near_names
 
 CORE = "core"
 METHODS: Mapping[str, Factory] = {**BASELINES, CORE: OnlineChain}
-RECORDED = "core_8a8cbe7"
+RECORDED, WEAK_LS = "core_0dd2cfa", "weak_ls"
 
 
 class Task(NamedTuple):
@@ -79,6 +79,7 @@ def run_task(task: Task) -> TaskResult:
     scores = summary(run)
     if car.truth:
         scores["truth"] = truth_summary([errors(run.combinations, car.truth)])
+        scores["true"] = car.truth
     return TaskResult(task, car.vehicle.key, len(car.drives), car.hours, scores)
 
 
@@ -96,14 +97,22 @@ def run_tasks(tasks: Sequence[Task], jobs: int) -> Iterator[TaskResult]:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def recorded_core(car: str, drives: int) -> dict[str, Any] | None:
-    """Scores of the core at commit 8a8cbe7 on these drives, as they were measured then."""
+def recorded(car: str, drives: int, truth: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Scores on these drives as they were measured at commit 0dd2cfa, by method.
+
+    They are of the core before it became one joint model, and of least squares at that time;
+    their estimates are held against `truth`.
+    """
     path = Path(__file__).with_name(f"{RECORDED}.json")
     found = json.loads(path.read_text(encoding="utf-8")).get(car)
     if found is None or found["drives"] != drives:
-        return None
-    scores: dict[str, Any] = found["scores"]
-    return scores
+        return {}
+    rows: dict[str, dict[str, Any]] = found["methods"]
+    for scores in rows.values():
+        estimates = scores.pop("combinations")
+        if truth:
+            scores["truth"] = truth_summary([errors(estimates, truth)])
+    return rows
 
 
 @lru_cache(maxsize=1)

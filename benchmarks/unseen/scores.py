@@ -100,7 +100,7 @@ class PartScore:
 
     @property
     def crps(self) -> float:
-        """Continuous ranked probability score of the energy, J: error and width together."""
+        """Continuous ranked probability score of the energy, J."""
         return crps(self.error, self.sigma)
 
     @property
@@ -114,15 +114,17 @@ class PartScore:
 
 
 def crps(error: float, sigma: float) -> float:
-    """Continuous ranked probability score of a normal prediction, in the unit of both.
+    """Continuous ranked probability score: error and width judged together, in their unit.
 
-    Gneiting and Raftery (2007), eq. 21; a sure one (sigma 0) has its absolute error.
+    Of a normal prediction (Gneiting and Raftery, 2007, eq. 21); a sure one (sigma 0) is its
+    absolute error.
     """
     if sigma == 0:
         return abs(error)
     away = error / sigma
     density = math.exp(-(away**2) / 2) / math.sqrt(2 * math.pi)
-    return sigma * (away * math.erf(away / math.sqrt(2)) + 2 * density - 1 / math.sqrt(math.pi))
+    spread = away * math.erf(away / math.sqrt(2)) + 2 * density - 1 / math.sqrt(math.pi)
+    return sigma * spread
 
 
 def score_part(drive: UnseenDrive, track: Track, span: DrivePart) -> PartScore:

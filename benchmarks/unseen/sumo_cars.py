@@ -23,7 +23,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from benchmarks.unseen.noise_free import combinations_of
+from benchmarks.unseen.noise_free import Moved, noise_free_truth
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -52,7 +52,7 @@ SECTIONS = (
 )
 STOP_S = (4.0, 35.0)
 OTHERS = 60  # cars ahead
-GRAVITY, AIR = 9.81, 1.204  # of the model
+AIR = 1.204  # kg/m^3, of the model
 
 
 def sumo_is_there() -> bool:
@@ -71,11 +71,6 @@ class Powertrain:
     def __getitem__(self, name: str) -> float:
         """A number."""
         return float(self.parameters[name])
-
-    @property
-    def inertia(self) -> float:
-        """Mass that is accelerated, wheels and rotor included, kg."""
-        return self.mass + self["internalMomentOfInertia"] / self["wheelRadius"] ** 2
 
 
 @dataclass(frozen=True)
@@ -133,25 +128,18 @@ def powertrain(key: str) -> Powertrain:
 
 
 def sumo_truth(key: str, trace: np.ndarray, vehicle: Vehicle) -> dict[str, float]:
-    """The combinations that this hour determines, of an unlimited sensor (see the module's text).
-
-    The mass is what the vehicle's factor of rotating mass makes of the model's inertia.
-    """
-    car = powertrain(key)
+    """The combinations that this hour determines, of an unlimited sensor (`noise_free`)."""
     v, a, slope, power = trace[np.isfinite(trace).all(axis=1)].T
-    mean = v - a * STEP / 2
-    drag_area = car["airDragCoefficient"] * car["frontSurfaceArea"]
-    share = car.inertia / car.mass / vehicle.rotating_mass_factor
-    terms = np.stack(
-        (
-            mean * (vehicle.rotating_mass_factor * a + GRAVITY * np.sin(slope) / share),
-            mean * GRAVITY * np.cos(slope),
-            AIR / 2 * mean**3,
-            np.ones_like(mean),
-        )
+    before = v - a * STEP
+    moved = Moved(
+        duration=np.full_like(v, STEP),
+        distance=(v + before) / 2.0 * STEP,
+        air=(v + before) * (v**2 + before**2) / 4.0 * STEP,
+        kinetic=(v**2 - before**2) / 2.0,
+        climb=(v + before) / 2.0 * STEP * np.sin(slope),
     )
-    wheel = np.array((car.mass * share, car["rollDragCoefficient"] * car.mass, drag_area, 0.0))
-    return combinations_of(terms, power, wheel @ terms, car["constantPowerIntake"])
+    p_aux = powertrain(key)["constantPowerIntake"]
+    return noise_free_truth(moved, power * STEP, p_aux, vehicle, AIR)
 
 
 def _corridor(rng: np.random.Generator) -> Corridor:

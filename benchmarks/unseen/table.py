@@ -48,6 +48,16 @@ def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     return table
 
 
+def score_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
+    """Error and width of energies judged together: CRPS in percent of gross, and log score."""
+    headers = [f"{part}:\nCRPS %; log" for part in ("carried", "200 s", "600 s")]
+    table = PlainTable("", ("method", *headers))
+    for name, scores in methods.items():
+        parts = (scores[key] for key in ("carried", "withheld", "dropout_600"))
+        table.add_row(name, *(_pair(part, "crps_percent", "log_score", "2f") for part in parts))
+    return table
+
+
 def age_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """RMSE and error of energy by the age of the last battery sample."""
     table = PlainTable("", ("s since the battery", *(f"{age}:\nW, %" for age in AGES)))

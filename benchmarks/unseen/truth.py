@@ -44,8 +44,9 @@ class Error(NamedTuple):
 
 
 def errors(found: Mapping[str, Estimate], truth: Mapping[str, float]) -> dict[str, Error]:
-    """Errors of what a method says of a car, by name."""
-    return {name: _error(name, found[name], truth[name]) for name in NAMES if name in found}
+    """Errors of what a method says of a car, by name; of what is known of both."""
+    known = [name for name in NAMES if name in found and name in truth]
+    return {name: _error(name, found[name], truth[name]) for name in known}
 
 
 def truth_summary(drives: Sequence[Mapping[str, Error]]) -> dict[str, dict[str, Any]]:

@@ -121,10 +121,13 @@ def project(terms: np.ndarray, energy: np.ndarray, duration: np.ndarray) -> np.n
         terms: of `Wheels.terms`, shape (n, 4).
         energy: of the steps without their standing load, J, shape (n,).
         duration: s, shape (n,).
+
+    Returns:
+        Zero for a term that the steps have nothing of.
     """
     weight = 1.0 / np.sqrt(duration)
     size = np.sqrt(np.mean(terms**2, axis=0))
-    size[size == 0.0] = 1.0  # a drive without braking tells nothing of it
+    size[size == 0.0] = 1.0
     rows = terms / size * weight[:, None]
     return np.asarray(np.linalg.lstsq(rows, energy * weight, rcond=None)[0] / size)
 

@@ -83,6 +83,8 @@ def combinations(
 ) -> dict[str, float]:
     """The true combinations of a car by what steps of driving took, without noise.
 
+    What the steps do not determine, as braking where there was none, is that of the vehicle file.
+
     Args:
         equation: of the vehicle file.
         wheels: of the steps, shape (n,).
@@ -93,7 +95,9 @@ def combinations(
         `mass_over_eta`, `regeneration`, `rolling_over_eta` (C_rr m / eta), `drag_area_over_eta`.
     """
     terms = np.asarray(wheels.terms)
-    drag, rolling, mass, back = project(terms, energy, duration).tolist()
+    prior = equation.mean[PHYSICS]
+    change = project(terms, energy - terms @ prior, duration)
+    drag, rolling, mass, back = (prior + change).tolist()
     braking = 1.0 - wheels.driving
     moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
     braked = np.array([float(braking @ each) for each in moved])

@@ -2,31 +2,26 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from benchmarks.methods import PEERS, PriorOnly, PublishedParameters, peers
-from evpinn_ros.estimation.car_state import PARAMETERS, SIZE, prior_of
-from evpinn_ros.estimation.weak_form import Constants, Warmth, spent, unit_step
+from evpinn_ros.estimation.states import PHYSICS, State
+from evpinn_ros.estimation.terms import Equation, Warmth
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.linear_power import FADE_SPEED
 from evpinn_ros.vehicle.physics import RegenForm
 
 BRAKING = Sample(1, 12.0, -1.0, 0.0, 1.17, 0.0)
 
 
 def test_prior_is_the_equation_of_the_learner_at_the_vehicle_file(vehicle, samples):
-    """Without the losses that no vehicle file names, and faster than recuperation fades."""
-    mean = np.zeros((1, SIZE))
-    mean[:, PARAMETERS] = prior_of(vehicle).mean[PARAMETERS]
-    warm, constants, prior = Warmth(0.0, 0.0), Constants.of(vehicle), PriorOnly(vehicle)
-    fast = [sample for sample in samples if sample.speed > FADE_SPEED]
-    assert len(fast) > 0.8 * len(samples)
-    for sample in fast[::300]:
-        found = spent(mean, *unit_step(sample), warm, constants)
+    """Without the losses that no vehicle file names."""
+    equation, prior = Equation(vehicle), PriorOnly(vehicle)
+    named = [*PHYSICS, State.P_AUX, State.REPORTED]
+    for sample in samples[::300]:
+        found = equation.row_of(sample, Warmth(0.0, 0.0))[named] @ equation.mean[named]
         # cos(grade) of the rolling resistance is 1 there, which is a watt or two.
-        assert prior.predict(sample).power == pytest.approx(found.energy[0], abs=3.0)
+        assert prior.predict(sample).power == pytest.approx(found, abs=3.0)
 
 
 def test_nothing_moves_those_that_learn_nothing(vehicle, samples):

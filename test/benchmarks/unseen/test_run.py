@@ -92,11 +92,18 @@ def test_a_method_that_is_not_there_is_refused(name, reason):
         run.find_method(name)
 
 
-def test_the_recorded_core_counts_for_the_same_drives_alone():
-    found = run.recorded_core("model3", 1)
-    assert found["withheld"]["rmse_w"] == pytest.approx(1141, abs=1)
-    assert run.recorded_core("model3", 2) is None
-    assert run.recorded_core("nobody's car", 1) is None
+def test_what_was_recorded_counts_for_the_same_drives_alone():
+    found = run.recorded("model3", 1, {})
+    assert set(found) == {run.RECORDED, run.WEAK_LS}
+    assert found[run.RECORDED]["carried"]["crps_percent"] == pytest.approx(4.196, abs=0.001)
+    assert run.recorded("model3", 2, {}) == run.recorded("nobody's car", 1, {}) == {}
+
+
+def test_what_was_recorded_is_held_against_the_truth_of_today():
+    truth = {"mass_over_eta": 1.0}
+    for scores in run.recorded("sumo_e208", 1, truth).values():
+        assert list(scores["truth"]) == ["mass_over_eta"]
+        assert scores["truth"]["mass_over_eta"]["bias"] > 1000.0
 
 
 @pytest.mark.skipif(not sumo_is_there(), reason="eclipse-sumo and libsumo are optional")
@@ -113,29 +120,32 @@ def test_a_car_by_sumo_drives_and_has_its_truth(monkeypatch):
 
 
 def test_the_truth_of_a_trace_is_what_made_its_power():
-    """1600 kg over 0.9, C_rr 0.009, 0.7 m^2 over 0.9, 300 W and 20 % lost in braking."""
-    vehicle = load_vehicle("generic")
+    """The road load of the vehicle file but for a factor, eta 0.9, mu 0.8, 300 W."""
+    vehicle, factor = load_vehicle("generic"), 0.8
+    car = vehicle.initial._replace(mass=factor * vehicle.initial.mass, p_aux=300.0)
+    area = factor * vehicle.frontal_area * car.c_d
     second = np.arange(1200.0)
     speed, height = 14 + 6 * np.sin(second / 20), 30 * np.sin(second / 130)
-    mean, gained = (speed[1:] + speed[:-1]) / 2, np.diff(speed**2) / 2
-    inertia = vehicle.rotating_mass_factor * gained + GRAVITY * np.diff(height)
-    wheel = 1600 * inertia + 0.009 * 1600 * GRAVITY * mean + 0.6 * 0.7 * mean**3
-    power = np.where(wheel > 0, wheel / 0.9, 0.8 * wheel) + 300
-    columns = (np.concatenate(([0.0], each)) for each in (power, wheel))
-    trace = FastsimDrive(second, speed, height, *columns, p_aux=300.0, air_density=1.2)
+    before, after = speed[:-1], speed[1:]
+    gained = vehicle.rotating_mass_factor * np.diff(speed**2) / 2 + GRAVITY * np.diff(height)
+    drag = 0.6 * area * (before + after) * (before**2 + after**2) / 4
+    wheel = car.mass * (gained + car.c_rr * GRAVITY * (before + after) / 2) + drag
+    power = np.where(wheel > 0, wheel / 0.9, 0.8 * wheel) + car.p_aux
+    power = np.concatenate(([0.0], power))
+    trace = FastsimDrive(second, speed, height, power, p_aux=300.0, air_density=1.2)
     assert fastsim_truth([trace], vehicle) == pytest.approx(
         {
-            "mass_over_eta": 1600 / 0.9,
+            "mass_over_eta": car.mass / 0.9,
             "regeneration": 0.9 * 0.8,
-            "rolling_over_eta": 0.009 * 1600 / 0.9,
-            "drag_area_over_eta": 0.7 / 0.9,
+            "rolling_over_eta": car.c_rr * car.mass / 0.9,
+            "drag_area_over_eta": area / 0.9,
             "p_aux": 300.0,
         },
         rel=1e-6,
     )
     readings = next(fastsim_readings([trace]))
     found = [each.power for each in readings if isinstance(each, BatteryReading)]
-    assert np.allclose(found, power)
+    assert np.allclose(found, power[1:])
 
 
 @pytest.mark.skipif(fastsim_version() is None, reason="fastsim is optional")

@@ -1,0 +1,105 @@
+"""Goals of the core over all cars that were scored, beside what was found.
+
+A goal that needs a car which was not scored is not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from statistics import fmean, geometric_mean
+from typing import Any
+
+from evpinn_ros.common.plain_table import PlainTable
+
+SIX = ("i3", "i3_speed", "e208", "leaf2013", "changchun", "simulated")
+OTHERS = ("model3", "sumo_i3", "sumo_id3", "sumo_e208",
+          "fastsim_leaf", "fastsim_bolt", "fastsim_model3", "fastsim_zoe")  # fmt: skip
+PARTS = {"carried": "carried", "withheld": "200 s", "dropout_600": "600 s"}
+CRPS = "crps_percent"
+GOALS = {  # of the geometric means of CRPS, percent of gross energy
+    ("carried", SIX): 2.95,
+    ("withheld", SIX): 5.1,
+    ("withheld", OTHERS): 0.7,
+}
+MOST_RATIO, MEAN_RATIO = 1.0, 0.85
+INSIDE = (85.0, 95.0)  # percent of the 90 % intervals
+BIASES = {
+    "mass_over_eta": 0.7,
+    "regeneration": 1.5,
+    "rolling_over_eta": 2.5,
+    "drag_area_over_eta": 0.7,
+}
+
+Scores = Mapping[str, Any]
+"""Scores of one method on one car, as `summary` gives them."""
+
+
+def car_table(cars: Mapping[str, Scores], beside: Mapping[str, Sequence[Scores]]) -> PlainTable:
+    """CRPS of each car over the best of what stands beside, and coverage of its intervals."""
+    headers = [f"{name}:\nratio" for name in list(PARTS.values())[:2]]
+    table = PlainTable("", ("core", *headers, *(f"{name}:\nin 90 %" for name in PARTS.values())))
+    for car, scores in cars.items():
+        ratios = (_ratio(scores, beside.get(car, ()), part) for part in list(PARTS)[:2])
+        inside = (_value(scores, part, "inside_90_percent") for part in PARTS)
+        table.add_row(car, *(_text(each, ".2f") for each in ratios),
+                      *(_text(each, ".0f") for each in inside))  # fmt: skip
+    return table
+
+
+def figures(
+    cars: Mapping[str, Scores], beside: Mapping[str, Sequence[Scores]]
+) -> Iterator[tuple[str, str, str]]:
+    """Figures over the cars: name, measured, goal.
+
+    Args:
+        cars: scores of the core by car.
+        beside: of the methods that it is to be better than.
+    """
+    for (part, group), goal in GOALS.items():
+        there = [car for car in group if car in cars]
+        found = _known(_value(cars[car], part, CRPS) for car in there)
+        if found:
+            name = f"CRPS {PARTS[part]}, geometric mean of {len(found)} of {len(group)} cars"
+            yield f"{name} ({group[0]}, ...)", f"{geometric_mean(found):.2f} %", f"{goal:g} %"
+    ratios = _known(
+        _ratio(cars[car], beside.get(car, ()), part) for car in cars for part in list(PARTS)[:2]
+    )
+    if ratios:
+        yield "CRPS over the better of the others, most", f"{max(ratios):.2f}", f"{MOST_RATIO:g}"
+        yield "the same, mean", f"{fmean(ratios):.2f}", f"{MEAN_RATIO:g}"
+    for part, name in PARTS.items():
+        inside = _known(_value(scores, part, "inside_90_percent") for scores in cars.values())
+        if inside:
+            low, high = INSIDE
+            held = sum(low <= each <= high for each in inside)
+            measured = f"{min(inside):.0f} to {max(inside):.0f}, {held} of {len(inside)} cars"
+            yield f"in 90 %, {name}", measured, f"{low:g} to {high:g}"
+    simulators = {k: v for k, v in cars.items() if k.startswith(("sumo", "fastsim"))}
+    for name, goal in BIASES.items():
+        biases = [
+            abs(each["truth"][name]["bias_percent"])
+            for each in simulators.values()
+            if name in each.get("truth", {})
+        ]
+        if biases:
+            title = f"{name}: size of the bias, SUMO and FASTSim"
+            yield title, f"{fmean(biases):.1f} %", f"{goal:g} %"
+
+
+def _ratio(scores: Scores, others: Sequence[Scores], part: str) -> float | None:
+    own, best = _value(scores, part, CRPS), _known(_value(each, part, CRPS) for each in others)
+    return own / min(best) if own is not None and best else None
+
+
+def _value(scores: Scores, part: str, key: str) -> float | None:
+    found = scores.get(part)
+    value: float | None = found[key] if found else None
+    return value
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
