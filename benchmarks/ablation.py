@@ -63,18 +63,6 @@ def _fixed(growth: float) -> dict[ConstantPlace, Any]:
     return {ConstantPlace("bands", "GROWTHS"): np.full(3, growth)}
 
 
-def _without(*states: State) -> dict[ConstantPlace, float]:
-    """States that stay at zero."""
-    means = {prior(state, "mean"): 0.0 for state in states}
-    return means | {prior(state, "std"): NOTHING for state in states}
-
-
-def _unseen(state: CarState, *_: object) -> CarState:
-    """The state as it was."""
-    return state
-
-
-NETWORKS, LOADS = (tuple(np.unique(sizes).tolist()) for sizes in BANK.T)
 STARTS = (State.COLD_START, State.HOT_START)
 # Between the hypotheses of the bank, by their geometric mean.
 MIDDLE = tuple(float(np.sqrt(np.prod(stds))) for stds in (NETWORK_STDS, LOAD_STDS))

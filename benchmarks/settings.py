@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from benchmarks.variants import ConstantPlace, Variant, VariantRow
 from evpinn_ros.estimation.states import State
 
-CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun", "simulated", "model3")
+CARS = ("i3", "i3_speed", "e208", "leaf2013", "sumo_id3", "simulated", "model3")
 ONE_CAR = {"i3_speed": "i3", "sumo_id3": "sumo_i3", "sumo_e208": "sumo_i3"}
 """Cars that are judged, and left out, together: the same drives, or the same simulator."""
 

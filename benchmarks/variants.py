@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 import math
-from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,8 +99,6 @@ class VariantRow:
     stretch_coverage: float
     stretch_rmse: float
     likelihood: float
-    carried_crps: float = math.nan
-    stretch_crps: float = math.nan
     by_drive: tuple[float, ...] = ()
 
     def gain(self, over: VariantRow) -> tuple[float, float]:
@@ -239,11 +236,6 @@ def _crps(rows: np.ndarray) -> float:
 def _coverage(rows: np.ndarray) -> float:
     away = np.abs(rows[:, 1] - rows[:, 0]) / rows[:, 2]
     return 100.0 * float(np.mean(away <= QUANTILE_90))
-
-
-def _crps(rows: np.ndarray) -> float:
-    """Mean CRPS, percent of gross energy."""
-    return 100.0 * fmean(crps(found - true, s) / gross for true, found, s, gross in rows.tolist())
 
 
 def _likelihood(rows: np.ndarray) -> float:
