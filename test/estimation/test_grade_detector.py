@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.pinn import LearnedCar
-from evpinn_ros.estimation.weak_form import Warmth, spent
+from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.grade_detector import GradeDetector
+from evpinn_ros.estimation.terms import Warmth, equation_of
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.signals.sign_detectors import SignSuspicion
@@ -19,7 +19,8 @@ class Hills:
     """A car on a country road whose hills a sensor tells `sign` times."""
 
     def __init__(self, vehicle, intervals) -> None:
-        self.car, self.truth = LearnedCar(vehicle), CarFilter(vehicle)
+        self.equation = equation_of(vehicle)
+        self.car = LearnedCar.new(self.equation)
         self._intervals, self._rng, self._begin = intervals, np.random.default_rng(0), 0
 
     def drive(self, seconds: int, sign: float) -> bool:
@@ -28,19 +29,15 @@ class Hills:
         time = self._begin + np.arange(0.0, seconds, 0.01)
         speed = 15.0 + 3.0 * np.sin(time / 20)
         for one in self._intervals(speed, height=self._height, begin_ns=self._begin * 10**9):
-            drawn = spent(
-                self.truth.state.mean,
-                one.steps,
-                one.conditions,
-                Warmth(0.0, 0.0),
-                self.truth.constants,
-            )
+            rows = self.equation.rows(one.steps, one.conditions, Warmth(0.0, 0.0))
+            drawn = float(rows.sum(0) @ self.equation.mean)
             steps = one.steps._replace(
                 climb=sign * one.steps.climb + 0.02 * self._rng.standard_normal(6)
             )
-            energy = float(drawn.energy[0]) + 5e3 * self._rng.standard_normal()
-            self.car.learn(replace(one, energy=energy, sampling_variance=0.0, steps=steps))
-            suspected |= self.car.grade.suspected
+            energy = drawn + 5e3 * self._rng.standard_normal()
+            measured = replace(one, energy=energy, sampling_variance=0.0, steps=steps)
+            self.car = self.car.after([measured])
+            suspected |= self.car.grade.detected
         self._begin += seconds
         return suspected
 
@@ -61,27 +58,32 @@ def test_a_right_grade_and_none_are_never_suspected(hills, sign):
 
 def test_a_flipped_grade_is_found_within_ten_kilometres_and_mended(hills):
     hills.drive(660, -1.0)
-    assert hills.car.grade.suspected
+    assert hills.car.grade.detected
     hills.drive(5400, 1.0)
-    assert not hills.car.grade.suspected
+    assert not hills.car.grade.detected
 
 
-def test_both_are_saved_and_what_does_not_fit_is_refused(hills):
+def test_a_verdict_keeps_its_six_sums(hills):
     hills.drive(300, -1.0)
+    assert len(hills.car.grade.sums) == 6
+    with pytest.raises(ValueError, match="sums are missing"):
+        GradeDetector(sums=(0.0,) * 5)
+
+
+def test_a_current_of_the_wrong_sign_is_saved_and_what_does_not_fit_is_refused():
     current = SignSuspicion()
     for k in range(300):
         moment = Sample(k * NANOSECONDS, 10.0, 1.0 if k % 2 else -1.0, 0.0, 1.17, 0.0)
         current.update(moment, -2e4 if k % 2 else 2e4, 1.0)
     assert current.suspected
-    for suspicion in (hills.car.grade, current):
-        saved = json.loads(json.dumps(suspicion.export()))
-        other = type(suspicion)()
-        other.restore(saved)
-        assert other.export() == saved and other.suspected == suspicion.suspected
-        for sums in ([math.nan] * len(saved["sums"]), saved["sums"][:-1], None):
-            with pytest.raises((TypeError, ValueError)):
-                other.restore({**saved, "sums": sums})
-        assert other.export() == saved
+    saved = json.loads(json.dumps(current.export()))
+    other = SignSuspicion()
+    other.restore(saved)
+    assert other.export() == saved and other.suspected == current.suspected
+    for sums in ([math.nan] * len(saved["sums"]), saved["sums"][:-1], None):
+        with pytest.raises((TypeError, ValueError)):
+            other.restore({**saved, "sums": sums})
+    assert other.export() == saved
 
 
 def test_a_hair_around_the_limit_does_not_flicker():

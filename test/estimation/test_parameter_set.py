@@ -6,8 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.car_state import State
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.parameter_set import (
     ESTIMATING_BELOW,
@@ -21,7 +19,10 @@ from evpinn_ros.estimation.parameter_set import (
     StateHysteresis,
     parameter_set,
 )
-from evpinn_ros.estimation.published import EnergySums, Published, published
+from evpinn_ros.estimation.posterior import initial_state
+from evpinn_ros.estimation.published import Driven, Published, published
+from evpinn_ros.estimation.states import State
+from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES
 
 UNESTIMATED, ESTIMATING, VALID, INVALID = (
@@ -36,7 +37,8 @@ NULL = np.array([1.0, -1.0, 1.0, 0.0, 1.0, 0.0])  # what no power tells, in the 
 
 @pytest.fixture
 def prior(vehicle) -> Published:
-    return published(CarFilter(vehicle), EnergySums())
+    equation = equation_of(vehicle)
+    return published(initial_state(equation), equation, Driven.nowhere())
 
 
 def learned(prior: Published, share: float, own: float = 0.0, **moved) -> Published:

@@ -1,62 +1,79 @@
-"""Dropouts that did not happen tell how far the sigma of those that do is to be trusted."""
-
-from __future__ import annotations
+"""Rehearsals: dropouts that did not happen say how far sigma is to be trusted."""
 
 from dataclasses import replace
-import math
 
+import numpy as np
 import pytest
 
-from evpinn_ros.estimation.car_filter import CarFilter
-from evpinn_ros.estimation.rehearsal import LENGTH, Rehearsal
+from evpinn_ros.estimation.bands import GROWTHS, PRIOR_CASES, Bands, Energy, Spread
+from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.learning import passed
+from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.vehicle.files import load_vehicle
+
+EQUATION = equation_of(load_vehicle("tesla_model_3_lr"))
 
 
-def rehearsed(vehicle, intervals, energy) -> Rehearsal:
-    """After half an hour, the battery's energy of an interval being what `energy` says of it."""
-    car, rehearsal = CarFilter(vehicle), Rehearsal()
-    for seed in range(3):
-        for number, one in enumerate(intervals((DriveKind.MIXED, 600.0, seed))):
-            changed = replace(one, energy=energy(number, one), sampling_variance=0.0)
-            rehearsal.learn(car, changed)
-            car.learn(changed)
-    return rehearsal
+def learned(intervals, energy, seconds=1200.0, seed=0):
+    """A car after a drive of which each interval took `energy(number)` J beside the prior's."""
+    car = LearnedCar.new(EQUATION)
+    for number, one in enumerate(intervals((DriveKind.URBAN, seconds, seed), begin_ns=0)):
+        own = float(passed(EQUATION, one, 0.0).journey.row @ EQUATION.mean)
+        measured = replace(one, energy=own + energy(number), sampling_variance=0.0)
+        car = car.after([measured])
+    return car
 
 
-@pytest.mark.slow
-def test_energy_that_strays_for_minutes_widens_sigma(vehicle, intervals):
-    """Eight kilowatts that come and go are no load that the filter knows of; two hundred are."""
-    period = LENGTH / 3.0
-
-    def load(size):
-        return lambda number, one: (
-            one.distance * 600.0 + size * one.duration * (number * one.duration % period > 40.0)
-        )
-
-    calm, wild = (rehearsed(vehicle, intervals, load(size)) for size in (200.0, 8000.0))
-    assert calm.chance.count >= 7.0 and wild.chance.count == calm.chance.count
-    assert calm.chance.scale < wild.chance.scale
+def test_energy_that_strays_for_minutes_widens_the_band_and_little_noise_narrows_it(intervals):
+    rng = np.random.default_rng(0)
+    strays = np.repeat(rng.normal(0.0, 2e4, 20), 35)  # for three minutes each, W times 6 s
+    wild = learned(intervals, lambda number: strays[number]).state.bands.dropout
+    calm = learned(intervals, lambda _: rng.normal(0.0, 100.0)).state.bands.dropout
+    assert wild.cases == calm.cases > 3.0
+    assert wild.scale > 1.0 > calm.scale
 
 
-def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(vehicle, intervals):
-    drive = intervals((DriveKind.MIXED, 600.0, 1))
-    silent = rehearsed(vehicle, intervals, lambda number, _: 0.0 if number % 20 else math.nan)
-    assert silent.chance.count == 0.0
-    car, rehearsal = CarFilter(vehicle), Rehearsal()
-    stands = replace(drive[0], steps=drive[0].steps._replace(distance=drive[0].steps.distance * 0))
-    for _ in range(400):
-        rehearsal.learn(car, replace(stands, energy=1000.0))
-    assert rehearsal.chance.count == 0.0
+def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(intervals):
+    car = LearnedCar.new(EQUATION)
+    for one in intervals((DriveKind.URBAN, 600.0, 0), begin_ns=0):
+        car = car.after([one])  # its battery was not measured
+    assert car.state.bands == Bands() and not car.measured
+    parked = LearnedCar.new(EQUATION)
+    for one in intervals(np.zeros(60_000), begin_ns=0):
+        parked = parked.after([replace(one, energy=3e3, sampling_variance=0.0)])
+    assert parked.state.bands == Bands()
 
 
-def test_a_copy_goes_its_own_way(vehicle, intervals):
-    drive = intervals((DriveKind.MIXED, 600.0, 1))
-    car, rehearsal = CarFilter(vehicle), Rehearsal()
-    before = car.state.mean.copy()
-    for one in drive[:5]:
-        rehearsal.learn(car, replace(one, energy=100.0))
-    other = rehearsal.copy()
-    for one in drive:
-        other.learn(car, replace(one, energy=100.0))
-    assert other.chance.count > 0.0 and rehearsal.chance.count == 0.0
-    assert (car.state.mean == before).all(), "the filter itself is not touched"
+def test_a_spread_goes_both_ways_and_one_odd_road_counts_little():
+    spread = Spread()
+    assert spread.scale == 1.0
+    for _ in range(100):
+        spread = spread.after(0.5)
+    assert 0.25 < spread.scale < 0.25 + PRIOR_CASES / 40
+    odd = spread.after(1e6)
+    assert odd.scale < spread.scale + 16.0 / 40
+
+
+def test_flat_country_has_narrow_bands_and_mountains_wide_ones():
+    """By the errors of 60 s without a height, of 20 km of road each."""
+    rng, found = np.random.default_rng(0), []
+    for growth in (GROWTHS[0], GROWTHS[-1]):
+        bands = Bands()
+        weight = 2e4**2
+        for _ in range(60):
+            energy = Energy(0.0, 1e9, weight * 1000.0)
+            drawn = rng.normal(0.0, np.sqrt(1e9 + growth * weight * 1000.0))
+            bands = bands.after_dropout(energy, drawn, long=False)
+        found.append(bands.growth)
+    assert found[0] < 2.0 * GROWTHS[0] and found[1] > 0.5 * GROWTHS[-1]
+
+
+def test_a_whole_drive_is_judged_from_the_second_on(intervals):
+    car = learned(intervals, lambda _: 0.0, 300.0)
+    assert car.begin_drive().state.bands.drive == Spread()
+    second = car.begin_drive()
+    for one in intervals((DriveKind.URBAN, 300.0, 1), begin_ns=10**12):
+        own = float(passed(EQUATION, one, 0.0).journey.row @ EQUATION.mean)
+        second = second.after([replace(one, energy=own, sampling_variance=0.0)])
+    assert second.begin_drive().state.bands.drive.cases == pytest.approx(1.0)

@@ -1,16 +1,16 @@
-"""What the network adds to the physics, and when it keeps silent."""
+"""What the trim adds to the car, and when it keeps silent."""
 
 import math
 
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.residual_network import (
+from evpinn_ros.estimation.trim import (
     AHEAD,
     MEMORY,
     PRIOR_SHARE,
     Persistence,
-    ResidualNetwork,
+    Trim,
 )
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -33,9 +33,9 @@ def drive(seconds: float):
         yield sample(second, 15.0 + 5.0 * math.sin(phase), 1.6 * math.cos(phase))
 
 
-def taught(residual, seconds=120.0) -> ResidualNetwork:
+def taught(residual, seconds=120.0) -> Trim:
     """A network after a drive on which physics left so much, W."""
-    network = ResidualNetwork(0)
+    network = Trim(0)
     for moment in drive(seconds):
         network.advance(STEP)
         network.learn(moment, residual(moment), STEP)
@@ -48,7 +48,7 @@ def pattern(moment: Sample) -> float:
 
 
 def test_a_pattern_is_learned_and_followed():
-    network, errors, left = ResidualNetwork(0), [], []
+    network, errors, left = Trim(0), [], []
     for moment in drive(120.0):
         network.advance(STEP)
         if moment.stamp_ns > 60 * NANOSECONDS:
@@ -90,7 +90,7 @@ def test_one_seed_gives_one_network_and_an_outlier_moves_it_little():
     moment = sample(0.0, 15.0, 1.0)
 
     def after(residual: float, seed: int = 0) -> float:
-        network = ResidualNetwork(seed)
+        network = Trim(seed)
         network.learn(moment, residual, STEP)
         network.evidence = 20.0
         return network.correct(moment).power
@@ -131,6 +131,6 @@ def test_persistence_is_a_share_of_what_was_said_and_the_prior_before():
 
 
 def test_what_lasts_is_its_evidence():
-    network, other = taught(pattern), ResidualNetwork(0)
+    network, other = taught(pattern), Trim(0)
     other.evidence = network.evidence
     assert other.share == network.share
