@@ -126,6 +126,8 @@ def gate(sample: Sample, power: float) -> str | None:
 
 def gate_interval(interval: Interval) -> str | None:
     """Reason not to learn from an interval, or None."""
+    if interval.leaps:
+        return "speed_leaps"
     if interval.steps.distance.min() < REVERSE_STEP:
         return "reverse"
     standing = interval.distance < STANDSTILL_SPEED * interval.duration

@@ -98,11 +98,7 @@ class Driven:
 
     def share(self, equation: Equation) -> np.ndarray:
         """What eq. 21 has of one unit of each state of `BESIDE`, shape (4, len(BESIDE))."""
-        prior = equation.covariance[np.ix_(PHYSICS, PHYSICS)]
-        scale = np.sqrt(np.diag(prior))
-        ridge = NOISE_DENSITY * np.linalg.inv(prior / np.outer(scale, scale))
-        gram = self.gram * np.outer(scale, scale) + ridge
-        return np.asarray(scale[:, None] * np.linalg.solve(gram, scale[:, None] * self.cross))
+        return project(self.gram, self.cross, equation)
 
     def braked_share(self, equation: Equation, terms: np.ndarray) -> float:
         """Braking energy of the prior car over that of a car with these terms, shape (3,)."""
@@ -114,22 +110,22 @@ class Driven:
         return float(np.clip(before / found, *SHARE_RANGE))
 
 
-def project(terms: np.ndarray, energy: np.ndarray, duration: np.ndarray) -> np.ndarray:
-    """Coefficients with which eq. 21 comes nearest to energies of steps, shape (4,).
+def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarray:
+    """Changes of the coefficients of eq. 21 that come nearest to energies, shape (4, k).
+
+    Least squares of power with the prior of the coefficients, beside noise of `NOISE_DENSITY`:
+    what the driving does not determine (drag in town) stays as it was.
 
     Args:
-        terms: of `Wheels.terms`, shape (n, 4).
-        energy: of the steps without their standing load, J, shape (n,).
-        duration: s, shape (n,).
-
-    Returns:
-        Zero for a term that the steps have nothing of.
+        gram: products of the terms of eq. 21 over the duration of their steps, shape (4, 4).
+        cross: the same of these terms with k energies of the steps, shape (4, k).
+        equation: of the car.
     """
-    weight = 1.0 / np.sqrt(duration)
-    size = np.sqrt(np.mean(terms**2, axis=0))
-    size[size == 0.0] = 1.0
-    rows = terms / size * weight[:, None]
-    return np.asarray(np.linalg.lstsq(rows, energy * weight, rcond=None)[0] / size)
+    prior = equation.covariance[np.ix_(PHYSICS, PHYSICS)]
+    scale = np.sqrt(np.diag(prior))
+    ridge = NOISE_DENSITY * np.linalg.inv(prior / np.outer(scale, scale))
+    found = np.linalg.solve(gram * np.outer(scale, scale) + ridge, scale[:, None] * cross)
+    return np.asarray(scale[:, None] * found)
 
 
 class Published(NamedTuple):

@@ -81,6 +81,7 @@ class Interval:
         height_known: whether `climb` is measured.
         energy: drawn from the battery, J, NaN where not measured.
         sampling_variance: of that, due to the rate of its readings, J^2.
+        leaps: whether speed changed by more than tyres can: wheels slipped, or the signal failed.
     """
 
     start_ns: int
@@ -90,6 +91,7 @@ class Interval:
     height_known: bool
     energy: float
     sampling_variance: float
+    leaps: bool = False
 
     @property
     def duration(self) -> float:
@@ -112,6 +114,7 @@ class _Edge:
     air: float
     motor: tuple[float, float]
     conditions: Conditions
+    leapt: bool  # speed, by more than tyres can, since the edge before
 
 
 class IntervalBuilder:
@@ -174,14 +177,15 @@ class IntervalBuilder:
 
     def _add_edge(self, stamp_ns: int) -> None:
         conditions = self._road.conditions(stamp_ns)
-        motor = (math.nan, math.nan)
+        motor, leapt = (math.nan, math.nan), False
         if self._edges:
             last = self._edges[-1].stamp_ns
+            leapt = self._speed.leaps(last, stamp_ns)
             distance, air = self._speed.travelled(last, stamp_ns, conditions.head_wind)
             self._odometer, self._air = self._odometer + distance, self._air + air
             motor = self._motor.energy(last, stamp_ns)
         speed, _ = self._speed.smoothed(stamp_ns, stamp_ns + EDGE_AHEAD_NS)
-        edge = _Edge(stamp_ns, speed, self._odometer, self._air, motor, conditions)
+        edge = _Edge(stamp_ns, speed, self._odometer, self._air, motor, conditions, leapt)
         self._passed.append((stamp_ns, self._odometer))
         stamps, odometers = zip(*self._passed, strict=True)
         for place, height in self._road.heights(stamps, odometers):
@@ -243,4 +247,5 @@ class IntervalBuilder:
             height_known=known,
             energy=math.nan if measured is None else measured.energy,
             sampling_variance=math.nan if measured is None else measured.variance,
+            leaps=any(edge.leapt for edge in edges[1:]),
         )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import deque
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from evpinn_ros.signals.track import SignalTrack
 
 SMOOTHING_BACK = 0.5  # s of past speed in the local quadratic
 MIN_POINTS = 3  # of a local quadratic: as many as it has coefficients
+MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
+LEAST_LEAP = 1.0  # m/s, beyond the resolution of any bus
 LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as "that lag later"
 
 # Spans around a moment whose slope of speed is in the acceleration profile, s after it.
@@ -37,6 +40,20 @@ class SpeedTrack(SignalTrack):
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    def leaps(self, begin_ns: int, end_ns: int) -> bool:
+        """True if speed changed by more than tyres can between two readings from begin to end.
+
+        Wheels that slip or lock do that, and a fault of the signal; its resolution does not.
+        """
+        first, last = bisect_left(self.stamps, begin_ns), bisect_right(self.stamps, end_ns)
+        return any(
+            abs(after - before)
+            > LEAST_LEAP + MAX_ACCELERATION * abs(next_ns - stamp_ns) / NANOSECONDS
+            for (stamp_ns, before), (next_ns, after) in pairwise(
+                zip(self.stamps[first:last], self.values[first:last], strict=True)
+            )
+        )
 
     @property
     def newest_ns(self) -> int:

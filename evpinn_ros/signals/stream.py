@@ -21,7 +21,12 @@ import math
 
 from evpinn_ros.signals.battery import BatteryTrack
 from evpinn_ros.signals.interval import IntervalBuilder
-from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS, CausalDifferentiator, SpeedTrack
+from evpinn_ros.signals.kinematics import (
+    LAG_TOLERANCE_NS,
+    MAX_ACCELERATION,
+    CausalDifferentiator,
+    SpeedTrack,
+)
 from evpinn_ros.signals.motor import MotorTrack
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -42,7 +47,6 @@ from evpinn_ros.signals.sample import (
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
 MAX_SPEED = 100.0  # m/s, no production car
-MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
 MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and there is no power
 MAX_VOLTAGE = 2000.0  # V
 MAX_CURRENT = 5000.0  # A

@@ -96,8 +96,9 @@ def combinations(
     """
     terms = np.asarray(wheels.terms)
     prior = equation.mean[PHYSICS]
-    change = project(terms, energy - terms @ prior, duration)
-    drag, rolling, mass, back = (prior + change).tolist()
+    over = (terms / duration[:, None]).T
+    change = project(over @ terms, over @ (energy - terms @ prior)[:, None], equation)
+    drag, rolling, mass, back = (prior + change[:, 0]).tolist()
     braking = 1.0 - wheels.driving
     moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
     braked = np.array([float(braking @ each) for each in moved])
@@ -174,12 +175,13 @@ def tuned(
     car = replace(car, mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY))
     for _ in range(ROUNDS):
         plain = true_values(car, drive_car(car, motion, around), equation).parameters
-        scale = (1.0 / wish.eta - 1.0) / max(1.0 / plain.eta - 1.0, 1e-3)
+        # A short drive does not determine eta, so a wish may be out of reach.
+        scale = np.clip((1.0 / wish.eta - 1.0) / max(1.0 / plain.eta - 1.0, 1e-3), 0.5, 2.0)
         drivetrain = car.drivetrain
         car = replace(
             car,
-            c_rr=max(car.c_rr + wish.c_rr - plain.c_rr, 1e-4),
-            drivetrain=replace(drivetrain, load_scale=drivetrain.load_scale * scale),
+            c_rr=float(np.clip(car.c_rr + wish.c_rr - plain.c_rr, 0.5 * car.c_rr, 2 * car.c_rr)),
+            drivetrain=replace(drivetrain, load_scale=drivetrain.load_scale * float(scale)),
         )
         car = _with_recovery(car, motion, around, wish.mu, equation)
     return car

@@ -117,8 +117,9 @@ def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, sec
         for name in HELD:
             change = getattr(after.identifiable, name) - getattr(known.identifiable, name)
             assert abs(change) <= sigmas * getattr(known.identifiable_std, name), name
+    at_first = CarChain(vehicle).parameters().parameters
     for name, estimate in after.parameters.items():
-        assert estimate.std <= vehicle.priors[name].std * 1.3, name
+        assert estimate.std <= 3.0 * at_first[name].std, name  # a network may do it too
 
 
 def test_battery_readings_within_the_allowed_lateness_change_nothing(new_estimator, play, drive):
@@ -146,8 +147,8 @@ def test_battery_readings_within_the_allowed_lateness_change_nothing(new_estimat
 
 def test_a_heavier_car_has_the_ratio_of_its_mass(vehicle):
     """The same drive with a tenth more in the car: m/eta tells the ratio, whatever eta is."""
-    first = simulate(DriveKind.URBAN, vehicle, 240.0, 5, car={"mass": 1750.0})
-    heavier = simulate(DriveKind.URBAN, vehicle, 240.0, 5, car={"mass": 1925.0})
+    first = simulate(DriveKind.URBAN, vehicle, 900.0, 5, car={"mass": 1750.0})
+    heavier = simulate(DriveKind.URBAN, vehicle, 900.0, 5, car={"mass": 1925.0})
     found = []
     for driven in (first, heavier):
         chain = CarChain(vehicle)

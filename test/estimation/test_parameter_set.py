@@ -21,7 +21,6 @@ from evpinn_ros.estimation.parameter_set import (
 )
 from evpinn_ros.estimation.posterior import initial_state
 from evpinn_ros.estimation.published import Driven, Published, published
-from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES
 
@@ -171,4 +170,3 @@ def test_what_is_stale_was_valid(prior):
     assert set(stale.identifiable_states.values()) == {Trust.STALE} and not stale.reliable
     one = replace(found.parameters["mass"], state=ESTIMATING)
     assert replace(found, parameters={"mass": one}).stale().parameters["mass"].state is ESTIMATING
-    assert State.ETA == 0

@@ -9,7 +9,6 @@ from benchmarks.truth import PROFILE, VEHICLES, CarChain, compare, true_so_far
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.posterior import initial_state
 from evpinn_ros.estimation.published import Driven, mass_over_eta, project, published
-from evpinn_ros.estimation.states import PHYSICS
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
@@ -25,20 +24,16 @@ def test_it_starts_at_the_priors(vehicle):
     assert [*mean, found.now.mean[5]] == pytest.approx(vehicle.initial, rel=1e-6)
 
 
-def test_a_car_that_is_eq_21_projects_onto_its_own_parameters(vehicle, intervals):
-    """And what braking would tell stays at zero where there was none."""
+def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
+    """And what the driving does not determine stays as it was."""
     equation = equation_of(vehicle)
-    (wheels,) = [
-        equation.of_steps(one.steps, one.conditions)
-        for one in intervals((DriveKind.URBAN, 120.0, 1))[5:6]
-    ]
     rng = np.random.default_rng(0)
-    terms, duration = rng.normal(size=(200, 4)) * [10.0, 1e3, 1e2, 1e5], np.ones(200)
-    truth = equation.mean[PHYSICS] + [0.1, 2.0, 200.0, 0.05]
-    assert project(terms, terms @ truth, duration) == pytest.approx(truth)
+    terms = rng.normal(size=(20_000, 4)) * [1e4, 1e6, 1e5, 1e7]
+    change = np.array([[0.1, 2.0, 200.0, 0.05]]).T
+    found = project(terms.T @ terms, terms.T @ terms @ change, equation)
+    assert found == pytest.approx(change, rel=1e-3)
     terms[:, 3] = 0.0
-    assert project(terms, terms @ truth, duration) == pytest.approx([*truth[:3], 0.0])
-    assert wheels.terms.shape[1] == len(PHYSICS)
+    assert project(terms.T @ terms, terms.T @ terms @ change, equation)[3] == pytest.approx(0.0)
 
 
 def test_an_efficiency_map_is_published_by_energy():
@@ -55,7 +50,7 @@ def test_an_efficiency_map_is_published_by_energy():
 
 def test_true_so_far_of_a_whole_drive_is_its_truth(drive):
     whole = drive(1, 60.0)
-    assert true_so_far(whole, 60) == whole.truth
+    assert true_so_far(whole, 60, equation_of(whole.vehicle)) == whole.truth
 
 
 def learned(vehicle, readings) -> LearnedCar:
@@ -94,13 +89,13 @@ def test_faults_of_sensors_move_little(vehicle, drive, kind):
     assert abs(moved - log) < 2 * std
 
 
-@pytest.mark.parametrize(("name", "most"), [("nissan_leaf", 0.2), ("generic", 0.05)])
+@pytest.mark.parametrize(("name", "most"), [("nissan_leaf", 0.25), ("generic", 0.05)])
 def test_motor_torque_tells_the_mass_in_kilograms(name, most):
     """Of its prior share little is left, and the truth is within its interval."""
     model, shares = load_vehicle(name), {}
     for torque in (False, True):
         drive = simulate(
-            DriveKind.MIXED, model, 600.0, 4, motor_torque=torque, can_profile=PROFILE
+            DriveKind.MIXED, model, 900.0, 4, motor_torque=torque, can_profile=PROFILE
         )
         chain = CarChain(model)
         for reading in drive.readings:

@@ -1,64 +1,53 @@
 """The true values are what their definitions say, and cars can be made to have wished ones."""
 
-from dataclasses import astuple
-
 import numpy as np
 import pytest
 
-from evpinn_ros.simulation.car import STEP
+from evpinn_ros.estimation.states import PHYSICS
+from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.simulation.truth import (
     LEAST_AUXILIARY,
     PLAUSIBLE_ETA,
     PLAUSIBLE_MU,
+    combinations,
     plausible_parameters,
     prior_parameters,
 )
 from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
+from evpinn_ros.vehicle.identifiable import prior_identifiable
 from evpinn_ros.vehicle.parameters import LIMITS
-from evpinn_ros.vehicle.physics import GRAVITY
 
 CAR = load_vehicle("tesla_model_3_lr")
 
 
-def test_the_five_parameter_form_spends_the_energy_of_the_drive(drive):
-    """Fed with true wheel power: eta, mu, p_aux and the loss of turning are every joule."""
-    parameters, trace = drive.truth.parameters, drive.trace
-    wheel = trace.wheel_power
-    form = np.where(wheel > 0, wheel / parameters.eta, parameters.mu * wheel) + parameters.p_aux
-    spent = np.sum(trace.power - trace.no_load_loss)
-    assert np.sum(form) == pytest.approx(spent, rel=1e-9)
+def test_a_car_that_is_eq_21_has_its_own_parameters():
+    """Half an hour of mixed roads, driving and braking told apart by the car itself."""
+    equation = equation_of(CAR)
+    rng, count = np.random.default_rng(0), 1800
+    speed = np.clip(15 + np.cumsum(rng.normal(0, 0.8, count)), 0.0, 35.0)
+    climb = speed * 0.02 * np.sin(np.arange(count) / 60.0)
+    one = np.ones(count)
+    wheels = equation.wheels(one, speed, speed**3, speed * np.gradient(speed), climb, 1.2)
+    truth = equation.mean[PHYSICS] * [1.1, 0.9, 1.05, 1.0] + [0.0, 0.0, 0.0, 0.03]
+    found = combinations(equation, wheels, one, np.asarray(wheels.terms) @ truth)
+    drag, rolling, mass, _ = truth
+    assert found["mass_over_eta"] == pytest.approx(mass, rel=2e-3)
+    assert found["rolling_over_eta"] == pytest.approx(rolling, rel=0.02)
+    assert found["drag_area_over_eta"] == pytest.approx(drag, rel=0.01)
 
 
-def test_definitions_recomputed_interval_by_interval(urban):
-    trace, total = urban.trace, {"out": 0.0, "in": 0.0, "braked": 0.0, "back": 0.0, "other": 0.0}
-    for wheel, load, friction, auxiliary in zip(
-        trace.wheel_power.tolist(),
-        trace.load_loss.tolist(),
-        trace.friction_power.tolist(),
-        trace.auxiliary.tolist(),
-        strict=True,
-    ):
-        total["other"] += auxiliary
-        if wheel > 0:
-            total["out"] += wheel
-            total["in"] += wheel + load
-        elif wheel < 0:
-            total["braked"] -= wheel
-            total["back"] -= wheel + friction + load
-    parameters = urban.truth.parameters
-    assert parameters.eta == pytest.approx(total["out"] / total["in"], rel=1e-9)
-    assert parameters.mu == pytest.approx(total["back"] / total["braked"], rel=1e-9)
-    assert parameters.p_aux == pytest.approx(total["other"] / len(trace.power), rel=1e-9)
+def test_mass_and_p_aux_are_those_of_the_car(drive):
+    parameters = drive.truth.parameters
+    assert parameters.mass == drive.car.mass
+    assert parameters.p_aux == pytest.approx(np.mean(drive.trace.auxiliary))
 
 
-def test_true_rolling_and_mass(drive):
-    parameters, trace, motion = drive.truth.parameters, drive.trace, drive.trace.motion
-    weight = parameters.mass * GRAVITY * np.cos(motion.grade)
-    work = parameters.c_rr * np.sum(weight * motion.speed) * STEP
-    assert work == pytest.approx(np.sum(trace.rolling_power) * STEP, rel=1e-9)
-    assert (parameters.mass, parameters.c_d) == (drive.car.mass, drive.car.c_d)
+def test_what_a_short_drive_does_not_determine_stays_that_of_the_vehicle_file():
+    truth = simulate(DriveKind.URBAN, CAR, 10.0, 5).truth.identifiable
+    prior, _ = prior_identifiable(CAR)
+    assert truth.drag_area_over_eta == pytest.approx(prior.drag_area_over_eta, rel=0.1)
 
 
 def test_identifiable_combinations_belong_to_the_parameters(drive):
@@ -70,10 +59,15 @@ def test_identifiable_combinations_belong_to_the_parameters(drive):
 
 
 @pytest.mark.parametrize("kind", DriveKind)
-def test_a_car_gets_the_wished_parameters(kind):
+def test_a_car_gets_nearly_the_wished_parameters(kind):
+    """As nearly as ten minutes of such a drive determine them."""
     wish = {"eta": 0.7, "mu": 0.5, "mass": 2100, "c_rr": 0.011, "c_d": 0.25, "p_aux": 1300}
-    truth = simulate(kind, CAR, 200.0, 5, car=wish).truth.parameters
-    assert truth._asdict() == pytest.approx(wish, rel=1e-5)
+    truth = simulate(kind, CAR, 600.0, 5, car=wish).truth.parameters._asdict()
+    most = {"eta": 0.01, "mu": 0.01, "mass": 1e-9, "c_rr": 0.02, "p_aux": 1e-5}
+    if kind is DriveKind.HIGHWAY:  # it hardly brakes
+        most["mu"] = 0.1
+    for name, share in most.items():
+        assert truth[name] == pytest.approx(wish[name], rel=share), name
 
 
 def test_what_a_car_cannot_do_is_told_truly():
@@ -111,11 +105,11 @@ def test_draws_from_the_priors_have_their_mean_and_spread():
         assert LIMITS[name].lower < column.min() and column.max() < LIMITS[name].upper
 
 
-def test_drives_from_prior_draws_have_these_truths():
+def test_drives_from_prior_draws_have_a_truth():
     rng = np.random.default_rng(3)
     for seed in range(6):
         wish = prior_parameters(CAR, rng)
         truth = simulate(DriveKind.URBAN, CAR, 60.0, seed, car=wish._asdict()).truth.parameters
-        assert truth._replace(mu=wish.mu) == pytest.approx(wish, rel=1e-5)
-        assert truth.mu <= wish.mu + 1e-5
-        assert np.all(np.isfinite(astuple(simulate(DriveKind.URBAN, CAR, 60.0, seed).truth)[0]))
+        assert truth.mass == pytest.approx(wish.mass)
+        assert truth.eta == pytest.approx(wish.eta, rel=0.1)
+        assert np.all(np.isfinite(truth))
