@@ -253,7 +253,10 @@ class PinnLearner(Saveable[SavedPinn]):
         self._tail, self._measured_ns, self._before = Tail(self._equation), None, None
 
     def _energy_since_battery(self, stamp_ns: int) -> tuple[float, float]:
-        """Energy predicted since the battery was last measured, J, its 1-sigma; NaN before."""
+        """Energy since the battery was last measured or a drive began, J, and its 1-sigma.
+
+        NaN while the battery is measured.
+        """
         car, begin_ns = self._car, self._measured_ns
         if begin_ns is not None and stamp_ns - begin_ns < SILENT_NS:
             return math.nan, math.nan
