@@ -47,7 +47,7 @@ def test_a_round_trip_through_a_file_is_exact(learned, new_estimator, tmp_path, 
     assert one == pytest.approx(two, rel=1e-12)  # the order in memory shows in the last bit
 
 
-def test_a_restart_goes_on_within_a_tenth_of_sigma(new_estimator, play, drive):
+def test_a_restart_goes_on_within_a_fifth_of_sigma(new_estimator, play, drive):
     """Six seconds later, beside one that was never stopped.
 
     Not bit for bit: the interval under way is not saved. In paper mode nothing but the window is
@@ -65,7 +65,7 @@ def test_a_restart_goes_on_within_a_tenth_of_sigma(new_estimator, play, drive):
     assert text_of(stopped) == text_of(again)
     found = stopped.parameters().parameters
     for name, estimate in on.parameters().parameters.items():
-        assert abs(found[name].value - estimate.value) < 0.1 * estimate.std, name
+        assert abs(found[name].value - estimate.value) < 0.2 * estimate.std, name
 
 
 def text_of(estimator) -> str:
@@ -77,7 +77,8 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
     good, estimator = learned[mode].export(), new_estimator(mode=mode)
     before = text_of(estimator)
     numbers = json.loads(json.dumps(good))
-    last = "filter" if mode is Mode.HYBRID else "variance"
+    first = "trim" if mode is Mode.HYBRID else "network"
+    last = "car" if mode is Mode.HYBRID else "variance"
     wrongs = [
         {},
         {**good, "version": 4},
@@ -90,10 +91,10 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
         {**good, "learner": [1, 2]},
         {**good, "learner": "text"},
         {**good, "learner": {k: v for k, v in good["learner"].items() if k != last}},
-        {**good, "learner": {**numbers["learner"], "network": "text"}},
-        {**good, "learner": {**numbers["learner"], "network": [[1.0], [2.0, 3.0]]}},
-        {**good, "learner": {**numbers["learner"], "network": {"a": 1}}},
-        {**good, "learner": {**numbers["learner"], "network": [10**400]}},
+        *(
+            {**good, "learner": {**numbers["learner"], first: wrong}}
+            for wrong in ("text", [[1.0], [2.0, 3.0]], {"a": 1}, [10**400])
+        ),
         {**good, "bands": None},
         {**good, "bands": {"predicted": [1.0, 1.0]}},
         {**good, "bands": {"predicted": [1.0], "smoothed": [1.0]}},
@@ -108,7 +109,7 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
 
 
 def test_the_state_of_an_older_version_is_set_aside_in_one_line(learned, new_estimator):
-    with pytest.raises(ValueError, match=r"^saved for version 7, .*not for version 9, [^\n]*$"):
+    with pytest.raises(ValueError, match=r"^saved for version 7, .*not for version 10, [^\n]*$"):
         new_estimator().restore({**learned[Mode.HYBRID].export(), "version": 7})
 
 

@@ -70,7 +70,7 @@ def states(new):
     found = {mode: deepcopy(new(mode).export()) for mode in Mode}
     found[Mode.HYBRID]["learner"]["payload"].update(change=CHANGE, found=FOUND)
     found[Mode.HYBRID]["learner"]["seen_ns"] = 1_700_000_000 * NANOSECONDS
-    found[Mode.HYBRID]["learner"]["energies"]["celsius"] = 21.0
+    found[Mode.HYBRID]["learner"]["car"]["celsius"] = 21.0
     return found
 
 

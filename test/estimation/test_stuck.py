@@ -125,7 +125,8 @@ def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(
                 continue
             if isinstance(reading, SpeedReading) and 60.0 < now < 68.0:
                 reading = replace(reading, speed=12.0)
-            for _ in estimator.add_reading(reading):
-                pass
-        energies.append(estimator._learner._unmeasured[0])
+            for output in estimator.add_reading(reading):
+                if getattr(output, "kind", None) is PowerKind.SMOOTHED:
+                    energy = output.energy
+        energies.append(energy)
     assert energies[0] == energies[1] > 1e5

@@ -78,7 +78,7 @@ def test_ups_and_downs_of_speed_are_as_large_as_they_are(new_stream, play, journ
 def test_a_drive_telescopes(new_stream, play, journey, at):
     """Distances, kinetic energy and climb of all intervals are those of the whole way."""
     found = settled(play(new_stream(), journey(200.0)))
-    assert len(found) > 110
+    assert len(found) > 16
     assert all(a.end_ns == b.start_ns for a, b in pairwise(found))
     assert all(one.duration == pytest.approx(DURATION) for one in found)
     begin, end = ((one - at(0)) / NANOSECONDS for one in (found[0].start_ns, found[-1].end_ns))
@@ -169,7 +169,7 @@ def test_separate_rows_give_the_energy_of_pairs(new_stream, play, journey):
 def test_a_silent_battery_is_not_waited_for(new_stream, journey, at):
     """An interval without energy is given within seconds of its end, not after `WAIT_NS`."""
     stream, waits = new_stream(), []
-    for reading in journey(90.0, silent_from=30.0, altitude_step=None):
+    for reading in journey(150.0, silent_from=30.0, altitude_step=None):
         for interval in of(stream.add_reading(reading)):
             if math.isnan(interval.energy):
                 waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
@@ -182,7 +182,7 @@ def test_a_standing_car_waits_for_no_road(new_stream, journey):
     for reading in journey(150.0, speed=lambda t: 10.0 if t < 20.0 else 0.0):
         for interval in of(stream.add_reading(reading)):
             waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
-    assert len(waits) >= 13 and max(waits) <= WAIT_NS / NANOSECONDS + 1.0
+    assert len(waits) >= 9 and max(waits) <= WAIT_NS / NANOSECONDS + 1.0
 
 
 def test_a_gap_finishes_what_waits(new_stream, play, journey):
@@ -191,7 +191,9 @@ def test_a_gap_finishes_what_waits(new_stream, play, journey):
     events = play(stream, journey(60.0, start=75.0))
     first = events[: next(k for k, event in enumerate(events) if isinstance(event, Gap))]
     ended = of(before) + of(first)
-    assert of(first) and (ended[-1].end_ns - ended[0].start_ns) / NANOSECONDS == pytest.approx(57)
+    assert of(first) and (ended[-1].end_ns - ended[0].start_ns) / NANOSECONDS == pytest.approx(
+        57.5, abs=0.6
+    )
     later = of(events)[len(of(first)) :]
     assert min(one.start_ns for one in later) >= ended[-1].end_ns + 15 * NANOSECONDS
 

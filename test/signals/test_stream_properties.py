@@ -14,7 +14,7 @@ from evpinn_ros.signals.stream import MAX_ACCELERATION, MAX_SPEED, SampleStream,
 from evpinn_ros.signals.time_jump import Jump, StampGuard
 
 START = 1_700_000_000 * NANOSECONDS
-COUNT = 100  # readings, 10 s
+COUNT = 250  # readings, 25 s
 
 
 @given(
