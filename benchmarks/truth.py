@@ -194,12 +194,17 @@ class LoadStep:
 
 
 def load_steps(
-    vehicles: Sequence[str], seeds: Iterable[int], *, before: int = 900, after: int = 240
+    vehicles: Sequence[str],
+    seeds: Iterable[int],
+    load: float = 150.0,
+    *,
+    before: int = 900,
+    after: int = 240,
 ) -> Iterator[LoadStep]:
-    """Drive in town, stop, change the load by 150 kg, up or down in turn, and drive on."""
+    """Drive in town, stop, change the load by so many kg, up or down in turn, and drive on."""
     for number, seed in enumerate(seeds):
         vehicle = load_vehicle(vehicles[number % len(vehicles)])
-        delta = 150.0 if number % 2 else -150.0
+        delta = load if number % 2 else -load
         first = simulate(DriveKind.URBAN, vehicle, before, seed, can_profile=PROFILE)
         second = simulate(
             DriveKind.URBAN,

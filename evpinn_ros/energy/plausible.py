@@ -16,6 +16,7 @@ from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.posterior import FORCE_NOISE, CarModel
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Path, Unevenness
+from evpinn_ros.signals.road import TEMPERATURES
 from evpinn_ros.signals.stream import MAX_SPEED
 
 # More than any road vehicle is charged with, and so than any draws: CharIN's Megawatt Charging
@@ -55,6 +56,8 @@ def car_is_possible(car: CarModel) -> bool:
     numbers = np.concatenate((car.mean, car.covariance.ravel(), car.noise))
     numbers = np.append(numbers, (car.load_variance, car.growth, car.trust, car.seconds))
     if not (np.abs(numbers) <= MOST_NUMBER).all() or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
+        return False
+    if car.celsius is not None and not TEMPERATURES[0] <= car.celsius <= TEMPERATURES[1]:
         return False
     least = min(float(np.diag(car.covariance).min()), float(car.noise.min()), car.load_variance)
     if min(least, car.growth, car.trust, car.seconds) < 0.0 or car.trust > MOST_TRUST:

@@ -190,7 +190,7 @@ class LearnedCar:
         before = replace(before, bands=bands)
         state, learned = learn(before, equation, done)
         driven = self.driven.plus(interval, done.rows, equation, float(done.warmth.tyres))
-        payload, state = self.payload.after(before, state, equation, driven, done)
+        payload, state = self.payload.after(before, state, learned, equation, driven, done)
         parts = equation.parts(interval.steps, interval.conditions, done.warmth)
         return replace(
             self,

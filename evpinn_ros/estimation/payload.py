@@ -29,7 +29,7 @@ import numpy as np
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.calibration import Chance
 from evpinn_ros.estimation.learning import PassedInterval, learn
-from evpinn_ros.estimation.posterior import CarState
+from evpinn_ros.estimation.posterior import OUTLIER, CarState, Learned
 from evpinn_ros.estimation.published import Driven, mass_over_eta
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
@@ -38,12 +38,12 @@ from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 STOP = 5.0  # s of standstill, or without intervals, in which someone may get in or out
 LOAD_SPREAD = 0.15  # 1-sigma of the logarithm of mass across a stop: full load of a passenger car
 LEAST_MOTION = 70.0  # s of motion after a stop before it is judged
-MOST_MOTION = 120.0  # s of motion after which a stop is judged no more
-KNOWN = 0.02  # 1-sigma of the logarithm of m/eta that must be reached before and after
+MOST_MOTION = 150.0  # s of motion after which a stop is judged no more
+KNOWN = 0.06  # 1-sigma of the logarithm of m/eta that must be reached before
 SIGNIFICANT = 4.8  # sigmas
 LEAST_CHANGE = 85.0  # kg: one grown person with a bag
 LEAST_STOPS = 3.0  # without a change, before one is reported
-FORKS = 4  # stops on trial at once
+FORKS = 4  # stops on trial at once, the likeliest
 PROBATION = 600.0  # s of motion in which a change may be withdrawn
 MOST_MASS = 1e6  # kg
 Stamp: TypeAlias = Annotated[int, Range(0, 2**62)]  # ns; to the year 2116
@@ -69,23 +69,30 @@ class PayloadChange:
 class _Stop:
     """A stop on trial.
 
-    `before`, log m/eta at it with 1-sigma and mass, kg; `motion`, s since; `change` of log m/eta
-    and its `significance` when it was found; `rival` of the change found, when it was on trial
+    `before`, log m/eta at it, and mass, kg; `motion`, s since; `odds`, logarithm of how much
+    likelier the trial made what came than the car as it was; `change` of log m/eta and its
+    `significance` when it was found; `rival` of the change found, when it was on trial
     already then.
     """
 
     stamp_ns: Stamp
     before: Share
-    before_std: Share
     mass: Annotated[float, Range(0.0, MOST_MASS)]
     motion: Annotated[float, Range(0.0, 1e6)] = 0.0
     change: Annotated[float, Range(-20.0, 20.0)] = 0.0
     significance: Annotated[float, Range(0.0, 1e6)] = 0.0
+    odds: Annotated[float, Range(-1e12, 1e12)] = 0.0
     rival: bool = False
 
-    def payload_change(self, change: float, std: float) -> PayloadChange:
-        """The change of mass, kg, of one of log m / eta with this 1-sigma."""
-        return PayloadChange(self.stamp_ns, self.mass * math.expm1(change), self.mass * std)
+    @property
+    def sigmas(self) -> float:
+        """By how many sigmas the trial differs: twice its log likelihood ratio is their square."""
+        return math.sqrt(2.0 * max(self.odds, 0.0))
+
+    def payload_change(self, change: float) -> PayloadChange:
+        """The change of mass, kg, of one of log m / eta, as sure as it is significant."""
+        mass = self.mass * math.expm1(change)
+        return PayloadChange(self.stamp_ns, mass, abs(mass) / max(self.significance, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +154,7 @@ class PayloadDetector:
         self,
         before: CarState,
         now: CarState,
+        learned: Learned,
         equation: Equation,
         driven: Driven,
         done: PassedInterval,
@@ -156,6 +164,7 @@ class PayloadDetector:
         Args:
             before: state of the car before the interval.
             now: after it.
+            learned: innovation between the two.
             equation: of the car.
             driven: what parameters are meant over.
             done: the interval, learned.
@@ -166,18 +175,22 @@ class PayloadDetector:
         interval = done.interval
         unseen = 0.0 if self.last_ns is None else (interval.start_ns - self.last_ns) * 1e-9
         stood, standing, moved = _stands(done, max(self.standing, unseen))
-        trials = tuple((stop, learn(state, equation, done)[0]) for stop, state in self.trials)
+        trials = tuple(_tried(stop, state, learned, equation, done) for stop, state in self.trials)
         detector = replace(self, trials=trials, standing=standing, last_ns=interval.end_ns)
         if moved == 0.0:
             return detector, now
         if stood >= STOP:
-            detector = detector._begin(before, equation, driven, done)
-        m_over_eta = mass_over_eta(now, equation, driven)
-        detector = detector._watch(*m_over_eta, moved)
+            detector = detector._begin(before, learned, equation, driven, done)
+        detector = detector._watch(mass_over_eta(now, equation, driven)[0], moved)
         return detector._judge(now, equation, driven, moved)
 
     def _begin(
-        self, before: CarState, equation: Equation, driven: Driven, done: PassedInterval
+        self,
+        before: CarState,
+        learned: Learned,
+        equation: Equation,
+        driven: Driven,
+        done: PassedInterval,
     ) -> PayloadDetector:
         """The car sets off again after a stop: try a state that knows its mass less well."""
         log, std = mass_over_eta(before, equation, driven)
@@ -190,61 +203,57 @@ class PayloadDetector:
         covariance = before.covariance + spread[:, :, None] * spread[:, None, :]
         state = replace(before, covariance=covariance)
         mass = math.exp(log) * (equation.eta + float(before.weights @ mean[:, State.ETA]))
-        stop = _Stop(done.interval.start_ns, log, std, mass)
-        own = learn(state, equation, done)[0]
-        return replace(self, trials=(*self.trials, (stop, own))[-FORKS:])
+        stop = _Stop(done.interval.start_ns, log, mass)
+        trial = _tried(stop, state, learned, equation, done)
+        trials = sorted((*self.trials, trial), key=lambda each: each[0].odds)
+        kept = sorted(trials[-FORKS:], key=lambda each: each[0].stamp_ns)
+        return replace(self, trials=tuple(kept))
 
     def _judge(
         self, now: CarState, equation: Equation, driven: Driven, moved: float
     ) -> tuple[PayloadDetector, CarState]:
         """Take the stop that the data speak for most."""
         trials = []
-        best: tuple[_Stop, CarState, float] | None = None
+        best: tuple[_Stop, CarState] | None = None
         for old, state in self.trials:
             stop = replace(old, motion=old.motion + moved)
             if stop.motion >= LEAST_MOTION and self.chance.count >= LEAST_STOPS:
-                log, std = mass_over_eta(state, equation, driven)
-                spread = self.chance.scale * math.hypot(std, stop.before_std)
-                change = log - stop.before
-                stop = replace(stop, change=change, significance=abs(change) / spread)
-                if self._decides(stop, std) and (
-                    best is None or stop.significance > best[0].significance
-                ):
-                    best = stop, state, spread
+                change = mass_over_eta(state, equation, driven)[0] - stop.before
+                significance = stop.sigmas / self.chance.scale
+                stop = replace(stop, change=change, significance=significance)
+                if self._decides(stop) and (best is None or significance > best[0].significance):
+                    best = stop, state
             trials.append((stop, state))
         detector = replace(self, trials=tuple(trials))
         if best is not None:
-            return detector._take(*best), best[1]
-        return detector._give_up(equation, driven, moved), now
+            return detector._take(best[0]), best[1]
+        return detector._give_up(moved), now
 
-    def _decides(self, stop: _Stop, std: float) -> bool:
+    def _decides(self, stop: _Stop) -> bool:
         """True if a stop is certain to have changed the payload."""
         enough = abs(stop.mass * math.expm1(stop.change)) >= LEAST_CHANGE
-        certain = std <= KNOWN and enough and stop.significance >= SIGNIFICANT
+        certain = enough and stop.significance >= SIGNIFICANT
         rival = self.watched if stop.rival else None
         return certain and (rival is None or stop.significance > rival.significance)
 
-    def _take(self, stop: _Stop, state: CarState, spread: float) -> PayloadDetector:
+    def _take(self, stop: _Stop) -> PayloadDetector:
         """A change is found, or found to be of a later stop than it seemed."""
         later = (each for each in self.trials if each[0].stamp_ns > stop.stamp_ns)
         return replace(
             self,
             found=self.found + (not stop.rival),
-            change=stop.payload_change(stop.change, spread),
+            change=stop.payload_change(stop.change),
             watched=stop,
             trials=tuple((replace(each, rival=True), fork) for each, fork in later),
             given_up=(),
         )
 
-    def _give_up(self, equation: Equation, driven: Driven, moved: float) -> PayloadDetector:
+    def _give_up(self, moved: float) -> PayloadDetector:
         """Learn what chance does where nothing changed, once it is sure that nothing did."""
         given_up = list(self.given_up)
-        for stop, state in self.trials:
-            if stop.motion > MOST_MOTION:
-                log, std = mass_over_eta(state, equation, driven)
-                if std <= KNOWN and not stop.rival:
-                    sigmas = abs(log - stop.before) / math.hypot(std, stop.before_std)
-                    given_up.append(replace(stop, significance=sigmas))
+        for stop, _ in self.trials:
+            if stop.motion > MOST_MOTION and not stop.rival:
+                given_up.append(replace(stop, significance=stop.sigmas))
         given_up = [replace(stop, motion=stop.motion + moved) for stop in given_up]
         chance = self.chance
         for stop in given_up:
@@ -257,7 +266,7 @@ class PayloadDetector:
             chance=chance,
         )
 
-    def _watch(self, log: float, std: float, moved: float) -> PayloadDetector:
+    def _watch(self, log: float, moved: float) -> PayloadDetector:
         """Sharpen a change by what is learned after it, or withdraw it."""
         stop = self.watched
         if stop is None or self.change is None:
@@ -273,8 +282,21 @@ class PayloadDetector:
             )
         if stop.motion > MOST_MOTION:
             return replace(self, watched=stop)
-        spread = self.chance.scale * math.hypot(std, stop.before_std)
-        return replace(self, watched=stop, change=stop.payload_change(change, spread))
+        return replace(self, watched=stop, change=stop.payload_change(change))
+
+
+def _tried(
+    stop: _Stop, state: CarState, learned: Learned, equation: Equation, done: PassedInterval
+) -> tuple[_Stop, CarState]:
+    """A stop on trial after one more interval, with the state of its hypothesis."""
+    state, own = learn(state, equation, done)
+    return replace(stop, odds=stop.odds + _likelihood(own) - _likelihood(learned)), state
+
+
+def _likelihood(seen: Learned) -> float:
+    """Logarithm of the likelihood of an interval, its tails as heavy as the posterior's."""
+    away = min((seen.residual / seen.sigma) ** 2, 2.0 * OUTLIER**2)
+    return -0.5 * away - math.log(seen.sigma)
 
 
 def _stands(done: PassedInterval, standing: float) -> tuple[float, float, float]:

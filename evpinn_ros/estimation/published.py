@@ -20,7 +20,7 @@ import numpy as np
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.evidence import Evidence, evidence
 from evpinn_ros.estimation.gaussian import Gaussian
-from evpinn_ros.estimation.posterior import CarState
+from evpinn_ros.estimation.posterior import CarState, initial_state
 from evpinn_ros.estimation.states import PHYSICS, SIZE, TABLE, State
 from evpinn_ros.estimation.terms import MILD_CELSIUS, Equation
 from evpinn_ros.signals.interval import Interval
@@ -145,10 +145,11 @@ class Published(NamedTuple):
 def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     """The parameters that a state stands for, no surer than a map of efficiency allows."""
     whole = state.mixture()
-    prior = Gaussian(equation.mean, equation.covariance)
+    # With the network that it may have by the evidence of now, so that learning only shrinks it.
+    prior = replace(initial_state(equation), evidence=state.evidence).mixture()
     celsius = None if driven.load_known else state.celsius
     now = _pushed(whole, equation, driven, celsius)
-    before = _pushed(prior, equation, Driven.nowhere(), celsius)
+    before = _pushed(prior, equation, driven, celsius)
     for index, std in enumerate(MAP_STD):
         now.covariance[index, index] += std**2
     return Published(now, before, equation.vehicle.frontal_area)

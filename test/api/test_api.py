@@ -20,6 +20,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.energy import Profiles
 from evpinn_ros.energy import forecast as forecast_profiles
 from evpinn_ros.estimation.state_file import read_state, write_state
+from evpinn_ros.estimation.states import State
 from evpinn_ros.replays.forecasts import known_model
 import evpinn_ros.replays.run  # from here on the room `replay` is an attribute of the package
 
@@ -144,7 +145,7 @@ def test_a_state_that_is_not_there_is_an_error_and_no_new_car():
 
 
 def test_a_state_keeps_what_was_learned_of_the_battery(tmp_path):
-    """Capacity and voltage: the charge after a plan is that of before the file, to rounding."""
+    """Capacity and voltage: the charge after a plan is that of before, but for cold tyres."""
     car = ev.Estimator(CAR)
     charge = 90.0
     for second in range(1800):  # full at 40 kWh, half of the vehicle file
@@ -155,10 +156,11 @@ def test_a_state_keeps_what_was_learned_of_the_battery(tmp_path):
     car.save(tmp_path / "car.json")
     again = ev.Estimator(CAR, state=tmp_path / "car.json")
     assert again.account.gauge.capacity == car.account.gauge.capacity
-    plan = {"t_s": [0.0, 20.0, 600.0], "speed_mps": [0.0, 25.0, 25.0]}
+    time = np.arange(0.0, 601.0)
+    plan = {"t_s": time, "speed_mps": np.minimum(25.0, 1.25 * time)}
     ends = [ev.forecast(plan, each, charge_pct=80.0).iloc[-1] for each in (car, again, CAR)]
     drops = [80.0 - end["charge_pct"] for end in ends]
-    assert drops[1] == pytest.approx(drops[0], rel=0.02) and drops[1] > 1.3 * drops[2]
+    assert drops[1] == pytest.approx(drops[0], rel=0.1) and drops[1] > 1.3 * drops[2]
     assert again.account.since_reset().distance == 0.0  # another trip
     assert again.account.lifetime().distance == pytest.approx(car.account.lifetime().distance)
 
@@ -225,15 +227,16 @@ def test_a_wrong_plan_is_refused_with_the_reason(trip, reason):
 def test_the_charge_along_a_plan_is_that_of_the_node():
     """At its end; before, it falls with the energy, and rises where the car brakes."""
     result = ev.replay(URBAN, CAR, duration=75.0)  # a minute teaches its battery
-    trip = {"t_s": [0.0, 15.0, 400.0, 420.0], "speed_mps": [0.0, 20.0, 20.0, 0.0]}
+    time = np.arange(0.0, 421.0)
+    trip = {"t_s": time, "speed_mps": np.interp(time, [0, 15, 400, 420], [0, 20, 20, 0])}
     found = ev.forecast(trip, result)
     account, end = result.account, plan.planned_energy(trip, result).found
     after = account.battery.after(end, account.charge()).charge
     assert found["charge_pct"].iloc[-1] == pytest.approx(100 * after.value, abs=1e-9)
     assert found["charge_sigma_pct"].iloc[-1] == pytest.approx(100 * after.sigma, rel=1e-9)
     charge = found["charge_pct"].to_numpy()
-    assert charge[0] == 100 * account.charge().value and charge[2] < charge[1] < charge[0]
-    assert charge[3] > charge[2]
+    assert charge[0] == 100 * account.charge().value and charge[400] < charge[15] < charge[0]
+    assert charge[410] > charge[400]
 
 
 def test_the_charge_of_a_car_that_nothing_was_learned_of_is_by_its_capacity():
@@ -270,12 +273,12 @@ def test_a_plan_may_have_its_time_as_the_index(result):
     assert found.equals(ev.forecast(table, result)) and found.equals(ev.forecast(found, result))
 
 
-def test_a_learner_without_a_linear_model_answers_by_its_parameters(result):
+def test_a_learner_without_a_model_answers_by_its_parameters(result):
     car, final = result.vehicle, result.replayed.drive.final
-    by_parameters = known_model(None, final, car).linear
-    assert by_parameters.mass == final.identifiable.mass_over_eta
-    by_file = known_model(None, None, car).linear
-    assert by_file.mass == pytest.approx(car.initial.mass / car.initial.eta)
+    by_parameters = known_model(None, final, car).car
+    assert by_parameters.mean[State.MASS] == final.identifiable.mass_over_eta
+    by_file = known_model(None, None, car).car
+    assert by_file.mean[State.MASS] == pytest.approx(car.initial.mass / car.initial.eta)
 
 
 def test_a_report_is_written(result, tmp_path):

@@ -8,6 +8,7 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.remaining import (
     FIRST_SPREAD,
     MEMORY,
+    RECENT,
     Cost,
     cost_spread,
     remaining,
@@ -49,8 +50,8 @@ def test_what_is_recent_counts_near_and_the_long_run_far():
     cost = Cost(1000.0, 500.0, 0.2)
     near = remaining(Uncertain(2e6, 0.0), cost).distance
     far = remaining(Uncertain(300e6, 0.0), cost).distance
-    assert near == pytest.approx(2e6 / 1000.0, rel=0.02)
-    assert far == pytest.approx((300e6 - 500.0 * MEMORY) / 500.0, rel=0.02)
+    assert near == pytest.approx(2e6 / (500.0 + RECENT * 500.0), rel=0.05)
+    assert far == pytest.approx((300e6 - RECENT * 500.0 * MEMORY) / 500.0, rel=0.02)
 
 
 def test_an_empty_battery_goes_nowhere():
