@@ -53,7 +53,7 @@ def run_apart(function: str, path: Path, out: Path) -> str | None:
         InputError: there is no such file.
     """
     limits = Limits.of(check_file(path))
-    command = [sys.executable, "-m", __spec__.name, function, str(path), str(out)]
+    command = [sys.executable, "-B", "-m", __spec__.name, function, str(path), str(out)]
     few = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
     with subprocess.Popen(
         command,

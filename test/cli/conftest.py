@@ -38,7 +38,8 @@ def run_here(*arguments: object, cwd: Path, columns: int = 100) -> CompletedProc
 
 def run_on_a_full_disk(kilobytes: int, *arguments: object, cwd: Path) -> CompletedProcess[str]:
     """What `evpinn` does where no file can be larger than so much: as on a disk that is full."""
-    command = shlex.join([sys.executable, "-m", "evpinn_ros", *map(str, arguments)])
+    # -B: a module's code cut short would be imported by the next process.
+    command = shlex.join([sys.executable, "-B", "-m", "evpinn_ros", *map(str, arguments)])
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     script = ["bash", "-c", f"ulimit -f {kilobytes}; exec {command}"]
     return subprocess.run(

@@ -20,7 +20,7 @@ URBAN = ROOT / "bags" / "urban"
 def on_a_full_disk(*arguments, cwd: Path) -> subprocess.CompletedProcess:
     """A process of its own: a limit of the size of a file stands for the end of the disk."""
     return subprocess.run(
-        [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
+        [sys.executable, "-B", "-m", "evpinn_ros", *map(str, arguments)],
         cwd=cwd,
         env={"PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"},
         capture_output=True,

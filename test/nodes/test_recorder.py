@@ -94,6 +94,7 @@ from evpinn_ros.nodes.recorder import RecorderNode
 rclpy.init()
 frames = deque()
 node = RecorderNode(pathlib.Path(sys.argv[1]), frames)
+sys.dont_write_bytecode = True  # a file cut short would be imported by the next process
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 end = time.monotonic() + 20.0
 while time.monotonic() < end and node.statuses()[0].level == 0:

@@ -1,7 +1,9 @@
 """Managed nodes, driven by `ros2 lifecycle`."""
 
+from contextlib import suppress
 import json
 from pathlib import Path
+import subprocess
 import time
 
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -144,13 +146,20 @@ def test_a_fault_of_ours_leads_to_where_the_node_can_be_configured_anew(bench, m
     node._faults.clear()  # the bench demands that there are none
 
 
+def wait_for_active(ros2, name: str) -> None:
+    """An answer may be lost before DDS has matched the asker: the command line waits for ever."""
+    end, said = time.monotonic() + 90.0, ""
+    while "active [3]" not in said:
+        assert time.monotonic() < end, said
+        with suppress(subprocess.TimeoutExpired):
+            said = ros2.run("lifecycle", "get", f"/ev/{name}", timeout=20.0).stdout
+
+
 def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2):
     given = ("vehicle:=tesla_model_3_lr", "can_interface:=virtual", "can_channel:=none")
     with ros2.running("launch", "evpinn_ros", "managed.launch.py", *given):
         for name in ("estimator", "energy", "can_bridge"):
-            end = time.monotonic() + 60.0
-            while "active [3]" not in (said := ros2.ask("lifecycle", "get", f"/ev/{name}")):
-                assert time.monotonic() < end, said
+            wait_for_active(ros2, name)
 
 
 def test_a_launch_of_two_cars_names_each(ros2, bench):
