@@ -26,9 +26,9 @@ def plans(
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     metrics: MetricsOption = None,
 ) -> None:
-    """Forecast driven trips as plans of several resolutions, and compare with what they took.
+    """Forecast driven trips as plans of several resolutions, beside what they took.
 
-    A second table tells how well the distance to empty was known along the same drives.
+    A second table is of the distance to empty along the same drives.
 
     Example: evpinn bench plans $DATA --cars i3,changchun
     """

@@ -66,10 +66,13 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
         assert row["energy_j"] > mild["energy_j"]
 
 
-def test_what_is_not_in_the_forecast_yet_is_said(evpinn, folder):
-    done = evpinn("forecast", "slow.csv", "--heating", 2000, "--payload", 300, cwd=folder)
-    assert "--heating is not in the forecast yet" in done.stderr
-    assert "--payload is not in the forecast yet" in done.stderr
+def test_conditions_change_the_forecast(evpinn, folder):
+    def kwh(*given):
+        evpinn("forecast", "slow.csv", "--json", "found.json", *given, cwd=folder)
+        return json.loads((folder / "found.json").read_text())[0]["energy_j"]
+
+    plain = kwh("--heating", 0)
+    assert kwh("--heating", 2000) > plain + 1e5 and kwh("--heating", 0, "--payload", 300) > plain
     refused = evpinn("forecast", "slow.csv", "--temperature", 100, cwd=folder)
     assert refused.returncode == 2 and "--temperature" in refused.stderr
 

@@ -21,7 +21,7 @@ CHANGE = {"stamp_ns": 1_700_000_000 * NANOSECONDS, "delta_mass": 150.0, "std": 3
 FOUND = {
     "stamp_ns": 1_700_000_000 * NANOSECONDS,
     "before": 7.7,
-    "before_std": 0.01,
+    "odds": 18.0,
     "mass": 2000.0,
     "motion": 300.0,
     "change": 0.07,
@@ -56,6 +56,8 @@ PLACES = [
     (mode, ("learner", *path), inner, maybe)
     for mode, declared in ((Mode.HYBRID, SavedPinn), (Mode.PAPER, SavedPaper))
     for path, inner, maybe in leaves(declared)
+    # Of the posterior and its sums `test_pinn` has the refusals: what fits is a matter of shapes.
+    if path[0] not in ("car", "unevenness", "driven")
 ]
 
 
