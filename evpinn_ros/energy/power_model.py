@@ -263,7 +263,7 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
     covariance[index, index] = np.square(std)
     # What is not known of the mass is not known of its rolling either.
     both = [State.ROLLING, State.MASS], [State.MASS, State.ROLLING]
-    covariance[both] = c_rr * sigmas.mass_over_eta**2
+    covariance[both] = c_rr * np.square(sigmas.mass_over_eta)
     return PowerModel(replace(car, mean=mean, covariance=covariance))
 
 

@@ -130,13 +130,15 @@ def answered_status(answer: PlanAnswer) -> Status:
     """The status of a plan that is answered: its energy, and how it compares with others, J."""
     forecast = answer.forecast
     values = {"energy": forecast.energy[-1], "sigma": forecast.sigma[-1]}
+    values["conditions"] = len(
+        answer.conditions
+    )  # that the planner gave; the rest is the last known
     if answer.charge.known:
         values |= {"battery": answer.charge.value, "battery_sigma": answer.charge.sigma}
     for name, apart in answer.differences.items():
         values |= {f"difference/{name}": apart.value, f"difference_sigma/{name}": apart.sigma}
     # A number of numpy would write its type beside its digits.
     texts = {key: repr(float(value)) for key, value in values.items()}
-    texts["conditions"] = ", ".join(answer.conditions) or "the last known"
     return Status("plan", Level.OK, ANSWERED, texts)
 
 

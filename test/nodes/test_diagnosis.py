@@ -131,7 +131,7 @@ def test_every_number_of_an_answer_is_read_by_any_language():
     )  # fmt: skip
     values = answered_status(answer).values
     assert {key: float(text) for key, text in values.items()} == {
-        "energy": 3.6e6, "sigma": 3.6e6, "battery": 0.5, "battery_sigma": 0.01,
+        "energy": 3.6e6, "sigma": 3.6e6, "conditions": 0.0, "battery": 0.5, "battery_sigma": 0.01,
         "difference/a/0": 1.0, "difference_sigma/a/0": 2.0,
     }  # fmt: skip
 

@@ -32,6 +32,6 @@ def test_plans_after_it_take_the_conditions(bench):
     values = {
         each.key: each.value for each in bench.heard[topics.FORECAST_STATUS][-1].status[0].values
     }
-    assert values["conditions"] == "temperature"
+    assert values["conditions"] == "1.0"
     bench.deliver(node, topics.CONDITIONS, conditions())
     assert cost() == mild
