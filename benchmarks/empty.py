@@ -28,7 +28,7 @@ PIECE = 1e3  # m
 LAST_10, LAST_100 = 1, 2  # windows of a `TripLog`
 
 
-class Piece(NamedTuple):
+class Kilometre(NamedTuple):
     """A kilometre, and what a summary knew at its end; the cost None before 10 km."""
 
     driven: Stretch
@@ -75,7 +75,7 @@ def empty_scores(data: str, key: str, seed: int = 0) -> list[EmptyScore]:
     return found
 
 
-def _pieces(car: UnseenCar, seed: int) -> Iterator[Piece]:
+def _pieces(car: UnseenCar, seed: int) -> Iterator[Kilometre]:
     learned, log = LearnedCar.new(equation_of(car.vehicle, seed)), TripLog()
     for number, drive in enumerate(car.drives):
         if number:
@@ -91,11 +91,11 @@ def _pieces(car: UnseenCar, seed: int) -> Iterator[Piece]:
                 distance = energy = 0.0
 
 
-def _piece(driven: Stretch, log: TripLog, learned: LearnedCar) -> Piece:
+def _piece(driven: Stretch, log: TripLog, learned: LearnedCar) -> Kilometre:
     for window in log.windows:
         window.add(driven)
     if not log.windows[LAST_10].known:
-        return Piece(driven, None, math.nan, math.nan)
+        return Kilometre(driven, None, math.nan, math.nan)
     recent, long = (
         each.energy / each.distance
         for each in (log.windows[LAST_10].total, log.windows[LAST_100].total)
@@ -104,10 +104,10 @@ def _piece(driven: Stretch, log: TripLog, learned: LearnedCar) -> Piece:
     usual = usual_cost(model)
     expected = long if math.isnan(usual) else (long + usual) / 2.0
     spread = cost_spread(log.windows[LAST_100].whole)
-    return Piece(driven, Cost(recent, expected, spread), recent, long)
+    return Kilometre(driven, Cost(recent, expected, spread), recent, long)
 
 
-def _errors(pieces: list[Piece], horizon: float) -> Iterator[tuple[float, float, float, bool]]:
+def _errors(pieces: list[Kilometre], horizon: float) -> Iterator[tuple[float, float, float, bool]]:
     """Relative errors after each piece: ours, by the last 10 km, by 100; is it in our band?"""
     distances = np.cumsum([piece.driven.distance for piece in pieces])
     energies = np.cumsum([piece.driven.energy for piece in pieces])

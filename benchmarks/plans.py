@@ -107,7 +107,7 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
 
 
 def intervals_of(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
-    """What a car learns from in a drive."""
+    """Intervals of a drive that a car learns from."""
     stream = SampleStream(
         StreamSettings(), car.vehicle.air_density, car.vehicle.motor_ratio, intervals_alone=True
     )

@@ -74,7 +74,7 @@ class CarChain:
         return parameter_set(self._newest_ns, self.published())
 
     def published(self) -> Published:
-        """What of the car is published."""
+        """Published parameters."""
         return published(self.car.state, self.car.equation, self.car.driven)
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from benchmarks.unseen.drives import load_car
 from benchmarks.unseen.scores import MOST_SIGMAS, QUANTILE_90, crps
 from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.learner import gate_interval
 from evpinn_ros.estimation.learning import passed
-from evpinn_ros.estimation.posterior import NOWHERE
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval
@@ -201,7 +201,7 @@ def _score(name: str, recorded: RecordedCar, seed: int) -> VariantRow:
 
 
 def _learn(car: LearnedCar, drive: Sequence[Interval]) -> tuple[LearnedCar, list[_Hidden]]:
-    """The car after a drive, and what it said of each stretch."""
+    """The car after a drive, and its prediction of each stretch."""
     ends = np.cumsum([interval.duration for interval in drive])
     next_cut, found = FIRST, []
     for index, interval in enumerate(drive):

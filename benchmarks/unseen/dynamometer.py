@@ -1,9 +1,9 @@
 """Truth of a recorded car from the dynamometer that its makers or testers set.
 
 Its mass is the inertia that was set, and its road load the force that was set, nearest to which
-C_rr m g + rho/2 C_d A v^2 comes over the way of standard driving. The efficiency is not told by a
-dynamometer: `ETA`, of the inverter, motor and gears of an electric car, is what the combinations
-rest on (m/eta of these drives by another method: 2075 +- 30 kg).
+C_rr m g + rho/2 C_d A v^2 comes over the way of standard driving. No dynamometer measures
+the efficiency: `ETA`, of the inverter, motor and gears of an electric car, is the base of the
+combinations (m/eta of these drives by another method: 2075 +- 30 kg).
 """
 
 from __future__ import annotations

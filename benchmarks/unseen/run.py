@@ -101,7 +101,7 @@ def recorded(car: str, drives: int, truth: Mapping[str, float]) -> dict[str, dic
     """Scores on these drives as they were measured at commit 0dd2cfa, by method.
 
     They are of the core before it became one joint model, and of least squares at that time;
-    their estimates are held against `truth`.
+    their estimates are compared with `truth`.
     """
     path = Path(__file__).with_name(f"{RECORDED}.json")
     found = json.loads(path.read_text(encoding="utf-8")).get(car)

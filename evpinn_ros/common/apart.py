@@ -1,6 +1,6 @@
 """Runs a parser of a foreign library in a process of its own, which may crash, hang or fill up.
 
-A workbook, a Parquet file or an .mf4 states sizes that the library believes. What it may take is
+A workbook, a Parquet file or an .mf4 states sizes that the library relies on. What it may take is
 bounded by the size of the file, and whatever it dies of is one line.
 `python -m evpinn_ros.common.apart MODULE:FUNCTION IN OUT` is the other process.
 """
@@ -26,7 +26,7 @@ PATIENCE = 6.0  # times of its processor time that a process may wait for a core
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent has died
 
 
-class Limits(NamedTuple):
+class ParserLimits(NamedTuple):
     """Limits of a parser, after what it needs to be imported."""
 
     memory: int  # bytes
@@ -34,7 +34,7 @@ class Limits(NamedTuple):
     seconds: int  # of the processor
 
     @classmethod
-    def of(cls, size: int) -> Limits:
+    def of(cls, size: int) -> ParserLimits:
         """Limits for a file of so many bytes; libraries hold a table at 5 to 20 times its size."""
         return cls(
             min(160 * MEBIBYTE + 40 * size, MOST_MEMORY),
@@ -52,7 +52,7 @@ def run_apart(function: str, path: Path, out: Path) -> str | None:
     Raises:
         InputError: there is no such file.
     """
-    limits = Limits.of(check_file(path))
+    limits = ParserLimits.of(check_file(path))
     command = [sys.executable, "-B", "-m", __spec__.name, function, str(path), str(out)]
     few = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
     with subprocess.Popen(
@@ -75,7 +75,7 @@ def run_apart(function: str, path: Path, out: Path) -> str | None:
     return _reason(process.returncode, errors, limits) if process.returncode else None
 
 
-def _reason(code: int, errors: str, limits: Limits) -> str:
+def _reason(code: int, errors: str, limits: ParserLimits) -> str:
     if -code in (signal.SIGXCPU, signal.SIGKILL):
         return f"takes more than {limits.seconds} s to read"
     # Allocators of C++ and Rust end the process where there is no more.
@@ -86,7 +86,7 @@ def _reason(code: int, errors: str, limits: Limits) -> str:
     return errors.strip().splitlines()[-1]
 
 
-def _limit(limits: Limits) -> None:
+def _limit(limits: ParserLimits) -> None:
     """Set the limits of this process, from what it has taken so far."""
     statm = Path("/proc/self/statm").read_text(encoding="ascii")
     taken = int(statm.split()[0]) * resource.getpagesize()
@@ -109,12 +109,12 @@ def _main(function: str, path: Path, out: Path) -> NoReturn:
     try:
         module, name = function.split(":")
         work = getattr(import_module(module), name)
-        _limit(Limits.of(check_file(path)))
+        _limit(ParserLimits.of(check_file(path)))
         work(path, out)
         code = 0
     except BaseException as error:  # a panic of Rust is no Exception
-        said = "MemoryError" if isinstance(error, MemoryError) else one_line(error)
-        print(printable(said), file=sys.stderr)
+        reason = "MemoryError" if isinstance(error, MemoryError) else one_line(error)
+        print(printable(reason), file=sys.stderr)
     sys.stderr.flush()
     os._exit(code)  # what a library holds need not be taken to pieces
 

@@ -72,7 +72,7 @@ def replaced(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Let nobody else write a file while it is read, changed and written again.
+    """Keep others from writing a file while it is read, changed and written again.
 
     The lock is on its folder, so no file of locks lies beside it, and a killed process holds none.
 
@@ -149,7 +149,7 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove drafts that killed processes left: nobody holds them."""
+    """Remove drafts that killed processes left: no process holds them."""
     with suppress(OSError):
         for path in folder.glob(f"{DRAFT}*"):
             draft = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)

@@ -1,4 +1,4 @@
-"""What a metre of this car's usual driving costs: the road ahead of which no plan tells.
+"""Cost of a metre of this car's usual driving: the road ahead of which no plan tells.
 
 The learned car drives its usual mix of legs of a minute, as its earlier drives had them
 (`estimation.unevenness`), at the temperature and with the loads of now. So a cold morning or a

@@ -1,8 +1,8 @@
-"""Bands of energy that cover what they claim, by what rehearsals said (`estimation.rehearsal`).
+"""Bands of energy that cover what they claim, by rehearsals (`estimation.rehearsal`).
 
 How errors of predictions without the battery spread in sigmas scales the variance of a real
 dropout or forecast, up or down, apart for dropouts and for whole drives. Where no height is known,
-the errors also say how hilly the roads of this car are: flat country has narrow bands.
+the errors also show how hilly the roads of this car are: flat country has narrow bands.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
 PRIOR_CASES, CASES_KEPT = 8.0, 40.0  # that true sigmas count as at first; cases remembered
 
 
-class Energy(NamedTuple):
+class PredictedEnergy(NamedTuple):
     """Energy of a journey, J, and its variance but for unseen hills, J^2.
 
     `hills`, J^2 per m, is by how much variance of height per length of road counts: the square of
@@ -56,7 +56,7 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Bands:
-    """What the rehearsals said.
+    """Outcome of the rehearsals.
 
     Attributes:
         dropout: spread of errors of dropouts within a drive.
@@ -79,12 +79,12 @@ class Bands:
         odds = np.exp(np.array(self.hills) - max(self.hills))
         return float(odds @ GROWTHS / odds.sum())
 
-    def after_drive(self, energy: Energy, drawn: float) -> Bands:
+    def after_drive(self, energy: PredictedEnergy, drawn: float) -> Bands:
         """With one more drive, predicted whole, that drew so many J."""
         sigma = math.sqrt(energy.variance + self.growth * energy.hills)
         return replace(self, drive=self.drive.after((drawn - energy.mean) / sigma))
 
-    def after_dropout(self, energy: Energy, drawn: float, *, long: bool) -> Bands:
+    def after_dropout(self, energy: PredictedEnergy, drawn: float, *, long: bool) -> Bands:
         """With one more dropout that did not happen."""
         error = drawn - energy.mean
         bands = self

@@ -15,13 +15,12 @@ import numpy as np
 
 from evpinn_ros.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
 from evpinn_ros.estimation.grade_detector import GradeDetector
+from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.learner import gate_interval
 from evpinn_ros.estimation.learning import learn, passed
 from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.estimation.posterior import (
-    NOWHERE,
     CarState,
-    Journey,
     advance,
     begin_drive,
     forget_present,
@@ -156,7 +155,7 @@ class LearnedCar:
         )
 
     def uneven(self) -> Unevenness:
-        """What uneven speed takes, by this drive too."""
+        """Energy of uneven speed, by this drive too."""
         drive = Path(*map(np.concatenate, zip(*self.steps, strict=True))) if self.steps else None
         if drive is None:
             return self.unevenness

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.estimation.journey import Journey, Learned
 from evpinn_ros.estimation.posterior import (
     CarState,
-    Journey,
-    Learned,
     advance,
     condition,
     journey_of,

@@ -28,8 +28,9 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.calibration import Chance
+from evpinn_ros.estimation.journey import Learned
 from evpinn_ros.estimation.learning import PassedInterval, learn
-from evpinn_ros.estimation.posterior import OUTLIER, CarState, Learned
+from evpinn_ros.estimation.posterior import OUTLIER, CarState
 from evpinn_ros.estimation.published import Driven, mass_over_eta
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
@@ -66,7 +67,7 @@ class PayloadChange:
 
 
 @dataclass(frozen=True, slots=True)
-class _Stop:
+class _Trial:
     """A stop on trial.
 
     `before`, log m/eta at it, and mass, kg; `motion`, s since; `odds`, logarithm of how much
@@ -101,7 +102,7 @@ class SavedPayload:
 
     chance: Chance
     change: PayloadChange | None
-    found: _Stop | None
+    found: _Trial | None
 
     def __post_init__(self) -> None:
         """Refuse a change that is none."""
@@ -129,9 +130,9 @@ class PayloadDetector:
     found: int = 0
     withdrawn: int = 0
     chance: Chance = field(default_factory=Chance)
-    trials: tuple[tuple[_Stop, CarState], ...] = ()
-    given_up: tuple[_Stop, ...] = ()
-    watched: _Stop | None = None
+    trials: tuple[tuple[_Trial, CarState], ...] = ()
+    given_up: tuple[_Trial, ...] = ()
+    watched: _Trial | None = None
     standing: float = 0.0
     last_ns: int | None = None
 
@@ -203,7 +204,7 @@ class PayloadDetector:
         covariance = before.covariance + spread[:, :, None] * spread[:, None, :]
         state = replace(before, covariance=covariance)
         mass = math.exp(log) * (equation.eta + float(before.weights @ mean[:, State.ETA]))
-        stop = _Stop(done.interval.start_ns, log, mass)
+        stop = _Trial(done.interval.start_ns, log, mass)
         trial = _tried(stop, state, learned, equation, done)
         trials = sorted((*self.trials, trial), key=lambda each: each[0].odds)
         kept = sorted(trials[-FORKS:], key=lambda each: each[0].stamp_ns)
@@ -214,7 +215,7 @@ class PayloadDetector:
     ) -> tuple[PayloadDetector, CarState]:
         """Take the stop that the data speak for most."""
         trials = []
-        best: tuple[_Stop, CarState] | None = None
+        best: tuple[_Trial, CarState] | None = None
         for old, state in self.trials:
             stop = replace(old, motion=old.motion + moved)
             if stop.motion >= LEAST_MOTION and self.chance.count >= LEAST_STOPS:
@@ -229,14 +230,14 @@ class PayloadDetector:
             return detector._take(best[0]), best[1]
         return detector._give_up(moved), now
 
-    def _decides(self, stop: _Stop) -> bool:
+    def _decides(self, stop: _Trial) -> bool:
         """True if a stop is certain to have changed the payload."""
         enough = abs(stop.mass * math.expm1(stop.change)) >= LEAST_CHANGE
         certain = enough and stop.significance >= SIGNIFICANT
         rival = self.watched if stop.rival else None
         return certain and (rival is None or stop.significance > rival.significance)
 
-    def _take(self, stop: _Stop) -> PayloadDetector:
+    def _take(self, stop: _Trial) -> PayloadDetector:
         """A change is found, or found to be of a later stop than it seemed."""
         later = (each for each in self.trials if each[0].stamp_ns > stop.stamp_ns)
         return replace(
@@ -286,8 +287,8 @@ class PayloadDetector:
 
 
 def _tried(
-    stop: _Stop, state: CarState, learned: Learned, equation: Equation, done: PassedInterval
-) -> tuple[_Stop, CarState]:
+    stop: _Trial, state: CarState, learned: Learned, equation: Equation, done: PassedInterval
+) -> tuple[_Trial, CarState]:
     """A stop on trial after one more interval, with the state of its hypothesis."""
     state, own = learn(state, equation, done)
     return replace(stop, odds=stop.odds + _likelihood(own) - _likelihood(learned)), state
@@ -300,7 +301,7 @@ def _likelihood(seen: Learned) -> float:
 
 
 def _stands(done: PassedInterval, standing: float) -> tuple[float, float, float]:
-    """How long the car stands in an interval, s, having stood for `standing` before it.
+    """Seconds that the car stands in an interval, having stood for `standing` before it.
 
     Returns:
         The longest stand that ends in it, the one that goes on at its end, and the motion.

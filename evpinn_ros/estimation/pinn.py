@@ -25,16 +25,11 @@ from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeDetector
+from evpinn_ros.estimation.journey import Journey
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
 from evpinn_ros.estimation.payload import PayloadDetector, SavedPayload, Stamp
-from evpinn_ros.estimation.posterior import (
-    FORCE_NOISE,
-    STANDING_NOISE,
-    CarModel,
-    Journey,
-    wandered,
-)
+from evpinn_ros.estimation.posterior import FORCE_NOISE, STANDING_NOISE, CarModel, wandered
 from evpinn_ros.estimation.published import Driven, evidence_of, published
 from evpinn_ros.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.estimation.saved_car import SavedState, saved_state, state_of

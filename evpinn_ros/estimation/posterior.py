@@ -9,8 +9,7 @@ without the battery or tries another mass simply goes on from one. The functions
 
 All is linear, so one update after another is the same estimate as one solve over a window of
 intervals with what is older as its arrival cost. The hypotheses of the bank differ in the sizes
-that no car knows beforehand (of the network, and of the wandering load), and are weighted by how
-well they predicted what came (their evidence).
+of network and wandering load, which no car knows beforehand, and are weighted by their evidence.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from itertools import product
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from evpinn_ros.common.arrays import namespace
-from evpinn_ros.estimation.bands import Bands, Energy
+from evpinn_ros.estimation.bands import Bands, PredictedEnergy
 from evpinn_ros.estimation.gaussian import (
     Gaussian,
     Innovation,
@@ -32,12 +31,9 @@ from evpinn_ros.estimation.gaussian import (
     outlier_variance,
     replace_states,
 )
-from evpinn_ros.estimation.gaussian import (
-    condition as conditioned,
-)
-from evpinn_ros.estimation.gaussian import (
-    predict as passed,
-)
+from evpinn_ros.estimation.gaussian import condition as conditioned
+from evpinn_ros.estimation.gaussian import predict as passed
+from evpinn_ros.estimation.journey import Journey, Learned
 from evpinn_ros.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Equation, Warmth
 from evpinn_ros.estimation.unevenness import Unevenness
@@ -51,8 +47,7 @@ LARGE_NETWORK_ODDS = 7.0  # of logarithm, against a large network at first: firs
 LOAD_TIME = 300.0  # s in which the wandering load forgets itself
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
-# Energy that no state explains, over `NOISE_TIME` in which it forgets itself: while standing, W,
-# while moving, N, and while moving with the motor's torque known, N. Each has a learned scale.
+# Energy that no state explains, which forgets itself in `NOISE_TIME`: standing, W, moving, N.
 NOISE_TIME, STANDING_NOISE, FORCE_NOISE, TORQUE_NOISE = 1.5, 150.0, 40.0, 30.0
 SCALE_INTERVALS = 30.0  # over which a scale of the noise is learned
 LEAST_SCALE, MOST_SCALE = 0.05, 2000.0
@@ -63,47 +58,6 @@ DRIVE_KEPT = 0.9  # of an offset of a drive that the next still has: the season,
 PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
 CLIMATE_NOISE, CLIMATE_TIME = 500.0, 600.0  # W and s: reported heating about its mean
 BRAKING_SHARE = 0.2  # of braking energy that friction may take unseen by the motor, 1-sigma
-
-
-class Journey(NamedTuple):
-    """Sums over steps of driving, measured, unmeasured or planned; they add up.
-
-    Attributes:
-        row: energy by each state, J per unit, shape (SIZE,); of `State.LOAD` the seconds.
-        seconds: s.
-        noise: variance of what no state explains by its kinds, at scale 1, J^2, shape (3,).
-        unseen: m of road whose height is not known.
-    """
-
-    row: np.ndarray
-    seconds: float
-    noise: np.ndarray
-    unseen: float
-
-    def plus(self, other: Journey) -> Journey:
-        """Both, one after the other."""
-        row, noise = self.row + other.row, self.noise + other.noise
-        return Journey(row, self.seconds + other.seconds, noise, self.unseen + other.unseen)
-
-    def less(self, other: Journey) -> Journey:
-        """Without a part of it."""
-        return self.plus(other.share(-1.0))
-
-    def share(self, share: float) -> Journey:
-        """A share of it."""
-        return Journey(
-            share * self.row, share * self.seconds, share * self.noise, share * self.unseen
-        )
-
-
-NOWHERE = Journey(np.zeros(SIZE), 0.0, np.zeros(3), 0.0)
-
-
-class Learned(NamedTuple):
-    """Innovation of one interval: measured less predicted, J, and its 1-sigma, J."""
-
-    residual: float
-    sigma: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,14 +96,15 @@ class CarModel:
         """Weight of the car over eta, N."""
         return GRAVITY * float(self.mean[State.MASS])
 
-    def energy(self, journey: Journey) -> Energy:
+    def energy(self, journey: Journey) -> PredictedEnergy:
         """Energy of a journey from here on, without any battery."""
         _, integral, rest = wandered(journey.seconds)
         row = journey.row.copy()
         row[State.LOAD] = integral
         variance = float(row @ self.covariance @ row) + self.load_variance * rest
         variance += float(self.noise @ journey.noise)
-        return Energy(float(row @ self.mean), variance, self.weight_over_eta**2 * journey.unseen)
+        hills = self.weight_over_eta**2 * journey.unseen
+        return PredictedEnergy(float(row @ self.mean), variance, hills)
 
     def predicted(self, journey: Journey) -> tuple[float, float]:
         """Energy of a journey from here on, J, and its 1-sigma, J, as far as to be trusted."""
@@ -160,7 +115,7 @@ class CarModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarState:
-    """What is known of a car; see the module's text. K hypotheses.
+    """Knowledge of a car; see the module's text. K hypotheses.
 
     Attributes:
         mean: shape (K, SIZE).

@@ -97,7 +97,7 @@ class Driven:
         return replace(self, distance=0.0, cold_tyres=0.0)
 
     def share(self, equation: Equation) -> np.ndarray:
-        """What eq. 21 has of one unit of each state of `BESIDE`, shape (4, len(BESIDE))."""
+        """Part that eq. 21 has of one unit of each state of `BESIDE`, shape (4, len(BESIDE))."""
         return project(self.gram, self.cross, equation)
 
     def braked_share(self, equation: Equation, terms: np.ndarray) -> float:

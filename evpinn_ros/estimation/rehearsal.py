@@ -12,8 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from evpinn_ros.estimation.bands import Bands, Energy
-from evpinn_ros.estimation.posterior import NOWHERE, CarState, Journey
+from evpinn_ros.estimation.bands import Bands, PredictedEnergy
+from evpinn_ros.estimation.journey import NOWHERE, Journey
+from evpinn_ros.estimation.posterior import CarState
 from evpinn_ros.estimation.terms import Equation
 
 LENGTHS = (60.0, 200.0)  # s of a rehearsed dropout; the longer ones scale the band
@@ -29,7 +30,7 @@ class Rehearsal(NamedTuple):
     way: float = 0.0
     drawn: float = 0.0
 
-    def predicted(self, equation: Equation) -> Energy:
+    def predicted(self, equation: Equation) -> PredictedEnergy:
         """Energy of it, by the car as it was."""
         return self.state.model(equation).energy(self.journey)
 

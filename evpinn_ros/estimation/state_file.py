@@ -1,4 +1,4 @@
-"""What is known of a car, kept between drives: one JSON file, written whole, checked when read.
+"""Knowledge of a car, kept between drives: one JSON file, written whole, checked when read.
 
 The file has two halves: `learned`, of the estimator, and `energy`, of the energy account. Each is
 written by its owner, perhaps another process, and leaves the other as it is. Files of earlier

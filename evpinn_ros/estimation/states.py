@@ -18,15 +18,15 @@ from evpinn_ros.vehicle.files import Vehicle
 NETWORK = 40  # weights, all of the car
 
 
-class Level(str, Enum):
-    """How long a state holds."""
+class Duration(str, Enum):
+    """Time that a state holds for."""
 
     CAR = "car"  # lasts, and drifts a little from drive to drive
     DRIVE = "drive"  # begins with a drive, which keeps a part of the one before
     FAST = "fast"  # forgets itself within minutes
 
 
-CAR, DRIVE, FAST = Level
+CAR, DRIVE, FAST = Duration
 
 
 class State(IntEnum):
@@ -36,13 +36,13 @@ class State(IntEnum):
     """
 
     unit: str
-    level: Level
+    level: Duration
     mean: float | None
     std: float | None
     source: str
 
     def __new__(
-        cls, unit: str, level: Level, mean: float | None, std: float | None, source: str
+        cls, unit: str, level: Duration, mean: float | None, std: float | None, source: str
     ) -> State:
         """Number the states in the order in which they stand here."""
         state = int.__new__(cls, len(cls.__members__))

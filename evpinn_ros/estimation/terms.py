@@ -77,7 +77,7 @@ WHOLE = slice(0, Part.REGAINED)  # the parts that add up
 
 
 class Wheels(NamedTuple):
-    """What the wheels of the prior car do in n steps; arrays of shape (n,), numpy or torch.
+    """Work of the wheels of the prior car in n steps; arrays of shape (n,), numpy or torch.
 
     Attributes:
         drag: integral of rho/2 u|u| v dt, J per m^2 of A C_d.
@@ -287,7 +287,7 @@ class Equation:
         return found
 
     def motor_rows(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
-        """What the wheels take less what the motor gives, driving and braking, (2, SIZE).
+        """Energy the wheels take less that of the motor, driving and braking, (2, SIZE).
 
         Each is zero, up to noise: so reported torque measures the wheels, whatever the battery
         gave. Friction brakes take a share that it does not show.

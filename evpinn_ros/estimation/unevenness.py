@@ -1,4 +1,4 @@
-"""What lies between two points of a plan: the energy that uneven speed takes beyond even speed.
+"""Between two points of a plan: the energy that uneven speed takes beyond even speed.
 
 A plan whose points lie a minute or a kilometre apart knows mean speeds. A driver between them
 speeds up and brakes again, turns, waits. The energy of that is again terms times states: the rows
@@ -74,7 +74,7 @@ class Path(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unevenness:
-    """What a car's driving has taught; a value.
+    """Lessons of a car's driving; a value.
 
     Attributes:
         metres: driven in legs of each class of speed and duration, shape `SHAPE`.
@@ -150,13 +150,13 @@ class SavedUnevenness:
 
 
 def saved_unevenness(found: Unevenness) -> SavedUnevenness:
-    """What to save."""
+    """Form that is saved."""
     rows = tuple(found.rows.ravel().tolist())
     return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.expected)
 
 
 def unevenness_of(saved: SavedUnevenness) -> Unevenness:
-    """What was saved; ValueError where numbers are missing or no car drives so."""
+    """From its saved form; ValueError where numbers are missing or no car drives so."""
     if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
         raise ValueError("numbers of the unevenness are missing")
     rows = np.zeros((*SHAPE, SIZE))

@@ -151,7 +151,7 @@ class GuardedNode(ABC, Node):
             topic,
             lambda message, info: safe(message, info),
             raw=raw,
-            on_mismatch=partial(self._cannot_hear, topic),
+            on_mismatch=partial(self._on_mismatch, topic),
         )
         self._made.append(partial(self.destroy_subscription, subscription))
         if not raw:
@@ -290,7 +290,7 @@ class GuardedNode(ABC, Node):
         self.notice(topic.name, text)
         self.log(Level.WARN, text)
 
-    def _cannot_hear(self, topic: Topic, policy: str) -> None:
+    def _on_mismatch(self, topic: Topic, policy: str) -> None:
         self._mismatched[topic] = policy
         self.log(Level.WARN, f"incompatible QoS of {topic.name}: {policy}")
 

@@ -270,7 +270,7 @@ class EnergyNode(StatefulNode):
         yield self._plan_status(header, answered_status(answer))
 
     def _moment(self) -> Moment:
-        """What an answer needs of the battery now; the account goes on while a plan waits."""
+        """Battery of this moment; the account goes on while a plan waits."""
         charge, capacity = self.account.charge(), self.account.gauge.capacity
         return Moment(charge, capacity, self.now_ns(), deepcopy(self.account.battery))
 

@@ -27,7 +27,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     """A node that works from the start, or with the parameter `managed` by its transitions."""
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        """Set the node up, if nobody manages it; `kwargs` go to rclpy's Node.
+        """Set the node up, if no manager does; `kwargs` go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong.

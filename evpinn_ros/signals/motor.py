@@ -32,9 +32,9 @@ class MotorTrack:
 
     def add(self, reading: MotorReading, car_speed: float) -> bool:
         """Take a reading at a speed of the car, m/s; False when it is not new."""
-        told = not math.isnan(reading.speed)
-        self.scaled = self.scaled or told
-        turning = reading.speed if told else self._ratio * car_speed
+        known = not math.isnan(reading.speed)
+        self.scaled = self.scaled or known
+        turning = reading.speed if known else self._ratio * car_speed
         return self._power.add(reading.stamp_ns, reading.torque * turning)
 
     def at(self, stamp_ns: int) -> float:

@@ -160,7 +160,7 @@ class StampGuard:
                 yield from self._catch_up(stamp_ns, threshold_ns)
 
     def _leap_ns(self, source: object, stamp_ns: int, threshold_ns: int) -> int:
-        """How far a stamp is from where it could be; 0 where nothing speaks against it."""
+        """Distance of a stamp from where it could be; 0 where nothing speaks against it."""
         if self._newest_ns is None:
             return 0
         ahead_ns = stamp_ns - self._newest_ns

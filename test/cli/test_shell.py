@@ -208,7 +208,7 @@ def test_ctrl_c_leaves_what_was_replayed(drive, tmp_path):
     assert_stopped(done)
     found = json.loads((tmp_path / "m.json").read_text())
     assert 10 < found["input"]["duration_s"] < 7000
-    assert json.loads((tmp_path / "s.json").read_text())["vehicle"] == "generic"
+    assert json.loads((tmp_path / "s.json").read_text())["learned"]["vehicle"] == "generic"
     assert read_bag(out) > 1000
 
 

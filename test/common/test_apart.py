@@ -55,8 +55,8 @@ def test_whatever_a_parser_does_is_one_line(tmp_path, monkeypatch, function, sai
     (tmp_path / "in").write_text("abc")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     if function in ("sleep", "turn"):
-        limits = apart.Limits(1 << 30, 1 << 30, 1)
-        monkeypatch.setattr(apart.Limits, "of", lambda _: limits)
+        limits = apart.ParserLimits(1 << 30, 1 << 30, 1)
+        monkeypatch.setattr(apart.ParserLimits, "of", lambda _: limits)
         monkeypatch.setattr(apart, "PATIENCE", 3.0 if function == "sleep" else 60.0)
     if function == "turn":  # the other process asks for itself
         (tmp_path / "sitecustomize.py").write_text(
@@ -68,6 +68,6 @@ def test_whatever_a_parser_does_is_one_line(tmp_path, monkeypatch, function, sai
 
 
 def test_what_a_parser_may_take_grows_with_the_file_up_to_what_a_computer_has():
-    small, large = apart.Limits.of(0), apart.Limits.of(1 << 40)
+    small, large = apart.ParserLimits.of(0), apart.ParserLimits.of(1 << 40)
     assert small.memory <= 256 << 20 and small.seconds <= 10
     assert large.memory == apart.MOST_MEMORY and large.output == apart.MOST_OUTPUT

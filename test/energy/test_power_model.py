@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.truth import CarChain
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.posterior import NOWHERE
+from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.states import State
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate

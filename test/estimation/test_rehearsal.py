@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.bands import GROWTHS, PRIOR_CASES, Bands, Energy, Spread
+from evpinn_ros.estimation.bands import GROWTHS, PRIOR_CASES, Bands, PredictedEnergy, Spread
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.terms import equation_of
@@ -62,7 +62,7 @@ def test_flat_country_has_narrow_bands_and_mountains_wide_ones():
         bands = Bands()
         weight = 2e4**2
         for _ in range(60):
-            energy = Energy(0.0, 1e9, weight * 1000.0)
+            energy = PredictedEnergy(0.0, 1e9, weight * 1000.0)
             drawn = rng.normal(0.0, np.sqrt(1e9 + growth * weight * 1000.0))
             bands = bands.after_dropout(energy, drawn, long=False)
         found.append(bands.growth)
