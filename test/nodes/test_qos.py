@@ -25,6 +25,7 @@ LISTENS = {
         topics.PRESSURE,
         topics.SPEED,
         topics.SPEED_PROFILE,
+        topics.CONDITIONS,
         topics.TEMPERATURE,
         topics.WIND,
     },
