@@ -70,6 +70,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def parse(words: list[str]) -> None:
     """Raises what the shell would show for a command line that is wrong; runs nothing."""
     command = COMMAND
+    words = [word for word in words if word != "--help"]
     while hasattr(command, "get_command"):
         context = command.make_context(words[0], [], resilient_parsing=True)
         words = words[1:]
