@@ -218,6 +218,8 @@ def _tuple(declared: _Declared, value: Any, where: str) -> Any:
     if not isinstance(value, list) or (named and len(value) != len(kind._fields)):
         _refuse(where, value, f"a list of {', '.join(kind._fields)}" if named else "a list")
     if numbers := declared.of_numbers:  # there may be many
+        if bool in {*map(type, value)}:
+            _refuse(where, value, "numbers")
         return tuple(_numbers(numbers, value, (len(value),), where).tolist())
     names = kind._fields if named else range(len(value))
     items = zip(names, declared.items(len(value)), value, strict=True)

@@ -189,8 +189,8 @@ def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence
     found = evidence(
         (now.mean - before.mean) / scale, now.covariance / np.outer(scale, scale), correlation
     )
-    mean, std = file_prior(equation.vehicle)
-    return found.about((mean - before.mean) / scale, std / scale)
+    file_mean, file_std = file_prior(equation.vehicle)
+    return found.about((file_mean - before.mean) / scale, file_std / scale)
 
 
 def _pushed(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import PROFILE
-from evpinn_ros.estimation.bands import CASES_KEPT, GROWTHS, Bands, Energy, Spread
+from evpinn_ros.estimation.bands import CASES_KEPT, GROWTHS, Bands, PredictedEnergy, Spread
 from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.learning import passed
-from evpinn_ros.estimation.posterior import NOWHERE
 from evpinn_ros.estimation.terms import Equation, equation_of
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -29,7 +29,7 @@ def rehearsed(ratio: float, seed: int) -> Bands:
     rng, bands = np.random.default_rng(seed), Bands()
     for _ in range(100):
         drawn = float(rng.normal(0.0, ratio * 1e5))
-        bands = bands.after_dropout(Energy(0.0, 1e10, 0.0), drawn, long=True)
+        bands = bands.after_dropout(PredictedEnergy(0.0, 1e10, 0.0), drawn, long=True)
     return bands
 
 
@@ -50,7 +50,7 @@ def test_what_is_learned_can_be_saved_whatever_came(deviates):
     """Within the ranges that a saved state declares, and by no one road carried away."""
     bands = Bands()
     for each in deviates:
-        energy = Energy(0.0, 1e8, 1e9)
+        energy = PredictedEnergy(0.0, 1e8, 1e9)
         bands = bands.after_dropout(energy, 1e4 * each, long=True).after_drive(energy, 1e4 * each)
     for spread in (bands.dropout, bands.drive):
         assert 0.0 <= spread.cases <= CASES_KEPT and spread.squares >= 0.0
@@ -60,7 +60,7 @@ def test_what_is_learned_can_be_saved_whatever_came(deviates):
 
 
 def test_dropouts_say_nothing_of_drives_nor_these_of_dropouts():
-    energy = Energy(0.0, 1e8, 0.0)
+    energy = PredictedEnergy(0.0, 1e8, 0.0)
     dropout, drive = (
         Bands().after_dropout(energy, 1e5, long=True),
         Bands().after_drive(energy, 1e5),

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.posterior import NOWHERE
+from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.tail import KEPT, MAX_STEP, Tail
 from evpinn_ros.estimation.terms import Warmth, equation_of

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import CarChain
-from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
+from evpinn_ros.estimation.evidence import LINEAR, NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.published import evidence_of
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population
+from evpinn_ros.fleet.population import COMBINATIONS, Population
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
