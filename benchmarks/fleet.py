@@ -16,9 +16,10 @@ from resource import RUSAGE_CHILDREN, getrusage
 
 import numpy as np
 
+from evpinn_ros.estimation.evidence import LINEAR
 from evpinn_ros.fleet.executor import LocalExecutor
 from evpinn_ros.fleet.manifest import CarDrives, cars_by_folder
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, PopulationValue
+from evpinn_ros.fleet.population import COMBINATIONS, PopulationValue
 from evpinn_ros.fleet.run import claimed, learn_fleet
 from evpinn_ros.fleet.tables import FleetSummary, write_tables
 from evpinn_ros.signals.readings import NANOSECONDS

@@ -114,6 +114,15 @@ class _Declared(NamedTuple):
         """True for a NamedTuple."""
         return hasattr(self.kind, "_fields")
 
+    @property
+    def of_numbers(self) -> _Declared | None:
+        """Declaration of an array, where this is a tuple of numbers that are all known."""
+        if get_origin(self.kind) is not tuple or self.is_named:
+            return None
+        item = _declared(get_args(self.kind)[0])
+        plain = item.kind is float and not (item.optional or item.range.unknown)
+        return item._replace(kind=np.ndarray) if plain else None
+
     def items(self, count: int) -> list[_Declared]:
         """Declarations of the items of a NamedTuple, or of so many of a tuple."""
         if self.is_named:
@@ -145,6 +154,8 @@ def _plain(declared: _Declared, value: Any) -> Any:
         own: Any = type(value)
         return {name: _plain(each, getattr(value, name)) for name, each in _fields(own).items()}
     if isinstance(value, tuple):
+        if declared.of_numbers:
+            return list(value)
         items = zip(declared.items(len(value)), value, strict=True)
         return [_plain(each, item) for each, item in items]
     if isinstance(value, Mapping):
@@ -206,6 +217,10 @@ def _tuple(declared: _Declared, value: Any, where: str) -> Any:
     kind, named = declared.kind, declared.is_named
     if not isinstance(value, list) or (named and len(value) != len(kind._fields)):
         _refuse(where, value, f"a list of {', '.join(kind._fields)}" if named else "a list")
+    if numbers := declared.of_numbers:  # there may be many
+        if bool in {*map(type, value)}:
+            _refuse(where, value, "numbers")
+        return tuple(_numbers(numbers, value, (len(value),), where).tolist())
     names = kind._fields if named else range(len(value))
     items = zip(names, declared.items(len(value)), value, strict=True)
     found = [_read(each, item, None, f"{where}.{name}") for name, each, item in items]

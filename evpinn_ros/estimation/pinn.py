@@ -225,7 +225,7 @@ class PinnLearner(Saveable[SavedPinn]):
         car = replace(
             LearnedCar.new(self._equation),
             state=state,
-            unevenness=unevenness_of(saved.unevenness),
+            unevenness=unevenness_of(saved.unevenness, self._equation),
             driven=saved.driven,
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=PayloadDetector.of(saved.payload),

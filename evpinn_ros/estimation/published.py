@@ -18,7 +18,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.evidence import Evidence, evidence
+from evpinn_ros.estimation.evidence import Evidence, evidence, file_prior
 from evpinn_ros.estimation.gaussian import Gaussian
 from evpinn_ros.estimation.posterior import CarState, initial_state
 from evpinn_ros.estimation.states import PHYSICS, SIZE, TABLE, State
@@ -144,15 +144,20 @@ class Published(NamedTuple):
 
 def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     """The parameters that a state stands for, no surer than a map of efficiency allows."""
-    whole = state.mixture()
-    # With the network that it may have by the evidence of now, so that learning only shrinks it.
-    prior = replace(initial_state(equation), evidence=state.evidence).mixture()
     celsius = None if driven.load_known else state.celsius
-    now = _pushed(whole, equation, driven, celsius)
-    before = _pushed(prior, equation, driven, celsius)
+    now = _pushed(state.mixture(), equation, driven, celsius)
+    before = _pushed(_prior(state, equation), equation, driven, celsius)
     for index, std in enumerate(MAP_STD):
         now.covariance[index, index] += std**2
     return Published(now, before, equation.vehicle.frontal_area)
+
+
+def _prior(state: CarState, equation: Equation) -> Gaussian:
+    """The states before any drive, with the network that the car may have by what is known now.
+
+    So learning only shrinks it.
+    """
+    return replace(initial_state(equation), evidence=state.evidence).mixture()
 
 
 def mass_over_eta(state: CarState, equation: Equation, driven: Driven) -> tuple[float, float]:
@@ -165,28 +170,42 @@ def mass_over_eta(state: CarState, equation: Equation, driven: Driven) -> tuple[
 
 
 def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence:
-    """Likelihood of the published parameters without their prior, all but p_aux as logarithms."""
-    source = published(state, equation, driven)
-    before, now = (_rolling_as_logarithm(each) for each in (source.prior, source.now))
+    """Likelihood of the published parameters without their prior, in sigmas of the vehicle file.
+
+    That prior is wider than the file: what eq. 21 leaves out is part of the published parameters.
+    """
+    whole, prior = state.mixture(), _prior(state, equation)
+    celsius = None if driven.load_known else state.celsius
+    values, rows = _linear(whole.mean, equation, driven, celsius)
+    c_rr = max(float(values[C_RR]), 1e-4)
+    rows[C_RR], values[C_RR] = rows[C_RR] / c_rr, math.log(c_rr)
+    # Both about the same mean: what data cannot tell has to have the same variance in both.
+    now = Gaussian(values, rows @ whole.covariance @ rows.T)
+    before = Gaussian(values + rows @ (prior.mean - whole.mean), rows @ prior.covariance @ rows.T)
+    for index, std in enumerate(MAP_STD):
+        now.covariance[index, index] += std**2
     scale = np.sqrt(np.diag(before.covariance))
     correlation = before.covariance / np.outer(scale, scale)
-    return evidence(
+    found = evidence(
         (now.mean - before.mean) / scale, now.covariance / np.outer(scale, scale), correlation
     )
-
-
-def _rolling_as_logarithm(source: Gaussian) -> Gaussian:
-    mean, factor = source.mean.copy(), np.ones(6)
-    factor[C_RR] = 1.0 / max(float(mean[C_RR]), 1e-4)
-    mean[C_RR] = -math.log(factor[C_RR])
-    return Gaussian(mean, source.covariance * np.outer(factor, factor))
+    file_mean, file_std = file_prior(equation.vehicle)
+    return found.about((file_mean - before.mean) / scale, file_std / scale)
 
 
 def _pushed(
     source: Gaussian, equation: Equation, driven: Driven, celsius: float | None
 ) -> Gaussian:
     """Mean and covariance of the six parameters, to first order."""
-    mean, state = source.mean, np.eye(SIZE)
+    values, rows = _linear(source.mean, equation, driven, celsius)
+    return Gaussian(values, rows @ source.covariance @ rows.T)
+
+
+def _linear(
+    mean: np.ndarray, equation: Equation, driven: Driven, celsius: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The six parameters by the mean of the states, and their gradients, shape (6, SIZE)."""
+    state = np.eye(SIZE)
     theta = state[PHYSICS]
     theta[:, BESIDE] = driven.share(equation)
     prior = equation.mean[State.ROLLING]
@@ -217,7 +236,7 @@ def _pushed(
         math.log(drag * eta / equation.vehicle.frontal_area),
         float(rows[P_AUX] @ mean),
     ])  # fmt: skip
-    return Gaussian(values, rows @ source.covariance @ rows.T)
+    return values, rows
 
 
 def _standing(state: np.ndarray, celsius: float | None) -> np.ndarray:

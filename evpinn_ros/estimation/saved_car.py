@@ -92,6 +92,8 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
         raise ValueError("numbers of the states are missing")
     theirs = [i for i, name in enumerate(saved.names) if name in NAMES]
     ours = [NAMES.index(saved.names[i]) for i in theirs]
+    if not ours:
+        raise ValueError("none of the states is known")
     mean, covariance = fresh.mean.copy(), fresh.covariance.copy()
     covariance[:, ours, :] = covariance[:, :, ours] = 0.0
     mean[:, ours] = np.reshape(saved.mean, (count, size))[:, theirs]

@@ -155,8 +155,12 @@ def saved_unevenness(found: Unevenness) -> SavedUnevenness:
     return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.expected)
 
 
-def unevenness_of(saved: SavedUnevenness) -> Unevenness:
-    """From its saved form; ValueError where numbers are missing or no car drives so."""
+def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
+    """Unevenness that was saved; a state that the file lacks has that of simulated drives.
+
+    Raises:
+        ValueError: numbers are missing or no car drives so.
+    """
     if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
         raise ValueError("numbers of the unevenness are missing")
     rows = np.zeros((*SHAPE, SIZE))
@@ -164,6 +168,9 @@ def unevenness_of(saved: SavedUnevenness) -> Unevenness:
     for index, name in enumerate(saved.names):
         if name in NAMES:
             rows[..., NAMES.index(name)] = theirs[..., index]
+    lacked = [index for index, name in enumerate(NAMES) if name not in saved.names]
+    if lacked:
+        rows[..., lacked] = saved.metres[..., None] * _prior(equation)[..., lacked]
     found = Unevenness(saved.metres, rows, saved.squares, saved.expected)
     if found.share > MOST_SHARE:
         raise ValueError("the scatter of the unevenness is out of range")

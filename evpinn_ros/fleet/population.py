@@ -21,14 +21,13 @@ import math
 
 import numpy as np
 
-from evpinn_ros.estimation.evidence import NO_EVIDENCE, SIZE, Evidence
+from evpinn_ros.estimation.evidence import LINEAR, NO_EVIDENCE, SIZE, Evidence, file_prior
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Prior
 
 FILE_SHARE = 0.5  # of the vehicle file's variance that is doubt of the mean, the rest spread
 FILE_CARS = 0.25  # cars that the file's word on the spread is worth
 MOST_STEPS, PRECISE = 3000, 1e-7  # of the expectation maximisation; of the prior's variance
-LINEAR = "p_aux"
 
 # Sums of logarithms that data determine (`vehicle.identifiable`).
 COMBINATIONS = {
@@ -71,7 +70,7 @@ class Population:
         found = [one for one in found if one.precision.any()]
         precision = np.array([one.precision for one in found]).reshape(-1, SIZE, SIZE)
         information = np.array([one.information for one in found]).reshape(-1, SIZE)
-        self._prior, self._scale = _prior(vehicle)
+        self._prior, self._scale = file_prior(vehicle)
         self._spread = _spread(precision, information)
         weight = _weight(precision, self._spread)
         self._mean, self._doubt = _mean(precision, information, self._spread, weight)
@@ -131,16 +130,6 @@ def _direction(name: str) -> np.ndarray:
     """Direction of a parameter or a combination, shape (6,)."""
     parts = COMBINATIONS.get(name, {name: 1.0})
     return np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
-
-
-def _prior(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and 1-sigma of the vehicle file, logarithms but for p_aux, shape (6,) each."""
-    value = np.array([vehicle.priors[name].value for name in PARAMETER_NAMES])
-    std = np.array([vehicle.priors[name].std for name in PARAMETER_NAMES])
-    logarithmic = np.array([name != LINEAR for name in PARAMETER_NAMES])
-    std[logarithmic] /= value[logarithmic]
-    value[logarithmic] = np.log(value[logarithmic])
-    return value, std
 
 
 def _weight(precision: np.ndarray, spread: np.ndarray) -> np.ndarray:

@@ -14,10 +14,10 @@ import numpy as np
 
 from evpinn_ros.common.errors import as_input_error, extra_needed
 from evpinn_ros.common.writer import replaced
-from evpinn_ros.estimation.evidence import Evidence
+from evpinn_ros.estimation.evidence import LINEAR, Evidence
 from evpinn_ros.fleet.car import read_result
 from evpinn_ros.fleet.manifest import CarDrives
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
+from evpinn_ros.fleet.population import COMBINATIONS, Population, PopulationValue
 from evpinn_ros.fleet.row import NUMBERS, PARAMETER_NUMBERS, PARAMETER_STATES, impossible
 from evpinn_ros.fleet.run import car_folder
 from evpinn_ros.vehicle.files import Vehicle

@@ -7,8 +7,8 @@ import math
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import with_sigma
-from evpinn_ros.estimation.evidence import Evidence
-from evpinn_ros.fleet.population import LINEAR, Population
+from evpinn_ros.estimation.evidence import LINEAR, Evidence
+from evpinn_ros.fleet.population import Population
 
 CHARTED = {
     "mass_over_eta": "mass / η, kg",

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.units import counted, two_digits, with_sigma
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population, PopulationValue
+from evpinn_ros.estimation.evidence import LINEAR
+from evpinn_ros.fleet.population import COMBINATIONS, Population, PopulationValue
 from evpinn_ros.fleet.tables import CHARTED, SHOWN, FleetSummary
 from evpinn_ros.report.fleet_charts import fleet_charts
 from evpinn_ros.report.html import write_page

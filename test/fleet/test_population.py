@@ -5,8 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
-from evpinn_ros.fleet.population import COMBINATIONS, LINEAR, Population
+from benchmarks.truth import CarChain
+from evpinn_ros.estimation.evidence import LINEAR, NO_EVIDENCE, Evidence
+from evpinn_ros.estimation.published import evidence_of
+from evpinn_ros.fleet.population import COMBINATIONS, Population
+from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.vehicle.written import write_vehicle
@@ -136,3 +140,26 @@ def test_values_stay_possible(tmp_path):
     found = Population(LEAF, [sure] * 30).priors("test")
     assert found.priors["eta"].value == 1.0
     write_vehicle(tmp_path / "leaf.yaml", found)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """A car after four minutes in town, whose network and copper count as well."""
+    chain = CarChain(LEAF)
+    for reading in simulate(DriveKind.URBAN, LEAF, 240.0, 3).readings:
+        chain.add_reading(reading)
+    return chain
+
+
+def test_a_car_alone_is_in_its_population_what_it_says_of_itself(driven):
+    """In kilograms and watts of the vehicle file, whatever its own prior had beside them."""
+    source, car = driven.published(), driven.car
+    found = evidence_of(car.state, car.equation, car.driven)
+    population = Population(LEAF, [found])
+    for name, parts in (("mass_over_eta", COMBINATIONS["mass_over_eta"]), ("p_aux", {LINEAR: 1})):
+        direction = np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
+        own = float(direction @ source.now.mean)
+        own_std = math.sqrt(direction @ source.now.covariance @ direction)
+        mean, std = population.of_car(name, found)
+        assert abs(mean - own) < 0.3 * own_std, name
+        assert std == pytest.approx(own_std, rel=0.15), name
