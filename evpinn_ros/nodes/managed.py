@@ -38,6 +38,8 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
         if self.values["managed"]:
             self.active = False
             LifecycleNodeMixin.__init__(self)
+            if self.values["autostart"]:
+                self._start_itself()
             return
         self.configure()
         self.configured = True
@@ -64,6 +66,11 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     def end(self) -> str | None:
         """Let go of what the node holds while it works; gives what could not be kept and why."""
         return None
+
+    def _start_itself(self) -> None:
+        """In place of a manager: a request may be lost while DDS matches those who just began."""
+        if self.trigger_configure() is TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
 
     def close(self) -> str | None:
         """End all, as the process does; gives what could not be kept and why."""

@@ -105,10 +105,16 @@ MANAGED = Parameter(
     "A managed node, which waits to be configured and activated: `ros2 lifecycle set ...`. Until "
     "it is active it receives and sends nothing but /diagnostics.",
 )
+AUTOSTART = Parameter(
+    "autostart",
+    False,
+    "A managed node configures and activates itself at its start.",
+)
 
 ESTIMATOR = (
     VEHICLE,
     MANAGED,
+    AUTOSTART,
     Parameter(
         "mode",
         "hybrid",
@@ -178,6 +184,7 @@ ESTIMATOR = (
 ENERGY = (
     VEHICLE,
     MANAGED,
+    AUTOSTART,
     Parameter(
         "integrator",
         "rknn",
@@ -209,6 +216,7 @@ ENERGY = (
 CAN_BRIDGE = (
     VEHICLE,
     MANAGED,
+    AUTOSTART,
     Parameter(
         "can_profile",
         "",

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation import posterior
+from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.learning import learn, passed
 from evpinn_ros.estimation.posterior import (
     BANK,
     LOAD_TIME,
-    NOWHERE,
-    Journey,
     advance,
     begin_drive,
     condition,
