@@ -25,7 +25,7 @@ from evpinn_ros.energy.quadrature import EnergyIntegral
 from evpinn_ros.energy.remaining import QUANTILE, Cost, cost_spread, remaining
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.trip import Stretch, TripLog
-from evpinn_ros.energy.uncertainty import PRIOR_SHARE
+from evpinn_ros.energy.uncertainty import LASTING_SHARE
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import Clock, InlineWorker
@@ -116,7 +116,7 @@ def _metered(power: np.ndarray) -> float:
         if index % SAMPLE_RATE == 0 and (index == 0 or random.random() > GAP_SHARE):
             meter.add_measured(stamp_ns, watts, 0.0)
         noise = kept * noise + NOISE * math.sqrt(1 - kept**2) * random.standard_normal()
-        meter.add_predicted(stamp_ns, (1 + PRIOR_SHARE) * watts + noise, NOISE)
+        meter.add_predicted(stamp_ns, (1 + LASTING_SHARE) * watts + noise, NOISE)
     return meter.state.consumed
 
 

@@ -162,9 +162,8 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def reset_trip(self) -> None:
         """Count from zero; the lifetime, what was learned and the last kilometres stay."""
-        lifetime, lasting, newest_ns = self.lifetime(), self.meter.lasting, self._newest_ns
+        lifetime, newest_ns = self.lifetime(), self._newest_ns
         self.meter.reset()
-        self.meter.lasting = lasting
         self.trip.reset_trip()
         self._begin(lifetime, TripCorrection())
         self._newest_ns = newest_ns
@@ -253,10 +252,6 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def _reconcile(self, dropout: Dropout, by_charge: Uncertain) -> None:
         found = self.reconciled = reconcile(dropout, by_charge)
-        error = dropout.bridge.energy - by_charge.value
-        known = math.hypot(dropout.short_sigma, by_charge.sigma)
-        if found.comparable:
-            self.meter.lasting = self.meter.lasting.after(error, known, dropout.bridge.gross)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
         energy, variance = self._correction

@@ -33,7 +33,7 @@ from evpinn_ros.energy.quadrature import (
     Step,
 )
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
-from evpinn_ros.energy.uncertainty import CorrelatedError, LastingShare
+from evpinn_ros.energy.uncertainty import LASTING_SHARE, CorrelatedError
 from evpinn_ros.signals.readings import NANOSECONDS
 
 
@@ -102,7 +102,6 @@ class SavedMeter:
     bridged_sigma: UnknownJoules = 0.0
     lasting_sigma: UnknownJoules = 0.0
     unmeasured_s: Seconds = 0.0
-    lasting: LastingShare = field(default_factory=LastingShare)
 
     def __post_init__(self) -> None:
         """Refuse what no car can have drawn in that time."""
@@ -119,7 +118,6 @@ class EnergyMeter(Saveable[SavedMeter]):
     over calls `reset`.
 
     Attributes:
-        lasting: how much of a dropout's energy stays wrong.
         last_dropout: the last dropout that ended, None before.
     """
 
@@ -160,7 +158,6 @@ class EnergyMeter(Saveable[SavedMeter]):
         self._rknn, self._rknn_power = CompensatedSum(saved.rknn), math.nan
         self._measured_error = CorrelatedError(start_sigma=saved.measured_sigma)
         self._predicted_error = CorrelatedError(start_sigma=saved.predicted_sigma)
-        self.lasting = saved.lasting
         self._newest_ns = 0
         self._dropout_since_ns: int | None = None
         self.last_dropout: Dropout | None = None
@@ -254,7 +251,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             short = sigma = self._energy_sigma
         else:
             short = self._dropout_error.sigma
-            sigma = math.hypot(short, self.lasting.value * bridge.gross)
+            sigma = math.hypot(short, LASTING_SHARE * bridge.gross)
         return Dropout(stamp_ns, self._dropout_seconds(stamp_ns), bridge, short, sigma)
 
     def in_dropout(self, stamp_ns: int) -> bool:
@@ -312,7 +309,6 @@ class EnergyMeter(Saveable[SavedMeter]):
             bridged_sigma=math.sqrt(now.variance),
             lasting_sigma=math.sqrt(now.lasting_variance),
             unmeasured_s=now.seconds,
-            lasting=self.lasting,
         )
 
     def _until_now(self) -> Dropouts:

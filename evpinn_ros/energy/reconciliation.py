@@ -51,11 +51,6 @@ class Reconciled(NamedTuple):
     variance_taken: float
     verdict: Verdict
 
-    @property
-    def comparable(self) -> bool:
-        """True if the two statements are of the same time."""
-        return self.verdict in (Verdict.JOINED, Verdict.CONTRADICTED)
-
 
 def reconcile(dropout: Dropout, by_charge: Uncertain) -> Reconciled:
     """Join the prediction of a dropout with the energy, J, that the state of charge says."""

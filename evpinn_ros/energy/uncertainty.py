@@ -12,26 +12,23 @@ promise far too much; an offset for the whole drive (tau -> infinity) far too li
 
 That is the error of minutes. What the car does differently from what was learned (tyres, wind, a
 cold battery) lasts: once the battery is silent nothing corrects it, and the error of energy grows
-with the gross energy, drawn and regenerated together, not with its root. `LastingShare` says how
-large that part is.
+with the gross energy, drawn and regenerated together, not with its root. The hybrid learner states
+the sigma of a dropout itself; `LASTING_SHARE` stands in for one that does not (`mode: paper`).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Any
 
 from evpinn_ros.common.arrays import namespace
-from evpinn_ros.common.saved_fields import Range
 
 # From the spread of the energy error over 60 s windows, in the second half of a Model 3 drive
 # and twelve BMW i3 drives, with parameters fitted to the first half: median 4.5 s, 1.8 to 30 s.
 CORRELATION_TIME = 5.0  # s
 # Twelve BMW i3 trips, each without its battery after learning on those before:
 # docs/project/benchmark_history.md.
-PRIOR_SHARE = 0.06
-PRIOR_DROPOUTS = 10
-MOST_LEARNED = 1e15  # dropouts, and squares of their shares, of a file
+LASTING_SHARE = 0.06
 
 
 def relaxed(elapsed: Any, memory: float) -> Any:
@@ -77,38 +74,3 @@ class CorrelatedError:
         own = sigma * tau * (dt - tau * forgotten)
         self._variance += 2 * sigma * (start + max(own, 0.0))
         self._covariance += (sigma * tau - self._covariance) * forgotten
-
-
-class LastingShare(NamedTuple):
-    """Share of the gross energy predicted over a battery dropout that stays wrong.
-
-    A prior of `PRIOR_SHARE`, which weighs as `PRIOR_DROPOUTS`, averaged with the dropouts whose
-    energy the state of charge gave afterwards. While the battery speaks nothing is to be learned
-    of it: predictions are corrected all the while, and over a minute they are wrong by 0.5 %.
-
-    Attributes:
-        dropouts: how many it was learned from.
-        squares: the sum of their squared shares.
-    """
-
-    dropouts: Annotated[int, Range(0, MOST_LEARNED)] = 0
-    squares: Annotated[float, Range(0.0, MOST_LEARNED)] = 0.0
-
-    @property
-    def value(self) -> float:
-        """1-sigma of the lasting error over the gross energy."""
-        squares = PRIOR_DROPOUTS * PRIOR_SHARE**2 + self.squares
-        return math.sqrt(squares / (PRIOR_DROPOUTS + self.dropouts))
-
-    def after(self, error: float, known: float, gross: float) -> LastingShare:
-        """The share with one more dropout, if that is informative.
-
-        Args:
-            error: its predicted energy less what the state of charge says, J.
-            known: 1-sigma of that difference without any lasting error, J.
-            gross: drawn and regenerated energy predicted over it, J.
-        """
-        if not known < self.value * gross:
-            return self
-        square = max(error**2 - known**2, 0.0) / gross**2
-        return LastingShare(self.dropouts + 1, self.squares + square)

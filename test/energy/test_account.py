@@ -91,7 +91,6 @@ def test_a_silence_is_reconciled_with_the_state_of_charge():
     assert found.by_charge.value == pytest.approx(12e6, abs=2 * found.by_charge.sigma)
     error = counted.lifetime().net.value - before - 24e6
     assert abs(error) < 0.5 * 1.2e6
-    assert counted.meter.lasting.dropouts == 1
     net = counted.since_reset().net
     assert net.sigma < counted.meter.state.consumed_sigma
     uncorrected = sum(window.total.energy for window in counted.trip.windows[:1])

@@ -37,13 +37,11 @@ def test_in_a_minute_the_state_of_charge_says_nothing():
 def test_a_contradiction_is_told_and_changes_nothing():
     found = reconcile(silence(), Uncertain(2000 * WH, 60 * WH))
     assert (found.verdict, found.correction) == (Verdict.CONTRADICTED, 0.0)
-    assert found.comparable
 
 
 def test_a_charge_in_between_is_no_consumption():
     found = reconcile(silence(covered=100.0), Uncertain(-9000 * WH, 60 * WH))
     assert (found.verdict, found.correction) == (Verdict.CHARGED, 0.0)
-    assert not found.comparable
 
 
 def test_where_speed_was_silent_too_the_state_of_charge_counts_alone():
@@ -51,4 +49,3 @@ def test_where_speed_was_silent_too_the_state_of_charge_counts_alone():
     assert found.verdict is Verdict.CHARGE_ALONE
     assert found.correction == pytest.approx(1000 * WH)
     assert found.variance_taken == pytest.approx((60 * WH) ** 2 - (80 * WH) ** 2)
-    assert not found.comparable

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.energy.uncertainty import (
-    PRIOR_SHARE,
     CorrelatedError,
-    LastingShare,
     walked,
 )
 
@@ -56,18 +54,3 @@ def test_start_sigma_adds_as_an_independent_error():
     for each in (error, fresh):
         each.integrate(100.0, 2.0)
     assert error.sigma == pytest.approx(math.hypot(300.0, fresh.sigma))
-
-
-def test_the_lasting_share_starts_at_its_prior_and_follows_what_it_sees():
-    share = LastingShare()
-    assert share.value == PRIOR_SHARE
-    for error in (0.15, -0.15) * 50:
-        share = share.after(error * 1e6, 1e4, 1e6)
-    assert share.value == pytest.approx(0.145, abs=0.01)
-    assert share.dropouts == 100
-
-
-def test_a_silence_that_cannot_tell_teaches_nothing():
-    share = LastingShare()
-    for known, gross in ((1e6, 1e6), (math.nan, 1e6), (1e4, 0.0)):
-        assert share.after(5e5, known, gross) is share
