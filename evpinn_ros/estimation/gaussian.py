@@ -7,7 +7,6 @@ Arrays carry leading axes for the hypotheses of a bank: means have shape (..., n
 from __future__ import annotations
 
 from collections.abc import Mapping
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,21 +77,6 @@ def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
     return Gaussian(mean, state.covariance - change)
 
 
-def raise_to_zero(state: Gaussian, index: int) -> tuple[Gaussian, np.ndarray]:
-    """The state with an entry that is not below zero, and by how much of its variance it moved.
-
-    Entries correlated with it move along; the covariance stays, so that it may rise again (the
-    projection of an estimate of Simon, Kalman filtering with state constraints, 2010).
-
-    Args:
-        state: before it; the entry has a variance.
-        index: of the entry.
-    """
-    share = np.maximum(-state.mean[..., index], 0.0) / state.covariance[..., index, index]
-    mean = state.mean + share[..., None] * state.covariance[..., index]
-    return Gaussian(mean, state.covariance), share
-
-
 def replace_states(state: Gaussian, variances: Mapping[Any, Any]) -> Gaussian:
     """The state with some entries forgotten: zero, and without correlation.
 
@@ -114,26 +98,6 @@ def mixture(weights: np.ndarray, state: Gaussian) -> Gaussian:
     away = state.mean - mean
     covariance = np.einsum("k,kij->ij", weights, state.covariance)
     return Gaussian(mean, covariance + np.einsum("k,ki,kj->ij", weights, away, away))
-
-
-def matern(rate: float, distance: float) -> tuple[np.ndarray, np.ndarray]:
-    """A Matern-3/2 process and its derivative, of variance 1, after a distance.
-
-    Gives their transition and the covariance of what it adds, shape (2, 2) each.
-
-    Args:
-        rate: of forgetting, over distance.
-        distance: passed.
-    """
-    decay = math.exp(-rate * distance)
-    transition = decay * np.array(
-        [
-            [1.0 + rate * distance, distance],
-            [-(rate**2) * distance, 1.0 - rate * distance],
-        ]
-    )
-    still = np.diag([1.0 / rate**2, 1.0])
-    return transition, still - transition @ still @ transition.T
 
 
 def outlier_variance(seen: Innovation, noise: np.ndarray, limit: float) -> np.ndarray:

@@ -13,7 +13,6 @@ from evpinn_ros.estimation.gaussian import (
     mixture,
     outlier_variance,
     predict,
-    raise_to_zero,
     replace_states,
 )
 
@@ -92,18 +91,3 @@ def test_an_outlier_pulls_no_further_than_its_limit():
     assert pull(4.9)[0] == pull(-5.0)[0] == 0.0
     assert pull(10.0)[0] == pytest.approx(4.0 * (2.0**2 - 1.0))
     assert pull(50.0)[1] < pull(10.0)[1] < pull(5.0)[1]
-
-
-@given(seeds)
-def test_an_entry_below_zero_is_conditioned_to_zero_and_any_other_stays(seed):
-    """As a measurement without noise moves the mean; what is known is as before."""
-    before = drawn(np.random.default_rng(seed))
-    after, share = raise_to_zero(before, 2)
-    below = before.mean[:, 2] < 0.0
-    assert np.array_equal(after.covariance, before.covariance)
-    assert np.array_equal(after.mean[~below], before.mean[~below])
-    gradient = np.tile(np.eye(SIZE)[2], (COUNT, 1))
-    seen = innovate(before, gradient, -before.mean[:, 2], np.zeros(COUNT))
-    exact = condition(before, seen, np.zeros(COUNT))
-    assert after.mean[below] == pytest.approx(exact.mean[below], abs=1e-9)
-    assert (share > 0.0).tolist() == below.tolist()
