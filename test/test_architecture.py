@@ -41,7 +41,6 @@ LAYERS = [
 RANKS = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
 CORES = {"vehicle", "signals", "estimation", "energy", "paper"}
 
-LONGEST_FILE = 400
 CLOCKS = {"time", "datetime"}
 UNSAFE_MODULES = {"dill", "joblib", "marshal", "pickle", "shelve"}
 UNSAFE_YAML = {"yaml.load", "yaml.load_all", "yaml.full_load", "yaml.unsafe_load"}
@@ -174,17 +173,6 @@ def test_everything_but_the_nodes_loads_without_ros() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_no_file_holds_two_things() -> None:
-    files = [*ROOT.glob("*.py")]
-    files += [
-        path
-        for name in ("benchmarks", "evpinn_ros", "launch", "examples", "test")
-        for path in (ROOT / name).rglob("*.py")
-    ]
-    lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in files}
-    assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
 
 
 def test_cores_read_no_clock() -> None:

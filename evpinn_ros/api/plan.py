@@ -68,6 +68,8 @@ def forecast(
     heating_w: float | None = None,
     head_wind: float | None = None,
     payload_kg: float | None = None,
+    stood_h: float | None = None,
+    prewarmed: bool = False,
     air_density: float | None = None,
 ) -> pd.DataFrame:
     """Energy that a plan will take, what it leaves in the battery, and how sure that is.
@@ -95,6 +97,9 @@ def forecast(
             makes likely.
         head_wind: against the car, m/s over ground.
         payload_kg: people and luggage beyond what the car carried when it learned, kg.
+        stood_h: hours that the car stands after its last drive: tyres and cabin cool meanwhile. If
+            not given they are as the car is now: cold, where it was read from a file.
+        prewarmed: True if the cabin is warmed or cooled by the charger before the start.
         air_density: kg/m^3; if not given the vehicle's, at the temperature where that is given.
 
     Returns:
@@ -107,7 +112,10 @@ def forecast(
         InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is no trip.
     """
     charge_share = None if charge_pct is None else charge_pct / 100
-    given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg, charge_share)
+    stood = None if stood_h is None else 3600.0 * stood_h
+    given = PlanConditions(
+        temperature_c, heating_w, head_wind, payload_kg, charge_share, stood, float(prewarmed)
+    )
     trip, found, charge, *_ = planned_energy(plan, car, given, air_density)
     columns = {
         "distance_m": trip.distance,
@@ -137,7 +145,9 @@ def planned_energy(
         charge = account.charge()
     given = as_plan(plan, vehicle)
     trip = points_of(given) if isinstance(given, Legs) else given
-    weather = weather_of(vehicle, conditions, air_density)
+    weather = weather_of(vehicle, conditions, air_density)._replace(
+        start=model.start(conditions.stood, conditions.prewarmed or 0.0)
+    )
     model = model.with_payload(conditions.payload or 0.0)
     found = forecast_plan(given, model, weather, conditions.head_wind or 0.0)
     gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge

@@ -40,7 +40,9 @@ def forecast(
     ] = None,
     heating: Annotated[
         float | None,
-        typer.Option(min=0.0, max=20e3, help="Power of heating and air conditioning, W."),
+        typer.Option(
+            min=0.0, max=20e3, help="Power of heating and air conditioning, W; 0: switched off."
+        ),
     ] = None,
     head_wind: Annotated[
         float | None, typer.Option(min=-60.0, max=60.0, help="Against the car, m/s over ground.")
@@ -48,6 +50,17 @@ def forecast(
     payload: Annotated[
         float | None, typer.Option(min=0.0, max=5000.0, help="People and luggage, kg.")
     ] = None,
+    stood: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=10e3,
+            help="Hours that it stands after its last drive; not given: it is cold.",
+        ),
+    ] = None,
+    prewarmed: Annotated[
+        bool, typer.Option("--prewarmed", help="The charger warms or cools the cabin before.")
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
@@ -66,7 +79,10 @@ def forecast(
     check_outputs((json_file,), (*plans, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)
     share = None if charge is None else charge / 100
-    given = PlanConditions(temperature, heating, head_wind, payload, share)
+    seconds = None if stood is None else 3600 * stood
+    given = PlanConditions(
+        temperature, heating, head_wind, payload, share, seconds, float(prewarmed)
+    )
     found = [planned_energy(path, car, given) for path in plans]
     rows = [_figures(path, each, found[0]) for path, each in zip(plans, found, strict=True)]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
@@ -75,12 +91,31 @@ def forecast(
     show(table, at_least=WIDE if len(rows) > 1 else 0)
     known = "by its vehicle file alone: --state gives what was learned"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
+    say(_expected(given, found[0].model.car.celsius))
     if charge is not None:
         say(_battery(found[0].gauge))
     if charge is None:
         note("evpinn: --charge PERCENT, at the start, gives the charge at the end too")
     if json_file is not None:
         write_json(json_file, rows)
+
+
+def _expected(given: Any, known_celsius: float | None) -> str:
+    """Words on the conditions that the forecasts expect, given or not."""
+    celsius, said = given.temperature, ""
+    if celsius is None:
+        celsius, said = known_celsius, " as the car last knew"
+    air = "a mild day" if celsius is None else f"{celsius:g} degrees C{said}"
+    heating = "heating as that makes likely"
+    if given.heating is not None:
+        heating = f"{given.heating:g} W of heating or cooling"
+    wind = f"{given.head_wind:g} m/s of head wind" if given.head_wind else "no wind"
+    load = f"{given.payload:g} kg more than it had" if given.payload else "the load that it had"
+    start = "a cold start"
+    if given.stood is not None:
+        start = f"{given.stood / 3600:g} h after its last drive"
+    cabin = ", the cabin prewarmed" if given.prewarmed else ""
+    return f"Expected: {air}, {heating}, {wind}, {load}, {start}{cabin}."
 
 
 def _battery(gauge: Any) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.estimation.terms import WARM
 from evpinn_ros.estimation.unevenness import Path
 
 LEAST_SHARE = 1e-6  # of the variance of all edges; a direction with less is rounding
@@ -77,7 +78,7 @@ def edge_energies(
         weather: on the way.
         head_wind: against the car on every edge, m/s.
     """
-    warm = weather._replace(start_s=math.inf)
+    warm = weather._replace(start=WARM)
     parts = [
         _rows(legs, slice(begin, begin + CHUNK), model, warm, head_wind)
         for begin in range(0, len(legs.length), CHUNK)

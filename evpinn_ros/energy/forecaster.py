@@ -203,7 +203,8 @@ class Forecaster:
         celsius = air.celsius if given.temperature is None else given.temperature
         density = density_of_air(self._vehicle.air_density, celsius, air.pascal)
         wind = (air.head if given.head_wind is None else given.head_wind) or 0.0
-        basis = PlanBasis(model, Weather(density, celsius, given.heating), wind)
+        start = model.start(given.stood, given.prewarmed or 0.0)
+        basis = PlanBasis(model, Weather(density, celsius, given.heating, start), wind)
         if given.charge is not None:
             charge = Uncertain(given.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
         result = forecast_plan(plan, *basis)

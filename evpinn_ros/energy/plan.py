@@ -37,6 +37,8 @@ CONDITION_RANGES = {
     "head_wind": (-MAX_WIND, MAX_WIND),  # m/s
     "payload": (0.0, 5000.0),  # kg
     "charge": (0.0, 1.0),
+    "stood": (0.0, 1e8),  # s, some years
+    "prewarmed": (0.0, 1.0),
 }
 
 
@@ -129,6 +131,8 @@ class PlanConditions:
         head_wind: against the car at the start, m/s over ground; negative from behind.
         payload: people and luggage, kg.
         charge: state of charge at the start, 0..1.
+        stood: for how long the car stands before it, s: tyres and cabin cool meanwhile.
+        prewarmed: share of the cabin's warmth that the charger gave before the start.
 
     Raises:
         PlanError: a number that no trip has.
@@ -139,6 +143,8 @@ class PlanConditions:
     head_wind: float | None = None
     payload: float | None = None
     charge: float | None = None
+    stood: float | None = None
+    prewarmed: float | None = None
 
     def __post_init__(self) -> None:
         for name, (least, most) in CONDITION_RANGES.items():

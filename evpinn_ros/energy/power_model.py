@@ -67,14 +67,13 @@ class Weather(NamedTuple):
         celsius: temperature outside; None: the last that the car knew.
         heating: power of heating and air conditioning, W; None: what the temperature makes
             likely, and of this drive so far.
-        start_s: s since the start of the drive when the plan begins: tyres and cabin are cold at
-            first. None: as the car is now.
+        start: coldness of tyres and cabin when the plan begins. None: as the car is now.
     """
 
     air_density: float
     celsius: float | None = None
     heating: float | None = None
-    start_s: float | None = None
+    start: Warmth | None = None
 
 
 class PlanEnd(NamedTuple):
@@ -196,6 +195,19 @@ class PowerModel:
         variance += (car.unevenness.share * (one.uneven - other.uneven)) ** 2
         return float(row @ car.mean), math.sqrt(max(car.trust * variance, 0.0))
 
+    def start(self, stood: float | None, prewarmed: float) -> Warmth:
+        """Coldness at the start of a trip.
+
+        Args:
+            stood: s that the car stands before it; None: as the car is now, at the start of a
+                drive cold.
+            prewarmed: share of the cabin's warmth that the charger gave.
+        """
+        found = self._now
+        if stood is not None:
+            found = Warmth.after(self.car.seconds or self.car.last_drive).stood(stood)
+        return found._replace(cabin=found.cabin * (1.0 - prewarmed))
+
     def with_payload(self, payload: float) -> PowerModel:
         """The car with so many kg more than it has; its tyres carry them too."""
         if not payload:
@@ -205,6 +217,10 @@ class PowerModel:
         mean[State.MASS] += payload / eta
         mean[State.ROLLING] += c_rr * payload / eta
         return PowerModel(replace(self.car, mean=mean))
+
+    @property
+    def _now(self) -> Warmth:
+        return Warmth.after(self.car.seconds)
 
     @cached_property
     def _table(self) -> np.ndarray:
@@ -218,8 +234,8 @@ class PowerModel:
 
     def _warmth(self, duration: Any, weather: Weather) -> Warmth:
         """Coldness of tyres and cabin in the middle of each step."""
-        start = self.car.seconds if weather.start_s is None else weather.start_s
-        return Warmth.after(start + namespace(duration).cumsum(duration, -1) - duration / 2)
+        start = self._now if weather.start is None else weather.start
+        return start.driven(namespace(duration).cumsum(duration, -1) - duration / 2)
 
     def _loads(
         self, heating: float | None, celsius: float | None, warmth: Warmth

@@ -77,6 +77,7 @@ class CarModel:
         celsius: temperature outside, the last known, or None.
         reports: whether the car reports its heating.
         unevenness: what uneven speed takes beyond even.
+        last_drive: s of the drive before.
     """
 
     equation: Equation
@@ -90,6 +91,7 @@ class CarModel:
     celsius: float | None
     reports: bool
     unevenness: Unevenness = field(default_factory=Unevenness.none)
+    last_drive: float = 0.0
 
     @property
     def weight_over_eta(self) -> float:
@@ -130,6 +132,7 @@ class CarState:
         reports: whether the car reports its heating.
         celsius: temperature outside, the last known, or None.
         known: whether a drive was learned from before this one.
+        last_drive: s of the drive before.
     """
 
     mean: np.ndarray
@@ -144,6 +147,7 @@ class CarState:
     reports: bool = False
     celsius: float | None = None
     known: bool = False
+    last_drive: float = 0.0
 
     @property
     def gaussian(self) -> Gaussian:
@@ -184,6 +188,7 @@ class CarState:
             seconds=self.seconds,
             celsius=self.celsius,
             reports=self.reports,
+            last_drive=self.last_drive,
         )
 
     def with_gaussian(self, now: Gaussian) -> CarState:
@@ -358,6 +363,7 @@ def begin_drive(state: CarState, equation: Equation, *, keep: float = DRIVE_KEPT
         intervals=0,
         seconds=0.0,
         known=True,
+        last_drive=state.seconds,
     )
     now = replace_states(state.gaussian, {State.WANDERED: 0.0, State.CLIMBED: 0.0})
     return forget_road(state.with_gaussian(now))

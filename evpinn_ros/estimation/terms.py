@@ -51,6 +51,8 @@ MOST_FORCE = 4.0  # m/s^2 of force over mass, more is no tyre's
 LEAST_STEP = 0.5  # m, over less the force is not resolved
 MILD_CELSIUS = 20.0  # neither heated nor cooled
 TYRES_WARM, CABIN_WARM = 1200.0, 600.0  # s in which tyres and cabin get their temperature
+# s in which they lose it: before a test a passenger car's tyre stands for three hours (ISO 28580).
+COOLED = 3600.0
 CLIMATE = [
     State.COLD, State.HOT, State.COLD_START, State.HOT_START,
     State.REPORTED, State.DOUBTED, State.CLIMATE_DRIVE,
@@ -119,8 +121,22 @@ class Warmth(NamedTuple):
     @classmethod
     def after(cls, seconds: Any) -> Warmth:
         """Coldness so many s after a start."""
+        return cls(1.0, 1.0).driven(seconds)
+
+    def driven(self, seconds: Any) -> Warmth:
+        """Coldness after so many s more of driving."""
         exp = namespace(seconds).exp
-        return cls(exp(-seconds / TYRES_WARM), exp(-seconds / CABIN_WARM))
+        return Warmth(
+            self.tyres * exp(-seconds / TYRES_WARM), self.cabin * exp(-seconds / CABIN_WARM)
+        )
+
+    def stood(self, seconds: float) -> Warmth:
+        """Coldness after the car has stood for so many s."""
+        left = math.exp(-seconds / COOLED)
+        return Warmth(1.0 - (1.0 - self.tyres) * left, 1.0 - (1.0 - self.cabin) * left)
+
+
+WARM = Warmth(0.0, 0.0)
 
 
 class Equation:

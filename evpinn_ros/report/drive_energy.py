@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from evpinn_ros.common.units import Units
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.estimation.terms import WARM
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.history import Drive
@@ -78,7 +77,7 @@ def _steady_power(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Power on a flat road without wind and its 1-sigma, W, at speeds, m/s; shape (n,) each."""
     flat, one = np.zeros(len(speed)), np.ones(len(speed))
-    warm = Weather(air_density, start_s=math.inf)
+    warm = Weather(air_density, start=WARM)
     rows = car.rows(Motion(one, speed, speed**3, flat, flat), warm)
     variance = ((rows @ car.car.covariance) * rows).sum(-1)
     return rows @ car.car.mean, np.sqrt(variance)

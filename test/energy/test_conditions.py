@@ -1,5 +1,6 @@
 """Conditions of plans: what a planner gives, else the last known."""
 
+from dataclasses import replace
 import math
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecaster import Forecaster
 from evpinn_ros.energy.plan import PlanConditions, plan_from_speed_profile
+from evpinn_ros.energy.power_model import vehicle_model
 from evpinn_ros.signals.readings import TemperatureReading
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.plans import read_conditions
@@ -41,6 +43,23 @@ def test_cold_wind_and_payload_cost_and_a_tail_wind_gives():
     assert energy(heating=4000.0) > energy(heating=0.0) + 0.99 * 600 * 4000.0
     assert energy(head_wind=10.0) > plain > energy(head_wind=-10.0)
     assert energy(payload=300.0) > plain
+
+
+def test_a_car_that_stood_is_cold_again_and_a_prewarmed_cabin_saves():
+    """A drive of two hours warmed it; then it stands: not at all, an hour, a night."""
+    forecaster, car = Forecaster(CAR), replace(vehicle_model(CAR).car, celsius=-10.0)
+
+    def cost(seconds: float, **given: float) -> float:
+        forecaster.set_model(replace(car, seconds=seconds))
+        forecaster.set_conditions(PlanConditions(**given))
+        return float(answer(forecaster).forecast.energy[-1])
+
+    warm, hour, night = cost(7200.0), cost(7200.0, stood=3600.0), cost(7200.0, stood=36e3)
+    assert warm < hour < night == pytest.approx(cost(0.0), rel=1e-3)
+    assert warm < cost(7200.0, stood=36e3, prewarmed=1.0) < night
+    car = replace(car, last_drive=7200.0)  # as from a file: another drive, so it is cold
+    assert cost(0.0) == pytest.approx(night, rel=1e-3)
+    assert cost(0.0, stood=3600.0) == pytest.approx(hour, rel=1e-3)
 
 
 def test_what_a_planner_gives_comes_before_what_the_car_measures():

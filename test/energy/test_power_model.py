@@ -11,6 +11,7 @@ from benchmarks.truth import CarChain
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.states import State
+from evpinn_ros.estimation.terms import WARM, Warmth
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from test.energy.cars import CAR, taught
@@ -62,7 +63,7 @@ def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
 @given(st.integers(0, 10_000), st.integers(1, 599))
 def test_rows_add_up_however_a_trip_is_cut(seed, cut):
     motion, model = trip(seed), taught()
-    weather = MILD._replace(start_s=1e9)  # warm: a second part does not begin cold
+    weather = MILD._replace(start=WARM)  # warm: a second part does not begin cold
     whole = model.rows(motion, weather).sum(0)
     parts = (
         Motion(*(column[part] for column in motion)) for part in (slice(cut), slice(cut, None))
@@ -93,7 +94,8 @@ def test_cold_weather_heats_and_stiffens_tyres_and_heating_given_is_what_it_take
     assert cold > mild + 600 * 1000.0
     off, on = (energy(Weather(1.2, 20.0, watts)) for watts in (0.0, 2000.0))
     assert on - off == pytest.approx(600 * 2000.0)
-    assert energy(Weather(1.2, 20.0, start_s=0.0)) > energy(Weather(1.2, 20.0, start_s=1e9))
+    cold = Weather(1.2, 20.0, start=Warmth(1.0, 1.0))
+    assert energy(cold) > energy(cold._replace(start=WARM))
 
 
 def test_payload_is_mass_and_rolling():
