@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
 import math
 import os
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -14,9 +16,11 @@ import pandas as pd
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
-from evpinn_ros.energy.forecast import Forecast, battery_along, forecast_plan
-from evpinn_ros.energy.plan import Legs, Plan, PlanConditions, points_of
+from evpinn_ros.energy.forecast import battery_along, difference, forecast_plan
+from evpinn_ros.energy.plan import Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.energy.planned import Change, PlannedEnergy
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.estimation.terms import MILD_CELSIUS
 from evpinn_ros.signals.road import density_of_air
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
@@ -38,25 +42,6 @@ class KnownCar(Protocol):
     @property
     def account(self) -> EnergyAccount:
         """Its energy, with what is known of its battery."""
-
-
-class PlannedEnergy(NamedTuple):
-    """Energy of a plan.
-
-    Attributes:
-        trip: the plan.
-        found: its energy.
-        charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
-            unknown, below 0 where the battery is empty before.
-        model: the car that it was found with.
-        gauge: what is known of its battery.
-    """
-
-    trip: Plan
-    found: Forecast
-    charge: np.ndarray
-    model: PowerModel
-    gauge: ChargeGauge
 
 
 def forecast(
@@ -116,7 +101,7 @@ def forecast(
     given = PlanConditions(
         temperature_c, heating_w, head_wind, payload_kg, charge_share, stood, float(prewarmed)
     )
-    trip, found, charge, *_ = planned_energy(plan, car, given, air_density)
+    _, _, trip, found, charge, *_ = planned_energy(plan, car, given, air_density)
     columns = {
         "distance_m": trip.distance,
         "speed_mps": trip.speed,
@@ -154,7 +139,33 @@ def planned_energy(
     along = None if account is None else account.battery.along(found, charge)
     if along is None:
         along = battery_along(found, charge, gauge.capacity)
-    return PlannedEnergy(trip, found, along, model, gauge)
+    return PlannedEnergy(given, weather, trip, found, along, model, gauge)
+
+
+def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Change]:
+    """Energy of a trip driven otherwise, less its own; arguments and errors of `forecast`."""
+    vehicle, model, _ = known_car(car)
+    given = as_plan(plan, vehicle)
+    base = planned_energy(given, car, conditions)
+    mean = base.trip.distance[-1] / (base.trip.time[-1] - base.trip.time[0])
+    celsius = conditions.temperature
+    if celsius is None:
+        celsius = MILD_CELSIUS if model.car.celsius is None else model.car.celsius
+    cases: list[tuple[str, Any, PlanConditions]] = []
+    for words, more in (("10 km/h slower", -10 / 3.6), ("10 km/h faster", 10 / 3.6)):
+        if mean + more > 0.5 * mean:
+            with suppress(PlanError):  # no car is as fast
+                cases.append((words, given.quicker(1.0 + more / mean), conditions))
+    for words, more in (("10 degrees colder", -10.0), ("10 degrees warmer", 10.0)):
+        with suppress(PlanError):  # no weather is such
+            cases.append((words, given, replace(conditions, temperature=celsius + more)))
+    found = []
+    for words, other, expected in cases:
+        one = planned_energy(other, car, expected)
+        energy = difference(one.model, one.found.end, base.found.end)
+        seconds = np.ptp(one.trip.time) - np.ptp(base.trip.time)
+        found.append(Change(words, energy, float(seconds)))
+    return found
 
 
 def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.cli.console import note, say, show, write_json
+from evpinn_ros.cli.console import command_line, note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH
@@ -61,6 +61,10 @@ def forecast(
     prewarmed: Annotated[
         bool, typer.Option("--prewarmed", help="The charger warms or cools the cabin before.")
     ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="A page: charge along the way, where the energy goes, what changes it."),
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
@@ -73,10 +77,10 @@ def forecast(
     """
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
-    from evpinn_ros.api.plan import planned_energy
+    from evpinn_ros.api.plan import planned_energy, what_if
     from evpinn_ros.energy.plan import PlanConditions
 
-    check_outputs((json_file,), (*plans, state, Path(vehicle)))
+    check_outputs((json_file, report), (*plans, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)
     share = None if charge is None else charge / 100
     seconds = None if stood is None else 3600 * stood
@@ -91,11 +95,22 @@ def forecast(
     show(table, at_least=WIDE if len(rows) > 1 else 0)
     known = "by its vehicle file alone: --state gives what was learned"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
-    say(_expected(given, found[0].model.car.celsius))
+    expected = _expected(given, found[0].model.car.celsius)
+    say(expected)
     if charge is not None:
         say(_battery(found[0].gauge))
     if charge is None:
         note("evpinn: --charge PERCENT, at the start, gives the charge at the end too")
+    if report is not None:
+        from evpinn_ros.replays.drive_names import short_names
+        from evpinn_ros.report.forecast_page import PlannedTrip, write_forecasts
+
+        names = short_names(plans)
+        trips = [
+            PlannedTrip(name, one, what_if(one.given, car, given))
+            for name, one in zip(names, found, strict=True)
+        ]
+        write_forecasts(report, trips, expected, command_line(), head_wind or 0.0)
     if json_file is not None:
         write_json(json_file, rows)
 

@@ -20,7 +20,8 @@ from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Legs, Plan, PlanError, points_of
 from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.states import SIZE
+from evpinn_ros.estimation.states import SIZE, State
+from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.unevenness import Path
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -69,6 +70,16 @@ class Forecast:
     power: np.ndarray
     sigma: np.ndarray
     end: PlanEnd = UNKNOWN_END
+
+
+class Parts(NamedTuple):
+    """Where the energy of a trip goes: J, and 1-sigma, J, shape (COUNT + 1,) each.
+
+    In the order of `terms.Part`; the last is what uneven speed between the points takes.
+    """
+
+    energy: np.ndarray
+    sigma: np.ndarray
 
 
 def forecast(
@@ -131,16 +142,15 @@ def forecast_plan(
         PlanError: the model gives no finite energy.
     """
     points = points_of(plan) if isinstance(plan, Legs) else plan
-    along = points.distance - points.distance[..., :1]
-    wind = head_wind * np.exp(-along / DIRECTION_LENGTH)
+    along, wind = points.distance - points.distance[..., :1], _wind(points, head_wind)
     duration, length = np.diff(points.time), np.diff(points.distance)
     if isinstance(plan, Legs):
         unknown = plan.length * ~plan.height_known
     else:
         unknown = length * (np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0)
     uneven = np.zeros_like(points.time)
-    if duration.ndim == 1 and float(np.median(duration)) > COARSE:
-        path = _path(points, weather.air_density, (wind[1:] + wind[:-1]) / 2.0)
+    if _is_coarse(points):
+        path = _path(points, weather.air_density, wind)
         steps, beyond = model.leg_rows(path, weather)
         uneven = _accumulated(beyond @ model.car.mean, axis=-1)
     else:
@@ -162,12 +172,53 @@ def forecast_plan(
     return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
 
 
+def plan_parts(
+    plan: Plan | Legs, found: Forecast, model: PowerModel, weather: Weather, head_wind: float = 0.0
+) -> Parts:
+    """Where the energy of one trip goes.
+
+    Args:
+        plan: the trip.
+        found: its forecast, with the same arguments.
+        model: of the car.
+        weather: on the way.
+        head_wind: against the car at the start, m/s over ground.
+    """
+    points = points_of(plan) if isinstance(plan, Legs) else plan
+    wind = _wind(points, head_wind)
+    motion = motion_of(points, wind)
+    if _is_coarse(points):
+        duration, length, _, _, climb, _, flow = _path(points, weather.air_density, wind)
+        flow = flow + length / duration
+        even = np.zeros_like(length)
+        motion = Motion(duration, length, flow * np.abs(flow) * length, even, climb)
+    rows = np.concatenate((model.parts(motion, weather), np.zeros((1, SIZE))))
+    rows[Part.STANDING, State.LOAD] = found.end.row[State.LOAD]
+    rows[-1] = found.end.row - rows[WHOLE].sum(0)
+    car = model.car
+    variance = car.trust * np.einsum("ij,jk,ik->i", rows, car.covariance, rows)
+    variance[-1] += car.trust * (car.unevenness.share * found.end.uneven) ** 2
+    return Parts(rows @ car.mean, np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _is_coarse(points: Plan) -> bool:
+    """True for one trip whose points are so far apart that its speed varies between them."""
+    duration = np.diff(points.time)
+    return duration.ndim == 1 and float(np.median(duration)) > COARSE
+
+
+def _wind(points: Plan, head_wind: float) -> np.ndarray:
+    """Wind against the car at each point, m/s."""
+    along = points.distance - points.distance[..., :1]
+    return np.asarray(head_wind * np.exp(-along / DIRECTION_LENGTH))
+
+
 def _path(points: Plan, density: float, wind: np.ndarray) -> Path:
-    """Legs between points of one trip, shape (n - 1,), with the wind against each, m/s."""
+    """Legs between points of one trip, shape (n - 1,); wind: against the car at each, m/s."""
     duration, length = np.diff(points.time), np.diff(points.distance)
     zero = np.zeros_like(duration)
     climb = np.diff(points.elevation)
-    return Path(duration, length, zero, zero, climb, density + zero, wind)
+    return Path(duration, length, zero, zero, climb, density + zero, (wind[1:] + wind[:-1]) / 2.0)
 
 
 def motion_of(plan: Plan, head_wind: Any = 0.0) -> Motion:

@@ -116,6 +116,13 @@ class PowerModel:
             rows[..., state] = power * duration
         return rows
 
+    def parts(self, motion: Motion, weather: Weather) -> np.ndarray:
+        """Energy of all steps of one trip by part and state, J per unit, (COUNT, SIZE)."""
+        wheels = self.car.equation.wheels(*motion, weather.air_density)
+        tyres = self._warmth(motion.duration, weather).tyres
+        rows = self.rows(motion, weather)
+        return self.car.equation.split(rows, wheels, coldness(self._celsius(weather)), tyres)
+
     def leg_rows(self, legs: Path, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
         """Energy of legs whose mean speed alone is known, J per unit, shape (n, SIZE) each.
 

@@ -270,20 +270,32 @@ class Equation:
     def parts(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
         """Energy of all steps together by part and state, J per unit, shape (COUNT, SIZE).
 
-        The rows of `WHOLE` add up to those of `rows`. At the wheels there are air, tyres, slope
-        and speed, each of which gives back what it took; what is lost on the way is the
-        drivetrain's while the car drives and the brakes' while it brakes. ETA divides the same
-        energy between wheels and drivetrain, so the whole does not depend on it.
+        The rows of `WHOLE` add up to those of `rows`.
         """
         rows = self.rows(steps, conditions, warmth)
         wheels = self.of_steps(steps, conditions)
+        return self.split(rows, wheels, coldness(conditions.celsius), warmth.tyres)
+
+    def split(self, rows: np.ndarray, wheels: Wheels, cold: float, tyres: Any) -> np.ndarray:
+        """Energy of n steps together by part and state, J per unit, shape (COUNT, SIZE).
+
+        At the wheels there are air, tyres, slope and speed, each of which gives back what it
+        took; what is lost on the way is the drivetrain's while the car drives and the brakes'
+        while it brakes. ETA divides the same energy between wheels and drivetrain, so the whole
+        does not depend on it.
+
+        Args:
+            rows: of the steps, as `rows` has them, shape (n, SIZE).
+            wheels: of the steps.
+            cold: tens of K below a mild day.
+            tyres: coldness of the tyres, a number or of shape (n,).
+        """
         found, by_step = np.zeros((COUNT, SIZE)), np.zeros((4, *rows.shape))
-        cold = coldness(conditions.celsius)
         rolling = float(self.mean[State.ROLLING]) * wheels.rolling
         by_step[Part.AIR, :, State.DRAG] = wheels.drag
         by_step[Part.TYRES, :, State.ROLLING] = wheels.rolling
         by_step[Part.TYRES, :, State.ROLLING_COLD] = rolling * cold
-        by_step[Part.TYRES, :, State.ROLLING_START] = rolling * warmth.tyres
+        by_step[Part.TYRES, :, State.ROLLING_START] = rolling * tyres
         by_step[Part.TYRES, :, State.ROLLING_DRIVE] = rolling
         by_step[Part.SLOPE, :, State.MASS] = wheels.climb
         by_step[Part.SPEED, :, State.MASS] = wheels.inertia

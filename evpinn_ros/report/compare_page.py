@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import math
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import Breakdown
@@ -21,10 +18,10 @@ from evpinn_ros.replays.comparison_text import (
     trip_rows,
 )
 from evpinn_ros.replays.over_distance import over_distance
+from evpinn_ros.report.curves import Line, curve
 from evpinn_ros.report.html import write_page
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
-MOST_TICKS = 6
 CURVES = {
     "energy": "Energy measured since the start, kWh",
     "speed": "Speed, {units.speed}",
@@ -119,48 +116,14 @@ def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
 
 
 def _curves(found: Comparison, units: Units) -> list[dict[str, Any]]:
-    """Lines over distance in a box of 1000 by 1000, with the ticks of both axes in percent."""
+    """Energy, speed and height of all drives over distance."""
     courses = [over_distance(drive, POINTS, units) for drive in found.drives]
-    across = ticks(0.0, max(float(course.distance[-1]) for course in courses))
-    curves = []
-    for key, title in CURVES.items():
-        lines = [getattr(course, key) for course in courses]
-        known = np.concatenate([line[np.isfinite(line)] for line in lines])
-        if not len(known):
-            continue
-        low = float(known.min()) if key == "height" else min(0.0, float(known.min()))
-        up = ticks(low, float(known.max()))
-        points = [
-            " ".join(
-                f"{1000 * _share(x, across):.0f},{1000 - 1000 * _share(y, up):.0f}"
-                for x, y in zip(course.distance, line, strict=True)
-                if math.isfinite(y)
-            )
-            for course, line in zip(courses, lines, strict=True)
-        ]
-        curves.append(
-            {
-                "title": title.format(units=units),
-                "lines": points,
-                "across": [(f"{each:g}", round(100 * _share(each, across), 2)) for each in across],
-                "up": [(f"{each:g}", round(100 * _share(each, up), 2)) for each in up],
-            }
+    curves = [
+        curve(
+            title.format(units=units),
+            [Line(course.distance, getattr(course, key)) for course in courses],
+            from_zero=key != "height",
         )
-    return curves
-
-
-def ticks(low: float, high: float) -> list[float]:
-    """Round values of an axis, at most `MOST_TICKS`, that hold both ends."""
-    span = max(high - low, 1e-3)
-    size = 10.0 ** math.floor(math.log10(span))
-    step = next(
-        step
-        for step in (size * each for each in (0.2, 0.5, 1.0, 2.0, 5.0))
-        if math.ceil(high / step) - math.floor(low / step) < MOST_TICKS
-    )
-    first, last = math.floor(low / step), math.ceil(high / step)
-    return [round(i * step, 10) for i in range(first, max(last, first + 1) + 1)]
-
-
-def _share(value: float, axis: Sequence[float]) -> float:
-    return (value - axis[0]) / (axis[-1] - axis[0])
+        for key, title in CURVES.items()
+    ]
+    return [each for each in curves if each is not None]

@@ -18,7 +18,8 @@ from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.over_distance import distance_until, over_distance
 from evpinn_ros.replays.run import ReplayOptions
-from evpinn_ros.report.compare_page import MOST_TICKS, ticks, write_comparison
+from evpinn_ros.report.compare_page import write_comparison
+from evpinn_ros.report.curves import MOST_TICKS, ticks
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test.replays.test_replay import Recorded
 

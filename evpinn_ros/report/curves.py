@@ -1,0 +1,78 @@
+"""Curves over distance for pages without a script: points of an SVG, ticks of both axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+MOST_TICKS = 6
+
+
+class Line(NamedTuple):
+    """A line, and half the height of the band around it, or None; shape (n,) each."""
+
+    across: np.ndarray
+    up: np.ndarray
+    half: np.ndarray | None = None
+
+
+def curve(title: str, lines: Sequence[Line], *, from_zero: bool) -> dict[str, Any] | None:
+    """Lines in a box of 1000 by 1000, for the macro `curve`; None where no value is finite.
+
+    Args:
+        title: text.
+        lines: to draw, NaN where unknown.
+        from_zero: whether the axis holds zero.
+    """
+    spans = [each.up + sign * (0.0 if each.half is None else each.half)
+             for each in lines for sign in (-1.0, 1.0)]  # fmt: skip
+    known = np.concatenate([span[np.isfinite(span)] for span in spans])
+    if not len(known):
+        return None
+    low, high = float(known.min()), float(known.max())
+    across = ticks(0.0, max(float(each.across[-1]) for each in lines))
+    up = ticks(min(0.0, low) if from_zero else low, high)
+    return {
+        "title": title,
+        "lines": [_points(each.across, each.up, across, up) for each in lines],
+        "bands": [_band(each, across, up) for each in lines],
+        "across": [(f"{each:g}", round(100 * _share(each, across), 2)) for each in across],
+        "up": [(f"{each:g}", round(100 * _share(each, up), 2)) for each in up],
+    }
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Round values of an axis, at most `MOST_TICKS`, that hold both ends."""
+    span = max(high - low, 1e-3)
+    size = 10.0 ** math.floor(math.log10(span))
+    step = next(
+        step
+        for step in (size * each for each in (0.2, 0.5, 1.0, 2.0, 5.0))
+        if math.ceil(high / step) - math.floor(low / step) < MOST_TICKS
+    )
+    first, last = math.floor(low / step), math.ceil(high / step)
+    return [round(i * step, 10) for i in range(first, max(last, first + 1) + 1)]
+
+
+def _band(line: Line, across: Sequence[float], up: Sequence[float]) -> str:
+    """Outline of a band: its upper edge, and back along the lower one."""
+    if line.half is None:
+        return ""
+    there = _points(line.across, line.up + line.half, across, up)
+    back = _points(line.across[::-1], (line.up - line.half)[::-1], across, up)
+    return f"{there} {back}"
+
+
+def _points(xs: np.ndarray, ys: np.ndarray, across: Sequence[float], up: Sequence[float]) -> str:
+    return " ".join(
+        f"{1000 * _share(x, across):.0f},{1000 - 1000 * _share(y, up):.0f}"
+        for x, y in zip(xs, ys, strict=True)
+        if math.isfinite(y)
+    )
+
+
+def _share(value: float, axis: Sequence[float]) -> float:
+    return (value - axis[0]) / (axis[-1] - axis[0])

@@ -1,0 +1,144 @@
+"""The page of forecasts: what each plan takes, where it goes, and what would change that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.forecast import plan_parts
+from evpinn_ros.energy.planned import Change, PlannedEnergy
+from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.estimation.terms import Part
+from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.report.curves import Line, curve
+from evpinn_ros.report.html import write_page
+
+POINTS = 400  # of a curve: more than a narrow page has pixels
+UNEVEN = "speeding up and braking between the points"
+LEAST_SHOWN = 0.0005  # kWh, which would read 0.000
+
+
+class PlannedTrip(NamedTuple):
+    """A plan to show: its name, its energy, and what it would take driven otherwise."""
+
+    name: str
+    planned: PlannedEnergy
+    changes: Sequence[Change]
+
+
+def write_forecasts(
+    path: Path, trips: Sequence[PlannedTrip], expected: str, command: str, head_wind: float = 0.0
+) -> None:
+    """Write the page.
+
+    Args:
+        path: of the new file.
+        trips: to show.
+        expected: sentence on the conditions.
+        command: that made it, text.
+        head_wind: of the conditions, m/s.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    names = " and ".join(trip.name for trip in trips)
+    shown = [_trip(trip, head_wind) for trip in trips]
+    title = f"Forecast of {names}"
+    write_page(path, "forecast.html.j2", title=title, command=command, trips=shown,
+               expected=expected)  # fmt: skip
+
+
+def _trip(trip: PlannedTrip, head_wind: float) -> dict[str, Any]:
+    return {
+        "name": trip.name,
+        "sentence": _sentence(trip.planned),
+        "curves": list(_curves(trip.planned)),
+        "parts": _parts(trip.planned, head_wind),
+        "changes": [
+            (each.words, f"{each.seconds / 60:+.1f} min", _kwh(each.energy, "+"))
+            for each in trip.changes
+        ],
+    }
+
+
+def _sentence(planned: PlannedEnergy) -> str:
+    trip, found = planned.trip, planned.found
+    kwh, sigma = found.energy[-1] / JOULES_PER_KWH, found.sigma[-1] / JOULES_PER_KWH
+    low, high = kwh - GAUSSIAN_QUANTILE * sigma, kwh + GAUSSIAN_QUANTILE * sigma
+    minutes = np.ptp(trip.time) / 60
+    text = (
+        f"{np.ptp(trip.distance) / 1e3:.1f} km in {minutes:.0f} minutes take {kwh:.2f} kWh: "
+        f"9 times in 10 between {low:.2f} and {high:.2f}."
+    )
+    left, half = (100 * planned.charge[:, -1]).tolist()
+    if not np.isfinite(left):
+        return text
+    if (planned.charge[0] <= 0.0).any():
+        return f"{text} The battery is empty before the end."
+    half *= GAUSSIAN_QUANTILE
+    least, most = max(left - half, 0.0), min(left + half, 100.0)
+    return f"{text} The battery then has {left:.0f} % left, between {least:.0f} and {most:.0f} %."
+
+
+def _curves(planned: PlannedEnergy) -> Any:
+    trip, found = planned.trip, planned.found
+    every = np.unique(np.linspace(0, len(trip.time) - 1, POINTS).round().astype(int))
+    along = (trip.distance - trip.distance[0])[every] / 1e3
+    charge, charge_sigma = 100 * planned.charge[:, every]
+    energy, sigma = found.energy[every] / JOULES_PER_KWH, found.sigma[every] / JOULES_PER_KWH
+    known = np.isfinite(charge).any()
+    lines = [
+        ("Charge of the battery, %", charge, charge_sigma, False)
+        if known
+        else ("Energy since the start, kWh", energy, sigma, True),
+        ("Speed, km/h", 3.6 * trip.speed[every], None, True),
+        ("Height, m", trip.elevation[every], None, False),
+    ]
+    for title, values, spread, from_zero in lines:
+        if title.startswith("Height") and not np.ptp(values):
+            continue
+        half = None if spread is None else GAUSSIAN_QUANTILE * spread
+        found_curve = curve(title, [Line(along, values, half)], from_zero=from_zero)
+        if found_curve is not None:
+            yield found_curve
+
+
+def _parts(planned: PlannedEnergy, head_wind: float) -> list[dict[str, Any]]:
+    """A row a part, the biggest first, with its 90 % interval in percent of the width."""
+    found = plan_parts(planned.given, planned.found, planned.model, planned.weather, head_wind)
+    names = [MEANINGS[part.name.lower()] for part in Part] + [UNEVEN]
+    rows = [
+        (name, Uncertain(energy, sigma))
+        for part, (name, energy, sigma) in enumerate(zip(names, *found, strict=True))
+        if part != Part.REGAINED and max(abs(energy), sigma) > LEAST_SHOWN * JOULES_PER_KWH
+    ]
+    rows.sort(key=lambda row: -row[1].value)
+    ends = [each.value + sign * GAUSSIAN_QUANTILE * each.sigma for _, each in rows
+            for sign in (-1.0, 1.0)]  # fmt: skip
+    low, high = min(0.0, *ends), max(1.0, *ends)
+
+    def at(joules: float) -> float:
+        return round(100.0 * (joules - low) / (high - low), 2)
+
+    return [
+        {
+            "name": name,
+            "text": _kwh(each),
+            "zero": at(0.0),
+            "left": at(min(each.value, 0.0)),
+            "width": round(abs(at(each.value) - at(0.0)), 2),
+            "from_": at(each.value - GAUSSIAN_QUANTILE * each.sigma),
+            "to": at(each.value + GAUSSIAN_QUANTILE * each.sigma),
+        }
+        for name, each in rows
+    ]
+
+
+def _kwh(energy: Uncertain, sign: str = "") -> str:
+    value, sigma = energy.value / JOULES_PER_KWH, energy.sigma / JOULES_PER_KWH
+    return f"{value:{sign}.3f} +- {sigma:.3f} kWh"

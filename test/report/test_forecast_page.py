@@ -1,0 +1,68 @@
+"""The page of `evpinn forecast --report`, and what its figures are made of."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evpinn_ros.api.plan import planned_energy, what_if
+from evpinn_ros.cli.main import app
+from evpinn_ros.energy.forecast import plan_parts
+from evpinn_ros.energy.plan import PlanConditions, PlanError, legs_of_trip, plan_from_speed_profile
+from evpinn_ros.estimation.terms import WHOLE, Part
+from evpinn_ros.replays.breakdown_text import MEANINGS
+
+TIME = np.arange(0.0, 601.0, 2.0)
+SPEED = np.minimum(20.0, np.minimum(TIME, 600.0 - TIME)) * (1.0 + 0.1 * np.sin(TIME / 20.0))
+FINE = plan_from_speed_profile(TIME, None, SPEED, 0.004 * TIME)
+COARSE = legs_of_trip(
+    length=np.array([600.0, 0.0, 7000.0]),
+    duration=np.array([60.0, 90.0, 350.0]),
+    climb=np.array([0.0, 0.0, 40.0]),
+)
+COLD = PlanConditions(temperature=-10.0, head_wind=5.0)
+
+
+@pytest.mark.parametrize("plan", [FINE, COARSE])
+def test_parts_add_up_to_the_forecast(plan):
+    found = planned_energy(plan, "bmw_i3", COLD)
+    parts = plan_parts(plan, found.found, found.model, found.weather, COLD.head_wind)
+    whole = parts.energy[WHOLE].sum() + parts.energy[-1]
+    assert whole == pytest.approx(found.found.energy[-1], rel=1e-9)
+    uneven = parts.energy[-1]
+    assert uneven > 1e4 if plan is COARSE else abs(uneven) < 1.0
+    assert parts.energy[Part.SLOPE] > 0.0 and parts.energy[Part.CLIMATE] > 0.0
+    assert (parts.sigma[[Part.AIR, Part.TYRES]] > 0.0).all()
+
+
+def test_faster_takes_more_and_less_time_and_colder_takes_more():
+    found = {each.words: each for each in what_if(FINE, "bmw_i3", COLD)}
+    slower, faster = found["10 km/h slower"], found["10 km/h faster"]
+    assert slower.energy.value < 0.0 < faster.energy.value
+    assert faster.seconds < 0.0 < slower.seconds
+    assert found["10 degrees warmer"].energy.value < 0.0 < found["10 degrees colder"].energy.value
+    sigma = planned_energy(FINE, "bmw_i3", COLD).found.sigma[-1]
+    assert all(each.energy.sigma < 0.7 * sigma for each in found.values())
+
+
+def test_a_stop_lasts_as_long_however_fast_one_drives():
+    quick = COARSE.quicker(2.0)
+    assert quick.duration.tolist() == [30.0, 90.0, 175.0]
+    assert FINE.quicker(1.25).distance[-1] == FINE.distance[-1]
+    with pytest.raises(PlanError):
+        FINE.quicker(20.0)
+
+
+def test_the_page_tells_the_whole_without_a_script(tmp_path):
+    page, plan = tmp_path / "page.html", tmp_path / "<b>up & down.csv"
+    rows = zip(TIME, SPEED, FINE.elevation, strict=True)
+    plan.write_text("t_s,speed_mps,elevation_m\n" + "\n".join(f"{a},{b},{c}" for a, b, c in rows))
+    given = ["--vehicle", "bmw_i3", "--charge", "80", "--temperature", "-10"]
+    done = CliRunner().invoke(app, ["forecast", str(plan), *given, "--report", str(page)])
+    assert done.exit_code == 0, done.output
+    text = page.read_text()
+    assert "<script" not in text and "<b>up" not in text
+    assert "&lt;b&gt;up &amp; down.csv" in text and "-10 degrees C" in text
+    for words in (MEANINGS["climate"], MEANINGS["tyres"], "10 km/h faster", "% left, between"):
+        assert words in text
+    assert text.count("<polyline") == 3 and text.count("<polygon") == 1
+    assert ">nan" not in text and "nan " not in text
