@@ -38,7 +38,7 @@ BULK = 2000  # numbers in a state of the writers, some 10 kB
 
 @dataclass(slots=True)
 class AttackResult:
-    """What became of the damaged files of one format.
+    """Outcome of reading the damaged files of one format.
 
     Attributes:
         kind: the format.
@@ -125,17 +125,17 @@ def _try(path: Path, result: AttackResult) -> str | None:
     if hangs:
         os.kill(child, signal.SIGKILL)
     with os.fdopen(ours, errors="replace") as pipe:
-        said = pipe.read()
+        answer = pipe.read()
     _, status, used = os.wait4(child, 0)
     seconds, memory = used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6
     result.files += 1
-    result.read += said == "read"
+    result.read += answer == "read"
     result.memory_mb = max(result.memory_mb, memory)
     result.slowest_s = max(result.slowest_s, seconds)
     if hangs:
         return f"hangs for {HANGING:g} s"
-    if status or said not in ("read", "refused"):
-        return said or f"ended with status {status}"
+    if status or answer not in ("read", "refused"):
+        return answer or f"ended with status {status}"
     if memory > MOST_MEMORY:
         return f"takes {memory:.0f} MB"
     if seconds > max(MOST_SECONDS, SECONDS_A_MB * path.stat().st_size / 1e6):
@@ -145,24 +145,24 @@ def _try(path: Path, result: AttackResult) -> str | None:
 
 def _be_the_reader(path: Path, pipe: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    null = os.open(os.devnull, os.O_RDWR)
-    os.dup2(null, 2)
-    said = "read"
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nowhere, 2)
+    answer = "read"
     try:
         for _ in open_source(path, VEHICLE, trust_profile=True).readings():
             pass
     except InputError as error:
         text = str(error)
-        said = "refused" if text.isprintable() and text else f"refused in no line: {text!r}"
+        answer = "refused" if text.isprintable() and text else f"refused in no line: {text!r}"
     except BaseException:
-        said = traceback.format_exc()[-1500:]
-    os.write(pipe, said.encode(errors="replace"))
+        answer = traceback.format_exc()[-1500:]
+    os.write(pipe, answer.encode(errors="replace"))
     os._exit(0)
 
 
 @dataclass(frozen=True, slots=True)
 class WritersResult:
-    """What readers saw of a state that two processes wrote.
+    """Outcome of reading a state that two processes wrote.
 
     Attributes:
         reads: how often it was read.

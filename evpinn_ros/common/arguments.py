@@ -1,4 +1,4 @@
-"""Arguments that a person gives from Python: a wrong one is told by its name, in one line."""
+"""Arguments that a person gives from Python: an error names the wrong one in one line."""
 
 from __future__ import annotations
 
