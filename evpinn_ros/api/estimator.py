@@ -11,6 +11,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
+from evpinn_ros.common.arguments import finite, number, path_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.power_model import PowerModel
@@ -85,7 +86,7 @@ class Estimator:
         Raises:
             InputError: no such vehicle, mode or file, or the state is not of them.
         """
-        path = None if state is None else Path(state)
+        path = None if state is None else path_of("state", state)
         if path is not None and not path.exists():
             raise InputError(f"{path}: no such file")
         car = CarReplay(vehicle, ReplayOptions(), mode=mode_of(mode), state=path)
@@ -124,11 +125,14 @@ class Estimator:
             The prediction of this moment; None without a speed, and where the time went back.
 
         Raises:
-            InputError: the time is no number.
+            InputError: the time is not finite, or a value is no number.
         """
-        if not math.isfinite(t_s):
-            raise InputError(f"t_s is {t_s}; a time is a number")
-        stamp_ns = round(t_s * NANOSECONDS)
+        stamp_ns = round(finite("t_s", t_s) * NANOSECONDS)
+        speed_mps = number("speed_mps", speed_mps)
+        voltage_v, current_a = number("voltage_v", voltage_v), number("current_a", current_a)
+        soc_pct, elevation_m = number("soc_pct", soc_pct), number("elevation_m", elevation_m)
+        ambient_c = number("ambient_c", ambient_c)
+        heating_w, aircon_w = number("heating_w", heating_w), number("aircon_w", aircon_w)
         battery = BatteryReading(stamp_ns, voltage_v, -current_a, soc_pct / 100)
         loads = AuxiliaryReading(stamp_ns, *(0.0 if x != x else x for x in (heating_w, aircon_w)))
         given: list[tuple[Reading, tuple[float, ...]]] = [
@@ -182,4 +186,4 @@ class Estimator:
 
         It holds what was learned of the car, and of its battery.
         """
-        self._car.write_state(Path(path))
+        self._car.write_state(path_of("path", path))

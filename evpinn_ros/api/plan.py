@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
+from evpinn_ros.common.arguments import finite_or_none, path_of, shown
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
@@ -96,10 +97,16 @@ def forecast(
     Raises:
         InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is no trip.
     """
-    charge_share = None if charge_pct is None else charge_pct / 100
-    stood = None if stood_h is None else 3600.0 * stood_h
+    charge_pct = finite_or_none("charge_pct", charge_pct)
+    stood_h = finite_or_none("stood_h", stood_h)
     given = PlanConditions(
-        temperature_c, heating_w, head_wind, payload_kg, charge_share, stood, float(prewarmed)
+        finite_or_none("temperature_c", temperature_c),
+        finite_or_none("heating_w", heating_w),
+        finite_or_none("head_wind", head_wind),
+        finite_or_none("payload_kg", payload_kg),
+        None if charge_pct is None else charge_pct / 100,
+        None if stood_h is None else 3600.0 * stood_h,
+        float(bool(prewarmed)),
     )
     _, _, trip, found, charge, *_ = planned_energy(plan, car, given, air_density)
     columns = {
@@ -179,7 +186,7 @@ def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
         return vehicle, vehicle_model(vehicle), None
     if hasattr(car, "account"):
         return car.vehicle, car.model, car.account
-    raise InputError(f"a car is a vehicle, a Result or an Estimator, not {_kind(car)}")
+    raise InputError(f"a car is a vehicle, a Result or an Estimator, not {shown(car)}")
 
 
 def weather_of(vehicle: Vehicle, conditions: PlanConditions, air_density: float | None) -> Weather:
@@ -188,7 +195,7 @@ def weather_of(vehicle: Vehicle, conditions: PlanConditions, air_density: float 
     Raises:
         InputError: no air is as dense.
     """
-    density = air_density
+    density = finite_or_none("air_density", air_density)
     if density is None:
         density = density_of_air(vehicle.air_density, conditions.temperature, None)
     if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
@@ -209,13 +216,18 @@ def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
     from evpinn_ros.plans.table import plan_of_columns
 
     if isinstance(plan, str | os.PathLike):
-        return read_plan(Path(plan), vehicle)
-    if not isinstance(plan, pd.DataFrame | Mapping):
-        raise InputError(f"a plan is a DataFrame, a dict or a file, not {_kind(plan)}")
+        return read_plan(path_of("plan", plan), vehicle)
     if isinstance(plan, pd.DataFrame) and plan.index.name == "t_s":
         plan = plan.reset_index()
-    return plan_of_columns({str(name): plan[name] for name in plan})
+    return plan_of_columns(columns_of("plan", plan))
 
 
-def _kind(value: Any) -> str:
-    return "None" if value is None else type(value).__name__
+def columns_of(name: str, table: Any) -> dict[str, Any]:
+    """The columns of a DataFrame or mapping, which is the argument `name`.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not isinstance(table, pd.DataFrame | Mapping):
+        raise InputError(f"a {name} is a DataFrame, a dict or a file, not {shown(table)}")
+    return {str(column): table[column] for column in table}

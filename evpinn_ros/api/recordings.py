@@ -7,6 +7,13 @@ import os
 from pathlib import Path
 
 from evpinn_ros.api.result import Result
+from evpinn_ros.common.arguments import (
+    finite,
+    finite_or_none,
+    path_of,
+    sequence_of,
+    text_of,
+)
 from evpinn_ros.replays.car import CarReplay, mode_of
 from evpinn_ros.replays.run import WARM_UP, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
@@ -52,16 +59,28 @@ def replay(
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
     """
+    path = path_of("drive", drive)
+    written = None if state is None else path_of("state", state)
+    options = ReplayOptions(
+        finite_or_none("withhold_battery_after", withhold_battery_after),
+        finite("warm_up", warm_up),
+        None,
+        finite("start", start),
+        finite_or_none("duration", duration),
+    )
     car = CarReplay(
         vehicle,
-        ReplayOptions(withhold_battery_after, warm_up, None, start, duration),
+        options,
         mode=None if mode is None else mode_of(mode),
-        params=None if params is None else Path(params),
-        state=None if state is None else Path(state),
+        params=None if params is None else path_of("params", params),
+        state=written,
     )
-    source = car.open(Path(drive), can_profile, trust_profile=trust_profile, columns=columns)
+    if can_profile is not None:
+        text_of("can_profile", can_profile)
+    columns = [text_of("columns", each) for each in sequence_of("columns", columns)]
+    source = car.open(path, can_profile, trust_profile=trust_profile, columns=columns)
     found = car.replay(source)
-    if state is not None:
-        car.write_state(Path(state))
+    if written is not None:
+        car.write_state(written)
     learned = car.chain.estimator.model()
     return Result(found, car.vehicle, car.options, learned, car.chain.account)

@@ -31,6 +31,7 @@ COMMANDS = (
     "soak",
     "fleet",
     "fuzz",
+    "attacks",
     "report",
     "recover",
     "logs",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
+import os
 from pathlib import Path
 import zlib
 
@@ -58,21 +60,42 @@ def _holds_signals(path: Path) -> bool:
     return True
 
 
-def recordings(path: Path) -> Iterator[Path]:
+def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
     """The recordings at or below a path, in no order; a file is taken for one, whatever it is.
+
+    Links are followed last, and nothing is found twice: a folder may link to itself, and a drive
+    that another car's folder links to is of the car in whose folder it lies.
+
+    Args:
+        path: file or folder.
+        seen: real paths found so far, which grow; none if not given.
 
     Raises:
         OSError: a folder cannot be read.
     """
-    if path.is_file() or _is_bag_folder(path):
-        yield path
-        return
-    for inner in path.iterdir():
-        if inner.is_dir():
-            yield from recordings(inner)
-        # Most texts are a read-me.
-        elif suffix_of(inner) in {*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLE_SUFFIXES} - {".txt"}:
-            yield inner
+    seen = set() if seen is None else seen
+    waiting = deque([path])
+    while waiting:
+        each = waiting.popleft()
+        real = os.path.realpath(each)
+        if real in seen:
+            continue
+        seen.add(real)
+        if not each.is_dir() or _is_bag_folder(each):
+            yield each
+            continue
+        for inner in each.iterdir():
+            if not (inner.is_dir() or _is_recording(inner)):
+                continue
+            if inner.is_symlink():
+                waiting.append(inner)
+            else:
+                waiting.appendleft(inner)
+
+
+def _is_recording(path: Path) -> bool:
+    """True if a file's name is that of a recording; most texts are a read-me."""
+    return suffix_of(path) in {*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLE_SUFFIXES} - {".txt"}
 
 
 def _is_bag_folder(path: Path) -> bool:

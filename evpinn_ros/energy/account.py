@@ -65,6 +65,15 @@ class EnergyTotals(NamedTuple):
         """Both together."""
         return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
 
+    def not_below(self, before: EnergyTotals) -> EnergyTotals:
+        """The same net energy, with as much drawn and regenerated as before at least.
+
+        What a prediction counted between two words of the battery is put right by the second:
+        for some seconds less may have been drawn than was said.
+        """
+        more = max(before.drawn - self.drawn, before.regenerated - self.regenerated, 0.0)
+        return self._replace(drawn=self.drawn + more, regenerated=self.regenerated + more)
+
 
 class TripCorrection(NamedTuple):
     """Energy that reconciling added to a trip, J, and what it took of its variance, J^2."""
@@ -85,6 +94,7 @@ class SavedAccount:
     battery: Annotated[SavedBattery | None, ADDED]
     correction: TripCorrection
     before_reset: EnergyTotals
+    said: Annotated[EnergyTotals | None, ADDED]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +104,7 @@ class AccountSummary:
     Attributes:
         stamp_ns: newest stamp of power.
         since_reset: what was counted since the last reset.
-        lifetime: what was counted since ever.
+        lifetime: what was counted since ever; what it drew and regenerated never falls.
         consumption: energy per distance, J/m, by `1`, `10`, `100` (the last so many km), `trip`
             and `lifetime`; what is not known yet is not among them.
         charge: state of charge, 0..1; its value NaN while unknown, and so below.
@@ -142,10 +152,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.usual = math.nan
         self._vehicle = vehicle
         self.refused: Counter[str] = Counter()
+        self._said = EnergyTotals()  # of the lifetime, in the last summary
         self.reset()
 
     def reset(self) -> None:
         """Forget all, as if nothing had ever been counted."""
+        self._said = EnergyTotals()
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
@@ -299,7 +311,8 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def summary(self) -> AccountSummary:
         """The account now."""
-        since_reset, lifetime = self.since_reset(), self.lifetime()
+        since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._said)
+        self._said = lifetime
         charge = self.gauge.charge(self._newest_ns, lifetime.net)
         usable = self.gauge.usable(charge)
         consumption = self._consumption(since_reset, lifetime)
@@ -341,6 +354,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             battery=self.battery.saved(),
             correction=self._correction,
             before_reset=self._before_reset,
+            said=self._said,
         )
 
     def take(self, saved: SavedAccount) -> None:
@@ -348,6 +362,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.meter.take(saved.meter)
         self.trip.take(saved.trip)
         self.gauge.take(saved.charge)
+        self._said = saved.said or EnergyTotals()
         if saved.battery is None:
             self.battery.reset()
         else:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import csv
 from dataclasses import dataclass
 from io import TextIOWrapper
+import os
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -63,9 +64,10 @@ def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
         InputError: nothing is there, or two folders of one name would become one car.
     """
     drives: dict[Path, set[Path]] = {}
+    seen: set[str] = set()
     for given in inputs:
         for path in _matching(given, Path()):
-            for drive in _recordings(path):
+            for drive in _recordings(path, seen):
                 drives.setdefault(_top_folder(path, drive), set()).add(drive)
     named: dict[str, Path] = {}
     for folder in drives:
@@ -89,7 +91,7 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
     drives: dict[str, set[Path]] = {}
     models: dict[str, str] = {}
     vehicles: dict[str, Vehicle] = {}
-    owner: dict[Path, str] = {}
+    owner: dict[str, str] = {}
     for line in _csv_lines(path) if path.suffix.lower() == ".csv" else _yaml_lines(path):
         if models.setdefault(line.car, line.vehicle) != line.vehicle:
             first = models[line.car]
@@ -98,9 +100,11 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
             vehicles[line.vehicle] = _vehicle(line, path.parent)
         for found in _matching(line.pattern, path.parent, line.where):
             for drive in _recordings(found):
-                if owner.setdefault(drive, line.car) != line.car:
-                    raise InputError(f"{line.where}: {drive} is of car '{owner[drive]}' already")
-                drives.setdefault(line.car, set()).add(drive)
+                real = os.path.realpath(drive)  # links may lead to one drive by two names
+                if real not in owner:
+                    drives.setdefault(line.car, set()).add(drive)
+                if owner.setdefault(real, line.car) != line.car:
+                    raise InputError(f"{line.where}: {drive} is of car '{owner[real]}' already")
     return _fleet((car, vehicles[models[car]], found) for car, found in drives.items())
 
 
@@ -135,9 +139,9 @@ def _top_folder(given: Path, drive: Path) -> Path:
     return given if inside else given.parent
 
 
-def _recordings(path: Path) -> list[Path]:
+def _recordings(path: Path, seen: set[str] | None = None) -> list[Path]:
     with as_input_error():
-        return list(recordings(path))
+        return list(recordings(path, seen))
 
 
 def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:

@@ -136,7 +136,13 @@ def _in_si(
     columns: Mapping[str, tuple[str, float]], given: Mapping[str, Any]
 ) -> dict[str, np.ndarray]:
     """Numbers of legs by what they hold, in SI."""
-    return {what: _numbers(name, given[name]) * factor for what, (name, factor) in columns.items()}
+    numbers = {
+        what: _numbers(name, given[name]) * factor for what, (name, factor) in columns.items()
+    }
+    if len({len(each) for each in numbers.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
+        raise InputError(f"the columns have different numbers of rows: {lengths}")
+    return numbers
 
 
 def _leg_numbers(
@@ -169,10 +175,10 @@ def _numbers(name: str, values: Any) -> np.ndarray:
                 cell = values.cells[place][:40]
                 raise InputError(f"{name} holds what is no number, {cell!r} in row {place + 1}")
         return numbers
-    found = np.atleast_1d(np.asarray(values))
-    if found.dtype.kind in "mM":
-        raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
-    with as_input_error(f"{name} holds what is no number", TypeError, ValueError):
+    with as_input_error(f"{name} holds what is no number", TypeError, ValueError, OverflowError):
+        found = np.atleast_1d(np.asarray(values))
+        if found.dtype.kind in "mM":
+            raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
         numbers = np.array(found.tolist(), float)
     if numbers.ndim > 1:
         raise InputError(f"{name} has the shape {numbers.shape}; a plan is one trip")

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.arguments import path_of, text_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.yaml_section import Section, compose
@@ -134,8 +135,12 @@ def vehicle_names() -> list[str]:
 
 
 def find_vehicles(text: str = "") -> dict[str, str]:
-    """Names by keys of the files and certified cars whose name or key has all these words."""
-    words = set(words_of(text))
+    """Names by keys of the files and certified cars whose name or key has all these words.
+
+    Raises:
+        InputError: what is given is no text.
+    """
+    words = set(words_of(text_of("text", text)))
     return {key: name for key, name in _names() if words <= {*words_of(key), *words_of(name)}}
 
 
@@ -147,7 +152,8 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     Raises:
         InputError: no such car, several, or the file is wrong; the text has file, line and reason.
     """
-    path, text = Path(name_or_path), str(name_or_path)
+    path = path_of("vehicle", name_or_path)
+    text = str(name_or_path)
     if path.suffix in (".yaml", ".yml"):
         return _parse(path)
     if path.suffix == ".json":

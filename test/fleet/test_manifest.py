@@ -1,5 +1,7 @@
 """Which drives are of which car."""
 
+import os
+
 import pytest
 
 from evpinn_ros.common.errors import InputError
@@ -58,6 +60,61 @@ def test_patterns_and_the_same_drive_twice(data):
 def test_two_folders_of_one_name_are_not_mixed(data):
     with pytest.raises(InputError, match="would both be car 'bob'"):
         cars_by_folder([str(data / "data"), str(data / "other")], LEAF)
+
+
+@pytest.mark.timeout(20)
+def test_links_of_folders_count_no_drive_twice(data):
+    """Two links to the folder around them would be a tree of 2 ** 40 folders."""
+    top = data / "data"
+    for folder in (top, top / "ann", top / "bob"):
+        for name in ("a", "b"):
+            (folder / name).symlink_to(".")
+    (top / "ann" / "of_bob").symlink_to("../bob")
+    (top / "ann" / "again.mcap").symlink_to("../bob/first.mcap")
+    (top / "ann" / "circle.csv").symlink_to("circle.csv")
+    (top / "ann" / "nowhere.csv").symlink_to("not_there.csv")
+    broken = ["data/ann/circle.csv", "data/ann/nowhere.csv"]  # cost themselves alone, later
+    found = names_of(cars_by_folder([str(top)], LEAF), data)
+    everything = sorted(each for drives in found.values() for each in drives)
+    assert everything == sorted([*broken, *(each for drives in ALL.values() for each in drives)])
+    assert [each for each in found["ann"] if each not in broken] == ALL["ann"]
+
+
+def test_a_link_keeps_the_name_that_tells_the_format(data):
+    """Stores such as git-annex link names to files that are named by their content."""
+    (data / "store").mkdir()
+    (data / "store" / "d3b07384").write_bytes(b"t_s\n")
+    (data / "data" / "bob" / "third.csv").symlink_to("../../store/d3b07384")
+    found = names_of(cars_by_folder([str(data / "data")], LEAF), data)
+    assert found["bob"] == [*ALL["bob"], "data/bob/third.csv"]
+
+
+def test_a_drive_of_two_names_has_one_car(data):
+    (data / "data" / "ann" / "again.mcap").symlink_to("../bob/first.mcap")
+    text = "drive,car,vehicle\ndata/bob,bob,nissan_leaf\ndata/ann/again.mcap,{},nissan_leaf\n"
+    (data / "cars.csv").write_text(text.format("bob"))
+    assert names_of(cars_by_manifest(data / "cars.csv"), data) == {"bob": ALL["bob"]}
+    (data / "cars.csv").write_text(text.format("ann"))
+    with pytest.raises(InputError, match="is of car 'bob' already"):
+        cars_by_manifest(data / "cars.csv")
+
+
+@pytest.mark.parametrize(
+    "name", ["drive [1].csv", "a*b?.csv", "x" * 251 + ".csv", b"\xff\xfe.csv"]
+)
+@pytest.mark.parametrize("given", ["file", "folder", "manifest"])
+def test_names_of_all_kinds_are_found(data, name, given):
+    path = data / "carl" / (name if isinstance(name, str) else os.fsdecode(name))
+    path.parent.mkdir()
+    path.write_text("t_s\n")
+    if given == "manifest":
+        if not isinstance(name, str):
+            return  # A manifest is UTF-8; such a drive is listed by its folder.
+        (data / "cars.csv").write_text(f"drive,car,vehicle\ncarl/{name},carl,nissan_leaf\n")
+        found = cars_by_manifest(data / "cars.csv")
+    else:
+        found = cars_by_folder([str(path if given == "file" else path.parent)], LEAF)
+    assert [(car.car, car.drives) for car in found] == [("carl", (path,))]
 
 
 @pytest.mark.parametrize("given", ["nowhere", "data/*.db3", "empty"])
