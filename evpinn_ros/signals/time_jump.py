@@ -30,6 +30,7 @@ from evpinn_ros.signals.readings import NANOSECONDS, Reading
 AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
 SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
 LEFT_NS = 60 * NANOSECONDS  # a time that was left goes on within this
+SILENT_NS = 15 * NANOSECONDS  # a publisher that says nothing for so long is none
 USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
 MOST_LEFT = 8  # times that were left and may speak on
@@ -214,7 +215,7 @@ class StampGuard:
     def _continued(self, stamp_ns: int, leap_ns: int) -> _Left | None:
         """The time left lately that a leaping stamp continues."""
         now_ns = stamp_ns - leap_ns
-        self._left = [each for each in self._left if now_ns - each.seen_ns <= LEFT_NS]
+        self._left = [each for each in self._left if now_ns - each.seen_ns <= SILENT_NS]
         self._came_back &= bool(self._left)
         return next((x for x in self._left if x.continued_by(stamp_ns, leap_ns)), None)
 

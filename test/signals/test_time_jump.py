@@ -119,6 +119,16 @@ def test_of_two_publishers_an_hour_apart_one_is_ignored(apart):
     assert len(followed) == len(items) // 2 + 3 and len(leaps) == 2  # there, and back for good
 
 
+@pytest.mark.parametrize("pause", [2.5, 3.0, 3.5, 30.0])
+def test_a_clock_that_is_set_to_and_fro_makes_no_second_publisher(pause):
+    """It is 3 s ahead for a while and is set right; later the only publisher rests."""
+    times = [s / 10 for s in range(600)]
+    stamps = [t + 3.0 * (20.0 <= t < 30.0) + pause * (t >= 50.0) for t in times]
+    guard = StampGuard("speed")
+    found = [each for each in passed(guard, speeds(*stamps)) if not isinstance(each, Jump)]
+    assert len(found) == len(stamps) and not guard.dropped
+
+
 def test_a_third_publisher_is_ignored_too():
     guard, items = StampGuard("speed"), []
     for turn in range(30):
