@@ -13,9 +13,9 @@ INSTALLED := $(VENV)/installed
 # A sourced ROS 2 brings its own rclpy; without one it comes as wheels, with the extra `ros`.
 ifdef ROS_DISTRO
 VENV_OPTIONS := --system-site-packages
-EXTRAS := dev,bench,foxglove,fleet,site
+EXTRAS := dev,bench,foxglove,fleet,site,tables
 else
-EXTRAS := dev,ros,bench,foxglove,fleet,site
+EXTRAS := dev,ros,bench,foxglove,fleet,site,tables
 endif
 
 # Nodes started here meet no other robot, and workers side by side take one core each.

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 import contextlib
 from dataclasses import dataclass, field
+import gzip
+from io import BytesIO
 import os
 from pathlib import Path
 import random
@@ -20,6 +22,7 @@ import sys
 from tempfile import TemporaryDirectory
 import time
 import traceback
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from benchmarks.attack_seeds import SEEDS
 from evpinn_ros.common.errors import InputError
@@ -32,6 +35,7 @@ MOST_MEMORY = 300.0  # MB of any process
 MOST_SECONDS, SECONDS_A_MB = 10.0, 3.0  # of the processor; whichever is more
 CHECKOUT = Path(__file__).parents[1]
 HANGING = 60.0  # s of the wall clock, after which a file counts as one that hangs
+GZIP, ZIP = b"\x1f\x8b", b"PK"
 VEHICLE = load_vehicle("tesla_model_3_lr")
 BULK = 2000  # numbers in a state of the writers, some 10 kB
 
@@ -82,6 +86,20 @@ def damaged(seed: bytes, chance: random.Random) -> bytes:
     return bytes(data)
 
 
+def damaged_within(seed: bytes, chance: random.Random) -> bytes:
+    """Bytes of a gzip or zip file that is damaged inside its packing: its checksums are right."""
+    if seed.startswith(GZIP):
+        return gzip.compress(damaged(gzip.decompress(seed), chance), mtime=0)
+    with ZipFile(BytesIO(seed)) as whole:
+        members = {name: whole.read(name) for name in whole.namelist()}
+    name = chance.choice(sorted(members))
+    members[name] = damaged(members[name], chance)
+    with ZipFile(file := BytesIO(), "w", ZIP_DEFLATED) as whole:
+        for name, content in members.items():
+            whole.writestr(name, content)
+    return file.getvalue()
+
+
 def attack(kind: str, count: int, seed: int, kept: Path) -> AttackResult:
     """Read damaged files of a format.
 
@@ -97,7 +115,9 @@ def attack(kind: str, count: int, seed: int, kept: Path) -> AttackResult:
         for number in range(count):
             chance = random.Random(f"{kind} {seed} {number}")
             path = Path(folder) / f"drive{suffix}"
-            path.write_bytes(damaged(chance.choice(seeds), chance))
+            sound = chance.choice(seeds)
+            within = sound.startswith((GZIP, ZIP)) and chance.random() < 0.5
+            path.write_bytes((damaged_within if within else damaged)(sound, chance))
             if broken := _try(path, result):
                 kept.mkdir(parents=True, exist_ok=True)
                 copy = kept / f"{kind}_{seed}_{number}{suffix}"

@@ -79,14 +79,18 @@ def test_a_bad_drive_costs_itself_alone(task, drives):
     empty.write_text("")
     halfway = drives / "halfway.csv"  # opens, but its speed is no number
     halfway.write_text("t_s,speed_mps,power_w\n" + "1800000000,nan,5\n" * 3)
-    one = task(drives / "c", drives / "a", garbage, empty, drives / "gone", halfway)
+    book, columns = drives / "damaged.xlsx", drives / "damaged.parquet"
+    book.write_bytes(b"PK\x03\x04" + bytes(range(256)) * 8)
+    columns.write_bytes(b"PAR1" + bytes(range(256)) * 8 + b"PAR1")
+    bad = (garbage, empty, drives / "gone", halfway, book, columns)
+    one = task(drives / "c", drives / "a", *bad)
     done = learn_car(one)
-    assert done.failed == 4
+    assert done.failed == len(bad)
     found = result(one)
     problems = [row["problem"] for row in found["unreadable"]] + [
         row["problem"] for row in found["drives"] if row["problem"]
     ]
-    assert len(problems) == 4 and all(problems)
+    assert len(problems) == len(bad) and all(problems)
     assert found["precision"] == result(good)["precision"]
     again = learn_car(one)
     assert again.learned == 0, "a bad drive does not keep the others from being done"
