@@ -4,6 +4,7 @@ PYTHON312 ?= python3.12
 CONSTRAINTS ?= constraints.txt
 # More than cores: tests of nodes and buses wait most of the time.
 JOBS ?= 3
+CHOSEN ?= not nightly
 IN_PARALLEL := -n $(JOBS) --dist loadfile --no-loadscope-reorder
 VENV := .venv
 BIN := $(VENV)/bin
@@ -40,14 +41,18 @@ MSGS_INSTALLED := $(MSGS)/installed
 endif
 endif
 
-.PHONY: demo quick test test-matrix test-wheels lint bags golden docs layouts site clean
+.PHONY: demo quick test nightly test-matrix test-wheels lint bags golden docs layouts site clean
 
 demo: $(INSTALLED)
 	@$(EVPINN) demo
 
 test:
 	@$(MAKE) --no-print-directory -j 2 lint $(ROS2_INSTALLED) $(MSGS_INSTALLED)
-	@$(BIN)/python -m pytest $(IN_PARALLEL) --hypothesis-profile=ci
+	@$(BIN)/python -m pytest $(IN_PARALLEL) --hypothesis-profile=ci -m "$(CHOSEN)"
+
+# What every change runs, and with it the insides of benchmarks, captures and one case more of each.
+nightly:
+	@$(MAKE) --no-print-directory test CHOSEN=
 
 # What finds most mistakes within a minute: no DDS, no browser, no colcon.
 quick: $(INSTALLED)

@@ -59,7 +59,7 @@ def forecast(
         ),
     ] = None,
     prewarmed: Annotated[
-        bool, typer.Option("--prewarmed", help="The charger warms or cools the cabin before.")
+        bool, typer.Option("--prewarmed", help="Cabin made warm or cool at the charger.")
     ] = False,
     report: Annotated[
         Path | None,
@@ -117,10 +117,10 @@ def forecast(
 
 def _expected(given: Any, known_celsius: float | None) -> str:
     """Words on the conditions that the forecasts expect, given or not."""
-    celsius, said = given.temperature, ""
+    celsius, since = given.temperature, ""
     if celsius is None:
-        celsius, said = known_celsius, " as the car last knew"
-    air = "a mild day" if celsius is None else f"{celsius:g} degrees C{said}"
+        celsius, since = known_celsius, " as the car last knew"
+    air = "a mild day" if celsius is None else f"{celsius:g} degrees C{since}"
     heating = "heating as that makes likely"
     if given.heating is not None:
         heating = f"{given.heating:g} W of heating or cooling"

@@ -7,20 +7,23 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.can.profile import profile_names
 from evpinn_ros.cli.console import STDOUT, tables_beside
-from evpinn_ros.vehicle.certified import certified_cars
-from evpinn_ros.vehicle.files import vehicle_names
 
 
 def complete_vehicle(incomplete: str) -> list[str]:
     """Bundled and certified vehicles that begin so; the shell offers paths where there is none."""
+    # Here, for every command has this option, and few are asked for a completion.
+    from evpinn_ros.vehicle.certified import certified_cars
+    from evpinn_ros.vehicle.files import vehicle_names
+
     names = (*vehicle_names(), *certified_cars())
     return [name for name in names if name.startswith(incomplete)]
 
 
 def complete_profile(incomplete: str) -> list[str]:
     """Bundled CAN profiles that begin so; the shell offers paths where there is none."""
+    from evpinn_ros.can.profile import profile_names
+
     return [name for name in profile_names() if name.startswith(incomplete)]
 
 

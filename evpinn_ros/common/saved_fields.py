@@ -189,7 +189,7 @@ def _dataclass(kind: Any, value: Any, before: Any, where: str) -> Any:
         _refuse(where, value, ", ".join(declared))
     _refuse_another([name for name, each in declared.items() if SAME in each.notes], value, before)
     needed = {name for name, each in declared.items() if ADDED not in each.notes}
-    if not needed <= set(value):  # what an older version kept besides is left
+    if not needed <= set(value) - getattr(kind, "GONE", set()) <= set(declared):
         _refuse(where, value, ", ".join(declared))
     prefix = f"{where}." if where else ""
     found = {

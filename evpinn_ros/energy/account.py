@@ -69,7 +69,7 @@ class EnergyTotals(NamedTuple):
         """The same net energy, with as much drawn and regenerated as before at least.
 
         What a prediction counted between two words of the battery is put right by the second:
-        for some seconds less may have been drawn than was said.
+        for some seconds less may have been drawn than was shown.
         """
         more = max(before.drawn - self.drawn, before.regenerated - self.regenerated, 0.0)
         return self._replace(drawn=self.drawn + more, regenerated=self.regenerated + more)
@@ -94,7 +94,7 @@ class SavedAccount:
     battery: Annotated[SavedBattery | None, ADDED]
     correction: TripCorrection
     before_reset: EnergyTotals
-    said: Annotated[EnergyTotals | None, ADDED]
+    shown: Annotated[EnergyTotals | None, ADDED]
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,12 +152,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.usual = math.nan
         self._vehicle = vehicle
         self.refused: Counter[str] = Counter()
-        self._said = EnergyTotals()  # of the lifetime, in the last summary
+        self._shown = EnergyTotals()  # of the lifetime, in the last summary
         self.reset()
 
     def reset(self) -> None:
         """Forget all, as if nothing had ever been counted."""
-        self._said = EnergyTotals()
+        self._shown = EnergyTotals()
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
@@ -311,8 +311,8 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def summary(self) -> AccountSummary:
         """The account now."""
-        since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._said)
-        self._said = lifetime
+        since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._shown)
+        self._shown = lifetime
         charge = self.gauge.charge(self._newest_ns, lifetime.net)
         usable = self.gauge.usable(charge)
         consumption = self._consumption(since_reset, lifetime)
@@ -354,7 +354,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             battery=self.battery.saved(),
             correction=self._correction,
             before_reset=self._before_reset,
-            said=self._said,
+            shown=self._shown,
         )
 
     def take(self, saved: SavedAccount) -> None:
@@ -362,7 +362,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.meter.take(saved.meter)
         self.trip.take(saved.trip)
         self.gauge.take(saved.charge)
-        self._said = saved.said or EnergyTotals()
+        self._shown = saved.shown or EnergyTotals()
         if saved.battery is None:
             self.battery.reset()
         else:

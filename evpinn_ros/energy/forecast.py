@@ -73,7 +73,7 @@ class Forecast:
 
 
 class Parts(NamedTuple):
-    """Where the energy of a trip goes: J, and 1-sigma, J, shape (COUNT + 1,) each.
+    """Energies of a trip by part: J, and 1-sigma, J, shape (COUNT + 1,) each.
 
     In the order of `terms.Part`; the last is what uneven speed between the points takes.
     """
@@ -175,7 +175,7 @@ def forecast_plan(
 def plan_parts(
     plan: Plan | Legs, found: Forecast, model: PowerModel, weather: Weather, head_wind: float = 0.0
 ) -> Parts:
-    """Where the energy of one trip goes.
+    """Energies of one trip by part.
 
     Args:
         plan: the trip.

@@ -18,7 +18,7 @@ from evpinn_ros.replays.comparison_text import (
     trip_rows,
 )
 from evpinn_ros.replays.over_distance import over_distance
-from evpinn_ros.report.curves import Line, curve
+from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
@@ -121,7 +121,7 @@ def _curves(found: Comparison, units: Units) -> list[dict[str, Any]]:
     curves = [
         curve(
             title.format(units=units),
-            [Line(course.distance, getattr(course, key)) for course in courses],
+            [Curve(course.distance, getattr(course, key)) for course in courses],
             from_zero=key != "height",
         )
         for key, title in CURVES.items()

@@ -11,7 +11,7 @@ import numpy as np
 MOST_TICKS = 6
 
 
-class Line(NamedTuple):
+class Curve(NamedTuple):
     """A line, and half the height of the band around it, or None; shape (n,) each."""
 
     across: np.ndarray
@@ -19,7 +19,7 @@ class Line(NamedTuple):
     half: np.ndarray | None = None
 
 
-def curve(title: str, lines: Sequence[Line], *, from_zero: bool) -> dict[str, Any] | None:
+def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, Any] | None:
     """Lines in a box of 1000 by 1000, for the macro `curve`; None where no value is finite.
 
     Args:
@@ -57,7 +57,7 @@ def ticks(low: float, high: float) -> list[float]:
     return [round(i * step, 10) for i in range(first, max(last, first + 1) + 1)]
 
 
-def _band(line: Line, across: Sequence[float], up: Sequence[float]) -> str:
+def _band(line: Curve, across: Sequence[float], up: Sequence[float]) -> str:
     """Outline of a band: its upper edge, and back along the lower one."""
     if line.half is None:
         return ""

@@ -15,7 +15,7 @@ from evpinn_ros.energy.planned import Change, PlannedEnergy
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import Part
 from evpinn_ros.replays.breakdown_text import MEANINGS
-from evpinn_ros.report.curves import Line, curve
+from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
@@ -103,7 +103,7 @@ def _curves(planned: PlannedEnergy) -> Any:
         if title.startswith("Height") and not np.ptp(values):
             continue
         half = None if spread is None else GAUSSIAN_QUANTILE * spread
-        found_curve = curve(title, [Line(along, values, half)], from_zero=from_zero)
+        found_curve = curve(title, [Curve(along, values, half)], from_zero=from_zero)
         if found_curve is not None:
             yield found_curve
 

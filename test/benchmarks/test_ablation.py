@@ -13,6 +13,8 @@ from benchmarks.ablation import NO_TRIM, VARIANTS, seconds
 from benchmarks.variants import RecordedCar, VariantRow, read_car, score
 from evpinn_ros.cli.main import app
 
+pytestmark = pytest.mark.nightly
+
 URBAN = f"{Path(__file__).parents[2] / 'bags' / 'urban'}=tesla_model_3_lr"
 CUT = 20  # interval that begins another drive
 

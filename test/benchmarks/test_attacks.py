@@ -11,6 +11,8 @@ from benchmarks.attack_seeds import SEEDS
 from benchmarks.attacks import attack, damaged, two_writers
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.mark.parametrize("kind", SEEDS)
 def test_sound_files_are_read(tmp_path, monkeypatch, kind):

@@ -8,6 +8,8 @@ from benchmarks.truth import VEHICLES
 from evpinn_ros.estimation.terms import Part
 from evpinn_ros.simulation.drive import DriveKind
 
+pytestmark = pytest.mark.nightly
+
 DRIVES = 6
 ALL = "air+tyres+slope+speed+brakes+drivetrain+climate+standing"
 

@@ -8,6 +8,8 @@ from benchmarks.can_decoding import CAPTURES, compare, equal_live, measure_throu
 from benchmarks.can_traffic import open_bus, own_port
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.nightly
+
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "can"
 needs_captures = pytest.mark.skipif(not DATA.is_dir(), reason="no captures beside the checkout")
 

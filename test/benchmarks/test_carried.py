@@ -7,6 +7,8 @@ from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope="module")
 def drive(vehicle):

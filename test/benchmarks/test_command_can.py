@@ -11,6 +11,8 @@ from benchmarks.can_traffic import open_bus, own_port
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 
+pytestmark = pytest.mark.nightly
+
 
 def test_a_short_run_measures_everything_but_the_captures(tmp_path):
     try:

@@ -5,12 +5,15 @@ import math
 import subprocess
 import sys
 
+import pytest
 from typer.testing import CliRunner
 
 from benchmarks import energy_integration, energy_library, integrators
 from evpinn_ros.cli.main import app
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.simulation.drive import DriveKind
+
+pytestmark = pytest.mark.nightly
 
 
 def write_drive(path, seconds=60):

@@ -12,6 +12,8 @@ import pytest
 
 from evpinn_ros.cli.main import main
 
+pytestmark = pytest.mark.nightly
+
 ROOT = Path(__file__).parents[2]
 SCORE = {"samples", "rmse_w", "mae_w", "coverage_90"}
 KEYS = SCORE | {

@@ -16,6 +16,8 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, AltitudeReading, SpeedReading
 
+pytestmark = pytest.mark.nightly
+
 SECOND = NANOSECONDS
 
 

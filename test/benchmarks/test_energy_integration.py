@@ -11,6 +11,8 @@ from evpinn_ros.simulation.output import write
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.nightly
+
 
 def test_figures_that_need_no_data(monkeypatch):
     monkeypatch.setattr(energy_integration, "DAY", 600)  # a whole one: test_quadrature.py

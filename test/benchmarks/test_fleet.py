@@ -7,6 +7,8 @@ import pytest
 from benchmarks.fleet import COMPARED, many_drives, recovered, scaling
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.nightly
+
 LEAF = load_vehicle("nissan_leaf")
 
 

@@ -9,6 +9,8 @@ import pytest
 from benchmarks.fuzz_targets import TARGETS, Target
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.nightly
+
 EXAMPLES = 25
 NAMES = [target.name for target in TARGETS]
 

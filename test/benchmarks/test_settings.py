@@ -23,6 +23,8 @@ from benchmarks.settings import (
 from benchmarks.variants import ConstantPlace, RecordedCar, Variant, VariantRow, read_car, score
 from evpinn_ros.cli.main import app
 
+pytestmark = pytest.mark.nightly
+
 BAGS = Path(__file__).parents[2] / "bags"
 URBAN, HIGHWAY = (f"{BAGS / name}=tesla_model_3_lr" for name in ("urban", "highway"))
 SHORT = 17  # intervals of a drive

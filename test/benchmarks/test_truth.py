@@ -13,6 +13,8 @@ from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
+pytestmark = pytest.mark.nightly
+
 ONE = TruthCheck("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
 
 

@@ -21,7 +21,10 @@ from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReadi
 from test.can.conftest import ALL
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "can"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no captures beside the checkout")
+pytestmark = [
+    pytest.mark.skipif(not DATA.is_dir(), reason="no captures beside the checkout"),
+    pytest.mark.nightly,
+]
 
 LEAF = ("EV-CANeplus2", "EV-CANeplus3", "EV-CANepluseco")
 TESLA = [

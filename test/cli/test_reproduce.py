@@ -13,6 +13,8 @@ from evpinn_ros.estimation.state_file import read_state
 from evpinn_ros.reproduction.optimizers import OptimizerName
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.nightly
+
 VEHICLE = "tesla_model_3_lr"
 
 

@@ -23,6 +23,7 @@ SECONDS, ON_TIME = 44.0, 8.0  # s of the drive, and of it without a delay
 POWERS = (topics.POWER_MEASURED, topics.POWER_SMOOTHED)
 JOINED = 2.0  # s of a late battery that is joined with speed all the same
 START = 1_700_000_000  # s
+LAGS = [2.4, *(pytest.param(lag, marks=pytest.mark.nightly) for lag in (0.5, 10.0))]  # s
 
 
 def stamp_ns(message):
@@ -42,7 +43,7 @@ def arrivals(drive, late, lag):
 
 
 @pytest.mark.parametrize("late", [topics.SPEED, topics.BATTERY], ids=lambda topic: topic.name)
-@pytest.mark.parametrize("lag", [0.5, 2.4, 10.0])
+@pytest.mark.parametrize("lag", LAGS)
 def test_nothing_is_forgotten_when_one_topic_is_late(bench, urban, late, lag):
     drive = [(topic, message) for topic, _, message in urban(SECONDS)]
     estimator, energy = bench.start(EstimatorNode), bench.start(EnergyNode)
@@ -72,7 +73,7 @@ def chain_in_time(drive):
 
 
 @pytest.mark.parametrize("late", POWERS, ids=lambda topic: topic.name)
-@pytest.mark.parametrize("lag", [0.5, 2.4, 10.0])
+@pytest.mark.parametrize("lag", LAGS)
 def test_energy_is_counted_where_its_stamps_are(bench, late, lag):
     node = bench.start(EnergyNode)
     sent = [

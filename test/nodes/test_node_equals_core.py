@@ -48,12 +48,16 @@ def messages_of(outputs):
             yield topic, [message]
 
 
+OTHERS = (JumpPolicy.RESET, JumpPolicy.HOLD, JumpPolicy.IGNORE)
+POLICIES = [JumpPolicy.AUTO, *(pytest.param(each, marks=pytest.mark.nightly) for each in OTHERS)]
+
+
 @pytest.mark.parametrize("bag", ["urban", "highway"])
 def test_nodes_over_topics_equal_the_cores(bench, bundled, bag):
     equal(bench, list(bundled(bag, SECONDS)), JumpPolicy.RESET)
 
 
-@pytest.mark.parametrize("policy", JumpPolicy)
+@pytest.mark.parametrize("policy", POLICIES)
 def test_of_a_bag_in_a_loop_too(bench, urban, policy):
     """It starts over in the middle, and a few readings of the future and the past are in it."""
     once = list(urban(35.0))

@@ -16,6 +16,8 @@ from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm
 
+pytestmark = pytest.mark.nightly
+
 
 def driven(kind: DriveKind, vehicle: Vehicle, folder: Path) -> tuple[DriveLog, Parameters]:
     drive = simulate(kind, vehicle, 600.0, 4, equation=RegenForm.RECOVERY)

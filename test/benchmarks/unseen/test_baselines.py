@@ -8,6 +8,8 @@ from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope="module")
 def scores(car):
