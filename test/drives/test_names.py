@@ -1,0 +1,42 @@
+"""A file may have any name that its file system takes."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from evpinn_ros.drives.sources import open_source
+from evpinn_ros.vehicle.files import load_vehicle
+
+TIME = np.arange(300) / 10
+SPEED = 8 - 8 * np.cos(TIME / 8)
+DRIVE = pl.DataFrame({"t_s": TIME, "speed_mps": SPEED, "power_w": 3e3 + 800 * SPEED})
+NAMES = ["drive [1]*{a,b}?", "dr\udcffve [ab]", "x" * 240, "- --out", "%s\t$HOME ~"]
+
+
+@pytest.mark.parametrize("name", NAMES, ids=range(len(NAMES)))
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".xlsx"])
+def test_a_drive_of_any_name_is_read_and_no_other(tmp_path, name, suffix):
+    """Beside it lie names that a pattern in it would find too."""
+    (tmp_path / f"drive 1b{suffix}").write_bytes(b"not a drive")
+    (tmp_path / f"dr\udcffve a{suffix}").write_bytes(b"not a drive")
+    path = tmp_path / (name + suffix)
+    write(path)
+    assert len([*open_source(path, load_vehicle("generic")).readings()]) >= 2 * len(TIME)
+
+
+def write(path: Path) -> None:
+    with open(os.fspath(path), "wb") as file:  # noqa: PTH123 - a name that is no text
+        match path.suffix:
+            case ".csv":
+                DRIVE.write_csv(file)
+            case ".parquet":
+                DRIVE.write_parquet(file)
+            case _:
+                openpyxl = pytest.importorskip("openpyxl")
+                book = openpyxl.Workbook()
+                for row in (DRIVE.columns, *DRIVE.rows()):
+                    book.active.append(row)
+                book.save(file)
