@@ -126,9 +126,12 @@ class Snapshots:
     def _battery(self, stamp_ns: int) -> BatteryReading | None:
         volt, current = self._value(Measurand.VOLTAGE), self._value(Measurand.CURRENT)
         power, charge = self._value(Measurand.POWER), self._value(Measurand.CHARGE)
+        power_std = math.nan
         if math.isnan(current) and not math.isnan(power):
             volt = volt if volt > 0.0 else self._nominal_voltage
             current = -power / volt
+            rule, _ = self._held[Measurand.POWER]
+            power_std = math.sqrt(VARIANCE_OF_A_STEP) * rule.resolution
         if all(map(math.isnan, (volt, current, charge))):
             return None
-        return BatteryReading(stamp_ns, volt, current, charge)
+        return BatteryReading(stamp_ns, volt, current, charge, power_std)

@@ -203,7 +203,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if isinstance(reading, BatteryReading) and usable:
             power = self._stream.measured_power(reading)
             if power is not None:
-                sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power)
+                coarse = 0.0 if math.isnan(reading.power_std) else reading.power_std
+                sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power, coarse)
                 yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
         for event in events:
             yield from self._handle(event)

@@ -37,6 +37,7 @@ class BatteryTrack:
 
     def restart(self) -> None:
         """Forget every reading: time went back."""
+        self._power_std = 0.0  # W, of a coarse reading
         self._voltage, self._current = SignalTrack(self._max_gap), SignalTrack(self._max_gap)
 
     @property
@@ -56,9 +57,15 @@ class BatteryTrack:
         """Nanoseconds beyond which nothing is joined."""
         return max(self._voltage.cadence.gap_ns, self._current.cadence.gap_ns)
 
-    def add(self, stamp_ns: int, voltage: float, current: float) -> bool:
-        """Insert V and A, either NaN where not measured; False when nothing was new."""
+    def add(
+        self, stamp_ns: int, voltage: float, current: float, power_std: float = math.nan
+    ) -> bool:
+        """Insert V and A, either NaN where not measured; False when nothing was new.
+
+        `power_std` is that of a coarse reading, W, NaN of others.
+        """
         new = False
+        self._power_std = power_std if power_std > 0.0 else 0.0
         for track, value in ((self._voltage, voltage), (self._current, current)):
             new |= not math.isnan(value) and track.add(stamp_ns, value)
         return new
@@ -91,6 +98,7 @@ class BatteryTrack:
         The trapezoid between readings of the current. Power moves between them as it moves from
         one to the next, so its integral is uncertain as that of a Brownian bridge; and what a
         slow signal shows was so some part of its step ago, which moves the ends of the interval.
+        Coarse readings that repeat have one error, the others each its own.
         """
         if not self.covers(start_ns, end_ns):
             return None
@@ -102,4 +110,12 @@ class BatteryTrack:
         bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ step**2)
         period = max(track.step_around(end_ns) for track in (self._voltage, self._current))
         ends = (TIMING * period) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
-        return Energy(energy, bridge + ends) if math.isfinite(energy) else None
+        coarse = self._power_std**2 * _square_of_runs(power, step) if self._power_std else 0.0
+        return Energy(energy, bridge + ends + coarse) if math.isfinite(energy) else None
+
+
+def _square_of_runs(power: np.ndarray, step: np.ndarray) -> float:
+    """Sum of the squares of the times, s, that equal readings in a row stand for."""
+    stands_for = (np.append(step, 0.0) + np.concatenate(([0.0], step))) / 2.0
+    run = np.concatenate(([0], np.cumsum(np.diff(power) != 0.0)))
+    return float((np.bincount(run, stands_for) ** 2).sum())

@@ -33,13 +33,15 @@ class BatteryReading:
     """Pack voltage, V, and current, A, of one moment, and state of charge, 0..1.
 
     The current has the sign of `sensor_msgs/BatteryState`: negative while the pack discharges.
-    What was not measured is NaN.
+    What was not measured is NaN. `power_std` is the 1-sigma of their product, W, where it is
+    coarse (whole kW); NaN where it is the sensor's own.
     """
 
     stamp_ns: int
     voltage: float
     current: float
     state_of_charge: float = math.nan
+    power_std: float = math.nan
 
     @property
     def power(self) -> float:

@@ -260,7 +260,9 @@ class SampleStream:
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
             self.dropped["battery_late"] += 1
             return
-        if not self._battery.add(reading.stamp_ns, reading.voltage, reading.current):
+        if not self._battery.add(
+            reading.stamp_ns, reading.voltage, reading.current, reading.power_std
+        ):
             self.dropped["battery_doubled"] += 1
 
     def _match_power(self, until_ns: int) -> Iterator[MeasuredSample]:

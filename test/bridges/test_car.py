@@ -41,6 +41,15 @@ def test_teslamate_gives_the_energy_of_its_rounded_power(tesla: BridgedCar) -> N
     assert counted == pytest.approx(energy(drive()), rel=0.01)
 
 
+def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(tesla: BridgedCar) -> None:
+    exact = car()
+    send(exact, ovms(), as_ovms())
+    coarse, fine = tesla.documents()["energy"], exact.documents()["energy"]
+    error = abs(coarse["trip_kwh"] - energy(drive()))
+    assert coarse["trip_sigma_kwh"] > 1.5 * fine["trip_sigma_kwh"]
+    assert error < 2 * coarse["trip_sigma_kwh"]
+
+
 def test_ovms_gives_the_energy_that_was_drawn() -> None:
     found = car()
     send(found, ovms(), as_ovms())
@@ -48,14 +57,18 @@ def test_ovms_gives_the_energy_that_was_drawn() -> None:
 
 
 def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar) -> None:
-    """Within the sigma that either claims, and as sure; a town tells little of drag and tyres."""
+    """Within the sigma that either claims; a town tells little of drag and tyres.
+
+    The load of a standing car is one number that is rounded, so it is less sure.
+    """
     exact = car()
     send(exact, ovms(), as_ovms())
     for name, coarse in tesla.documents()["parameters"]["combinations"].items():
         fine = exact.documents()["parameters"]["combinations"][name]
         before = car().documents()["parameters"]["combinations"][name]
         assert abs(coarse["value"] - fine["value"]) < 2 * fine["std"], name
-        assert coarse["std"] < 1.2 * fine["std"], name
+        most = 1.8 if name == "p_aux" else 1.2
+        assert coarse["std"] < most * fine["std"], name
         if name in ("mass_over_eta", "regeneration", "p_aux"):
             assert coarse["std"] < 0.6 * before["std"], name
 

@@ -92,3 +92,27 @@ def test_the_latest_voltage_serves_a_current_alone():
     assert not found.add(at(4.8), 99.0, math.nan), "doubled"
     found.restart()
     assert found.newest_ns is None
+
+
+def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
+    """Intervals of ten seconds at 1 Hz; where power rests, its readings have one error."""
+    random, std = np.random.default_rng(1), 1000.0 / math.sqrt(12.0)
+    deviates, shares = [], []
+    for _ in range(200):
+        power = (
+            8e3
+            + 6e3 * random.normal()
+            + 500.0 * random.choice([0.0, 3.0]) * np.cumsum(random.normal(size=11))
+        )
+        exact, coarse, plain = BatteryTrack(2.5), BatteryTrack(2.5), BatteryTrack(2.5)
+        for second, watts in enumerate(power.tolist()):
+            exact.add(at(second), 400.0, -watts / 400.0)
+            whole = -1000.0 * round(watts / 1000.0) / 400.0
+            coarse.add(at(second), 400.0, whole, std)
+            plain.add(at(second), 400.0, whole)
+        found, known = coarse.energy(at(0), at(10)), plain.energy(at(0), at(10))
+        own = found.variance - known.variance
+        deviates.append((found.energy - exact.energy(at(0), at(10)).energy) / math.sqrt(own))
+        shares.append(math.sqrt(own) / (std * 10.0))
+    assert 0.8 < np.std(deviates) < 1.2
+    assert min(shares) < 0.4 and max(shares) == pytest.approx(1.0)
