@@ -32,6 +32,7 @@ COMMANDS = (
     "fleet",
     "fuzz",
     "attacks",
+    "mqtt",
     "report",
     "recover",
     "logs",

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from evpinn_ros.bridges.car import BridgedCar
 from evpinn_ros.bridges.layouts import Layout, ovms, teslamate
 from evpinn_ros.bridges.sensors import SENSORS
 from evpinn_ros.bridges.snapshot import Snapshots
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.vehicle.files import load_vehicle
-from test.bridges.published import VEHICLE, as_ovms, as_teslamate, drive, energy
 
 SECOND = 1_000_000_000
 

@@ -15,6 +15,7 @@ import time
 
 import pytest
 
+from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from evpinn_ros.bridges.broker import (
     BrokerSettings,
     Connection,
@@ -27,7 +28,6 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.vehicle.files import load_vehicle
 from test.bridges.conftest import Broker, Client, wait_until
-from test.bridges.published import VEHICLE, as_ovms, as_teslamate, drive, energy
 
 Make = Callable[..., tuple[MqttBridge, Connection]]
 Sets = Iterable[tuple[int, dict[str, str]]]
