@@ -77,7 +77,7 @@ def _refuse_programs(path: Path) -> None:
     """Refuse a database that computes: a view in place of a table can run for ever."""
     address = f"file:{quote(str(path))}?immutable=1"
     with (
-        as_input_error(f"{path}: Cannot open database", sqlite3.Error, OverflowError),
+        as_input_error(f"{path}: Cannot open database", *READ_ERRORS),
         closing(sqlite3.connect(address, uri=True)) as database,
     ):
         entries = database.execute("SELECT type, sql FROM sqlite_master").fetchall()

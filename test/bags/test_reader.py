@@ -312,6 +312,7 @@ def test_a_cut_or_damaged_database_is_refused_or_reported(tmp_path):
     broken = [whole[:size] for size in range(100, len(whole), 4001)]
     for begin in range(0, len(whole), 4096):
         broken.append(whole[:begin] + b"\xff" * 100 + whole[begin + 100 :])
+    broken.append(whole.replace(b"CREATE TABLE", b"CREATE T\xe9BLE"))  # text that is none
     reported = 0
     for content in broken:
         (tmp_path / "a.db3").write_bytes(content)
