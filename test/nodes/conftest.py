@@ -54,6 +54,7 @@ class Bench:
         self.executor.add_node(self.node)
         self.nodes: list[GuardedNode] = []
         self.heard: dict[Topic, list[Any]] = defaultdict(list)
+        self._reports: list[tuple[int, Any]] | None = None  # (when it was sent, message)
         self._publishers: dict[Topic, Any] = {}
 
     def start(self, make: Callable[..., GuardedNode], **parameters: Any) -> Any:
@@ -96,22 +97,36 @@ class Bench:
         return future.result()
 
     def diagnosis(self, node: GuardedNode) -> dict[str, Any]:
-        """What a node says of itself now: (level, text, values) by the name of the part."""
-        if DIAGNOSTICS not in self.heard:
-            self.listen(DIAGNOSTICS)
-        heard = self.heard[DIAGNOSTICS]
-        heard.clear()
+        """What a node says of itself now: (level, text, values) by the name of the part.
+
+        A report of the node's timer may be on the way already; what was sent before is no answer.
+        """
+        if self._reports is None:
+            reports = self._reports = []
+            factory.subscribe(
+                self.node,
+                DIAGNOSTICS,
+                lambda message, info: reports.append((info["source_timestamp"], message)),
+            )
+        publisher = next(each for each in node.publishers if each.topic_name == DIAGNOSTICS.name)
+        listening = self.node.count_subscribers
+        self.pump(lambda: publisher.get_subscription_count() == listening(DIAGNOSTICS.name))
+        asked = time.time_ns()
         node.report()
         name = f"{node.get_fully_qualified_name()}: "
-        self.pump(lambda: any(s.name.startswith(name) for m in heard for s in m.status))
-        statuses = [s for m in heard for s in m.status if s.name.startswith(name)]
+
+        def answers() -> list[Any]:
+            answers = [message for sent, message in self._reports or () if sent >= asked]
+            return [s for message in answers for s in message.status if s.name.startswith(name)]
+
+        self.pump(lambda: bool(answers()))
         return {
             status.name.rpartition(" ")[2]: (
                 Level(int.from_bytes(status.level, "little")),
                 status.message,
                 {pair.key: pair.value for pair in status.values},
             )
-            for status in statuses
+            for status in answers()
         }
 
     def pump(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
