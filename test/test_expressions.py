@@ -104,6 +104,7 @@ def test_the_expressions_are_found():
     assert len(EXPRESSIONS) > 20 and {path for path, _ in EXPRESSIONS} >= set(CUT)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_no_expression_takes_the_square_of_its_text():

@@ -41,6 +41,7 @@ def passes(folder: Path) -> bool:
     return done.returncode == 0
 
 
+@pytest.mark.nightly
 def test_the_test_fails_before_the_change_and_passes_after_it(copy):
     assert not passes(copy)
     diff = dedent(block("diff")).encode()

@@ -25,6 +25,7 @@ from evpinn_ros.cli.main import app
 ROOT = Path(__file__).parents[1]
 GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+LONG = {"add_your_car", "compare", "fleet", "obd", "plan", "python", "replay", "viewing"}
 NOTHING_RUNS = {"planning", "ros"}  # their blocks need ROS, nodes or a window
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 REASON = re.compile(r"<!-- not run: (\S.*) -->\n\Z")
@@ -100,7 +101,13 @@ def checkout(tmp_path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.stem)
+def guides():
+    for page in GUIDES:
+        marks = [pytest.mark.nightly] if page.stem in LONG else []
+        yield pytest.param(page, id=page.stem, marks=marks)
+
+
+@pytest.mark.parametrize("page", guides())
 def test_blocks_run_as_they_stand(page, checkout):
     environment = {
         **os.environ,

@@ -263,6 +263,7 @@ def linked(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return space / "install"
 
 
+@pytest.mark.nightly
 def test_a_workspace_of_links_runs_what_is_in_its_source(linked: Path) -> None:
     code = "from evpinn_ros.common import package_data as data; print(data.__file__)"
     found = Path(in_workspace(linked, sys.executable, "-c", code).strip())

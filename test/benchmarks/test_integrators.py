@@ -65,6 +65,7 @@ def test_divided_is_the_same_straight_lines(samples):
     assert trapezoid(fine.power, fine.time) == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.nightly
 def test_every_method_on_every_sampling():
     rows = list(compare_integrators("made", [series(200), series(200, shift=1.0)], epochs=10))
     table = {(row.method, row.sampling): row for row in rows}
@@ -107,6 +108,7 @@ def test_a_log_that_tells_nothing_is_refused(tmp_path, rows):
         measured_power(write_csv(tmp_path / "log.csv", rows))
 
 
+@pytest.mark.nightly
 def test_simulated_drives_have_truth_between_the_samples_of_10_hz():
     drives = simulated_power()
     assert len(drives) >= 3

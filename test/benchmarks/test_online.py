@@ -36,6 +36,7 @@ def whole(vehicle, readings) -> Run:
     return run(vehicle, METHODS, readings)
 
 
+@pytest.mark.nightly
 def test_all_methods_predict_the_same_moments(whole):
     assert set(whole.predicted) == set(CAUSAL)
     for series in SERIES:

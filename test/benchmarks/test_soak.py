@@ -24,6 +24,7 @@ def test_time_is_that_of_the_last_quarter_to_the_first():
     assert time_drift(hours(*rows)) == pytest.approx(16.5 / 11 - 1)
 
 
+@pytest.mark.nightly
 def test_one_chain_goes_through_every_hour():
     done = []
     found = list(soak.soak(2, time.process_time, done.append, 60.0))

@@ -49,6 +49,7 @@ def test_without_a_stop_every_epoch_is_run() -> None:
     assert (found.epochs, found.reached, found.best) == (20, False, 2.0**-20)
 
 
+@pytest.mark.nightly
 def test_everybody_races_to_the_loss_of_adam(
     make_log: Callable[..., DriveLog],  # noqa: F811
     vehicle: Vehicle,  # noqa: F811

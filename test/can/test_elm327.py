@@ -100,7 +100,13 @@ def wait_for(condition, seconds=120.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "tcp"), [("good", False), ("good", True), ("slow", False), ("lossy", False)]
+    ("kind", "tcp"),
+    [
+        ("good", False),
+        ("good", True),
+        pytest.param("slow", False, marks=pytest.mark.nightly),
+        ("lossy", False),
+    ],
 )
 def test_a_car_is_asked_through_an_adapter(tmp_path, kind, tcp):
     with emulated(kind, tmp_path, tcp) as place, Live(place) as live:
@@ -225,6 +231,7 @@ def test_extended_addressing_of_an_i3(adapter):
         assert word in car.heard
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_voltage_and_current_behind_a_slow_adapter_keep_their_own_stamps(adapter):
     """A second from one to the other: no power of one moment, and nothing is thrown away."""

@@ -224,6 +224,7 @@ def test_wrong_and_short_answers_and_garbage(channel, unit):
     assert car.bridge.status(0).dropped["out_of_range"]
 
 
+@pytest.mark.nightly
 def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeypatch):
     monkeypatch.setattr(restraint_module, "UNANSWERED_S", 1.5)
     monkeypatch.setattr(restraint_module, "QUIET_S", 1.0)

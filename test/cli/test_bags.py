@@ -152,6 +152,7 @@ def test_splitting_needs_a_recording(evpinn, folder):
     assert done.returncode == 2 and "need --record" in done.stderr
 
 
+@pytest.mark.nightly
 def test_bench_recover(evpinn, folder):
     done = evpinn(
         *("bench", "recover", "--cases", 12, "--megabytes", 1, "--json", "b.json"), cwd=folder

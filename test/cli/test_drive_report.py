@@ -111,6 +111,7 @@ def test_the_report_starts_from_the_state_that_the_nodes_start_from(tmp_path):
     assert learned_before(None, params) is None
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_closed_terminal_loses_neither_state_nor_report_nor_account(tmp_path):
     """The kernel sends SIGHUP to all of the terminal's foreground, and each later line fails."""

@@ -110,6 +110,7 @@ def test_two_runs_do_not_write_to_one_folder(recorded, tmp_path):
     assert "another evpinn fleet" in str(done.exception)
 
 
+@pytest.mark.nightly
 def test_the_same_on_a_cluster(recorded, tmp_path):
     distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
     here, there = tmp_path / "here", tmp_path / "there"
@@ -145,6 +146,7 @@ def test_wrong_usage_is_one_line(recorded, tmp_path, monkeypatch, arguments, rea
     assert reason in str(done.exception) and "\n" not in str(done.exception)
 
 
+@pytest.mark.nightly
 def test_nobody_at_the_address_of_a_scheduler(recorded, tmp_path):
     pytest.importorskip("distributed", reason="the extra fleet is not installed")
     done = subprocess.run(

@@ -84,6 +84,7 @@ def columns_of(style):
     }
 
 
+@pytest.mark.nightly
 @settings(max_examples=60, deadline=None, suppress_health_check=FOLDER)
 @given(style=styles())
 def test_a_drive_in_any_format_reads_back_the_same(tmp_path, style):

@@ -97,6 +97,7 @@ def test_a_long_comment_costs_no_square_of_its_length(tmp_path):
     assert time.process_time() - begin < 5.0
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_table_newest_first_is_not_held_as_text(tmp_path):
     rows = 200_000

@@ -227,7 +227,7 @@ def test_a_saved_car_that_lacks_a_state_begins_it_at_its_prior(learner, vehicle)
     other.restore({**saved, "car": fewer, "unevenness": uneven})
     found, kept = other.model(), learner.model()
     equation = equation_of(vehicle)
-    assert found.mean[State.TURNING] == equation.mean[State.TURNING]
+    assert found.mean[State.TURNING] == pytest.approx(equation.mean[State.TURNING], rel=1e-12)
     variance = equation.covariance[State.TURNING, State.TURNING]
     assert found.covariance[State.TURNING, State.TURNING] == pytest.approx(variance, rel=1e-3)
     assert found.mean[State.MASS] == pytest.approx(kept.mean[State.MASS])

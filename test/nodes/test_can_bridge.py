@@ -82,6 +82,7 @@ def rest(bench, seconds):
         bench.executor.spin_once(timeout_sec=0.05)
 
 
+@pytest.mark.nightly
 def test_a_silent_bus_is_said_once(bench, bus, said):
     node = start(bench, bus)
     bench.listen(topics.SPEED)
@@ -94,6 +95,7 @@ def test_a_silent_bus_is_said_once(bench, bus, said):
     assert said[2:] == ["receiving"]
 
 
+@pytest.mark.nightly
 def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
     own, channel = pty.openpty()
     tty.setraw(channel)
@@ -105,6 +107,7 @@ def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
     assert said == ["silent: the car sleeps or this is another bus"]
 
 
+@pytest.mark.nightly
 def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
     start(bench, bus, can_profile="nissan_leaf")
     drive(bench, bus, model_3(), lambda: said)

@@ -164,6 +164,7 @@ def test_a_view_that_is_ended_while_it_begins_ends_quietly():
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+@pytest.mark.nightly
 def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
     running = subprocess.Popen(
         [*EVPINN, *drive], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -230,6 +231,7 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
         running.kill()
 
 
+@pytest.mark.nightly
 def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
     running = subprocess.Popen([*EVPINN, "watch", "--json"], cwd=ROOT, stdout=subprocess.PIPE)
     try:
@@ -267,6 +269,7 @@ def test_watch_without_nodes_says_so_in_a_pipe(form):
     assert NOTHING in line and said == f"evpinn: {NOTHING}\n"
 
 
+@pytest.mark.nightly
 def test_watch_publishes_nothing(bench):
     running = subprocess.Popen([*EVPINN, "watch"], cwd=ROOT, stdout=subprocess.DEVNULL)
     try:
@@ -306,6 +309,7 @@ def test_a_namespace_that_is_none_is_one_line(tmp_path):
     assert "a b" in done.stderr and len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.nightly
 def test_a_terminal_that_knows_neither_cursor_nor_braille_gets_lines():
     environment = {"TERM": "dumb", "PYTHONIOENCODING": "ascii"}
     with terminal(*EVPINN, "watch", **environment) as screen:

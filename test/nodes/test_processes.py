@@ -279,6 +279,7 @@ def learning(level: Level, text: str) -> bool:
     return level is Level.OK or "too slow or busy" in text
 
 
+@pytest.mark.nightly
 def test_all_in_one_plays_a_log_and_records_everything(bench, urban, tmp_path):
     encoder, frames = Encoder(PROFILE), []
     for topic, message, _ in urban(20.0):

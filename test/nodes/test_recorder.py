@@ -7,6 +7,7 @@ import sys
 import time
 
 import can
+import pytest
 
 from evpinn_ros import topics
 from evpinn_ros.bags.can_frames import open_can_log
@@ -109,6 +110,7 @@ print(len(frames), node.statuses()[0].text)
 """
 
 
+@pytest.mark.nightly
 def test_a_full_disk_ends_the_recording_alone(tmp_path):
     # The limit of a file's size fails as a full disk does, in a write of the system's.
     folder = tmp_path / "bag"

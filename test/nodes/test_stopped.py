@@ -3,6 +3,7 @@
 import signal
 import time
 
+import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
@@ -17,6 +18,7 @@ from evpinn_ros.topics.messages import named_vector, read_named_vector
 STOP, PERIOD = 4.0, 0.1  # s
 
 
+@pytest.mark.nightly
 def test_four_seconds_without_the_processor_lose_no_power():
     rclpy.init()
     node, executor = rclpy.create_node("other", namespace=NAMESPACE), SingleThreadedExecutor()

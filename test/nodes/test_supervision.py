@@ -88,6 +88,7 @@ def entry(unit, key):
     return " ".join(line.partition("=")[2] for line in lines if line.startswith(f"{key}="))
 
 
+@pytest.mark.nightly
 def test_what_the_unit_starts_keeps_its_promises(bench, bundled, systemd, tmp_path):
     """ExecStart as written, with what systemd and the guide's evpinn.env set, and a drive."""
     inlet, environment = systemd

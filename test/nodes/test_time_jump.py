@@ -32,6 +32,7 @@ def play(bench, estimator, energy, messages):
     bench.settle()
 
 
+@pytest.mark.nightly
 def test_a_bag_in_a_loop_gives_the_same_numbers_again(bench, urban):
     estimator = bench.start(EstimatorNode, time_jump_policy="reset")
     energy = bench.start(EnergyNode, time_jump_policy="reset")

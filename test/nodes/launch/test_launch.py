@@ -107,6 +107,7 @@ def test_live_works_records_and_ends_well(ros2, bench, car, tmp_path):
     )
 
 
+@pytest.mark.nightly
 def test_the_eco_planner_says_that_nothing_is_in_time(ros2, bench):
     """A whole number, too; the line of the README is run in `test_readme_lines`."""
     with ros2.running(*LAUNCH, "eco_speed_planner.launch.py", "deadline:=1") as launch:
@@ -203,6 +204,7 @@ def assert_each_is_in_one_group_of_its_car(names):
         assert len(found) == 1 and found[0].startswith(name.split("/")[1] + ".analyzers."), name
 
 
+@pytest.mark.nightly
 def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path):
     file = tmp_path / "pushed.launch.py"
     text = re.search(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.M | re.S)[1]
@@ -294,6 +296,7 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
         assert total[name] - 1e-6 < counted()[name] < total[name] + 1e6
 
 
+@pytest.mark.nightly
 def test_parameters_over_the_command_line(ros2, bench):
     def speed(*value):
         return ("param", "set", "/ev/energy", "nominal_speed", *value)

@@ -6,6 +6,7 @@ from pathlib import Path
 import subprocess
 import time
 
+import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from evpinn_ros import topics
@@ -69,6 +70,7 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         assert not [power for power in powers if seconds(power) >= first]  # others were on the way
 
 
+@pytest.mark.nightly
 def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
     said: list = []
     bench.node.create_subscription(
@@ -90,6 +92,7 @@ def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
         bench.pump(lambda: "/dev/none" in text(), 20.0)
 
 
+@pytest.mark.nightly
 def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, bench, tmp_path):
     """No process ends; what configure read is read anew after a cleanup."""
     name, state = "/ev/energy", tmp_path / "kept.json"
@@ -162,6 +165,7 @@ def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2):
             wait_for_active(ros2, name)
 
 
+@pytest.mark.nightly
 def test_a_launch_of_two_cars_names_each(ros2, bench):
     default = ROOT / "config" / "evpinn.param.yaml"
     cars = ("first_vehicle:=bmw_i3", "second_vehicle:=tesla_model_3_lr")
