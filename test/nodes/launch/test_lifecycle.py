@@ -1,11 +1,9 @@
 """Managed nodes, driven by `ros2 lifecycle`."""
 
-from contextlib import suppress
 import json
 from pathlib import Path
-import subprocess
-import time
 
+from lifecycle_msgs.srv import GetState
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 
@@ -149,20 +147,23 @@ def test_a_fault_of_ours_leads_to_where_the_node_can_be_configured_anew(bench, m
     node._faults.clear()  # the bench demands that there are none
 
 
-def wait_for_active(ros2, name: str) -> None:
-    """An answer may be lost before DDS has matched the asker: the command line waits for ever."""
-    end, said = time.monotonic() + 90.0, ""
-    while "active [3]" not in said:
-        assert time.monotonic() < end, said
-        with suppress(subprocess.TimeoutExpired):
-            said = ros2.run("lifecycle", "get", f"/ev/{name}", timeout=20.0).stdout
-
-
-def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2):
+def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2, bench):
     given = ("vehicle:=tesla_model_3_lr", "can_interface:=virtual", "can_channel:=none")
     with ros2.running("launch", "evpinn_ros", "managed.launch.py", *given):
         for name in ("estimator", "energy", "can_bridge"):
-            wait_for_active(ros2, name)
+            client = bench.node.create_client(GetState, f"/ev/{name}/get_state")
+            labels: list = []
+
+            def active(client=client, labels=labels):
+                """Asked anew each time: DDS may lose an answer before it has matched the asker."""
+                if client.service_is_ready():
+                    asked = client.call_async(GetState.Request())
+                    asked.add_done_callback(
+                        lambda done: labels.append(done.result().current_state.label)
+                    )
+                return "active" in labels
+
+            bench.pump(active, 90.0)
 
 
 @pytest.mark.nightly
