@@ -17,12 +17,13 @@ POWER_SWING = 30e3  # W that a car at one speed does not go through in that time
 # A speed in whole km/h or mph repeats by itself: for 3.9 s and 66 kW in 13 real drives so rounded.
 FINE = 0.1  # m/s, a step of finer speeds
 COARSE_LONG, COARSE_SWING = 5.0, 60e3
-# Before that is long enough, a speed that repeats is in doubt: nothing is learned until it moves.
-# A cruise control keeps even a fine speed for a second, now and then for two; a car that speeds up
-# or slows down keeps none.
-DOUBTED_AFTER, COARSE_DOUBTED_AFTER, SOON_DOUBTED_AFTER = 1.0, 2.0, 0.35  # s
-CHANGING, CHANGE_NS = 0.5, NANOSECONDS  # m/s within that time before: no cruise control
-COARSE_DOUBT_SWING = 20e3  # W
+# Before that is long enough, a speed that repeats is in doubt while power changes, and it did hang
+# if it leaps at last. One that goes on as it was did not: a cruise control keeps a fine speed for
+# seconds, a simulator's driver for minutes, and between speeding up and slowing down any car does.
+DOUBTED_AFTER, COARSE_DOUBTED_AFTER = 1.0, 2.0  # s
+DOUBT_SWING = 20e3  # W that a car at one speed hardly goes through
+LEAST_HANG = 0.35  # s; less is a gap between readings
+LEAP, LEAP_STEPS, MOST_ACCELERATION = 0.5, 2.5, 3.0  # m/s, steps of the signal, m/s^2
 SETTLES_NS = NANOSECONDS // 2  # before and after, which smoothing reaches and in which it leaps
 SPOILT_KEPT = 20
 SPEED_SWING = 5.0  # m/s that no car goes through at one voltage and one current
@@ -39,16 +40,14 @@ class StuckSuspicion:
         # Why, since when and until when a signal repeated: what lies behind is learned from later.
         self._spoilt: deque[tuple[str, int, int]] = deque(maxlen=SPOILT_KEPT)
         self._step = math.inf  # smallest change of speed seen, m/s
-        self._changes: deque[tuple[int, float]] = deque()  # speeds of the last second
-        self._changed = False  # before the speed began to repeat
 
     def add_reading(self, reading: Reading) -> None:
         """Learn from a reading of any kind."""
         if isinstance(reading, SpeedReading):
-            before = self._speed.value
-            if isinstance(before, float) and reading.speed != before:
+            if isinstance(before := self._speed.value, float) and reading.speed != before:
                 self._step = min(self._step, abs(reading.speed - before))
-                self._change(reading)
+                if self._leaps(reading):
+                    self._spoil(SPEED_REPEATS, self._speed)
             self._speed.add(reading.stamp_ns, reading.speed, self._speed_limits[0])
             self._battery.witness(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
@@ -74,33 +73,34 @@ class StuckSuspicion:
                 return reason
         return None
 
-    def _change(self, reading: SpeedReading) -> None:
-        """Note whether the car speeds up or slows down at a speed that is another."""
-        self._changes.append((reading.stamp_ns, reading.speed))
-        while not reading.stamp_ns - CHANGE_NS <= self._changes[0][0] <= reading.stamp_ns:
-            self._changes.popleft()
-        self._changed = abs(reading.speed - self._changes[0][1]) > CHANGING
+    def _leaps(self, reading: SpeedReading) -> bool:
+        """True if a speed that repeated moves on farther than a car can: it did hang."""
+        hung = (self._speed.newest_ns - self._speed.since_ns) / NANOSECONDS
+        gap = (reading.stamp_ns - self._speed.newest_ns) / NANOSECONDS
+        limit = max(LEAP, LEAP_STEPS * self._step) + MOST_ACCELERATION * gap
+        return hung >= LEAST_HANG and abs(reading.speed - self._speed.value) > limit
 
     def _note(self) -> None:
         """Keep since when a signal repeats that is suspected or in doubt."""
         reason = self.suspected or (SPEED_REPEATS if self._in_doubt() else None)
         if reason is None:
             return
-        found = self._battery if reason == BATTERY_STUCK else self._speed
+        self._spoil(reason, self._battery if reason == BATTERY_STUCK else self._speed)
+
+    def _spoil(self, reason: str, found: _Repeats) -> None:
+        """Learn nothing of the time in which a value repeated so far."""
         if self._spoilt and self._spoilt[-1][:2] == (reason, found.since_ns):
             self._spoilt.pop()
         self._spoilt.append((reason, found.since_ns, found.newest_ns))
 
     def _in_doubt(self) -> bool:
-        """True if the speed repeats in motion, if not long enough to be suspected."""
-        speed, fine = self._speed.value, self._step < FINE
+        """True if the speed repeats in motion while power changes, if not enough to suspect it."""
+        speed = self._speed.value
         if not (isinstance(speed, float) and abs(speed) > MOVING):
             return False
-        long = COARSE_DOUBTED_AFTER
-        if fine:
-            long = SOON_DOUBTED_AFTER if self._changed else DOUBTED_AFTER
         seconds = (self._speed.newest_ns - self._speed.since_ns) / NANOSECONDS
-        return seconds >= long and (fine or self._speed.range > COARSE_DOUBT_SWING)
+        long = DOUBTED_AFTER if self._step < FINE else COARSE_DOUBTED_AFTER
+        return seconds >= long and self._speed.range > DOUBT_SWING
 
     @property
     def _speed_limits(self) -> tuple[float, float]:
@@ -117,7 +117,7 @@ class _Repeats:
 
     def _begin(self, stamp_ns: int) -> None:
         self.since_ns = self.newest_ns = stamp_ns
-        self._count, self._found, self._risen = 0, 0.0, 0.0
+        self._count, self._found, self._risen, self._range = 0, 0.0, 0.0, 0.0
         self._begin_window(stamp_ns)
 
     def _begin_window(self, stamp_ns: int) -> None:
@@ -136,8 +136,8 @@ class _Repeats:
 
     @property
     def range(self) -> float:
-        """Of the other value in the present window."""
-        return self._high - self._low
+        """Of the other value in the present window, up to the last repetition of this one."""
+        return self._range
 
     def add(self, stamp_ns: int, value: Hashable, long: float) -> None:
         if value != self.value or stamp_ns < self.since_ns:
@@ -145,6 +145,7 @@ class _Repeats:
             self._begin(stamp_ns)
         self._count += 1
         self.newest_ns = stamp_ns
+        self._range = self._high - self._low
         if self._count >= OFTEN and stamp_ns - self.since_ns >= long * NANOSECONDS:
             self._found = max(self._found, self._high - self._low)
             self._risen = max(self._risen, self._climb)

@@ -85,6 +85,30 @@ def test_long_cruising_over_hills_is_not_suspected():
     assert judge(600, lambda _: 30.0, lambda t: -60 + 60 * math.sin(t / 60)) is None
 
 
+def _held_after_braking(t):
+    """Exactly 13 m/s after a strong deceleration, as a simulator's driver or a cruise control."""
+    return max(13.0, 30.0 - 4.0 * max(0.0, t - 5.0)) if t < 40.0 else 13.0 - 2.0 * (t - 40.0)
+
+
+def _rounded_peaks(t):
+    """Speeding up and slowing down in steps of 0.02 m/s: each turn repeats some values."""
+    return round((12.0 + 3.0 * math.sin(t / 2.0)) / 0.02) * 0.02
+
+
+@pytest.mark.parametrize("speed", [_held_after_braking, _rounded_peaks])
+def test_a_speed_that_goes_on_as_it_was_did_not_hang(speed):
+    """Of the Changchun sedan nine intervals in ten, of SUMO's all braking was left out."""
+    suspicion = StuckSuspicion()
+
+    def current(t):
+        return -10.0 - 4.0 * speed(t) * (speed(t) - speed(t - 0.1)) / 0.1
+
+    for second in range(44):
+        judge(1.0, speed, current, suspicion, begin=float(second))
+        now_ns = second * NANOSECONDS
+        assert suspicion.why_not(0, now_ns) is None
+
+
 def test_a_battery_that_is_not_measured_says_nothing():
     assert judge(20, waves(15, 8), lambda _: math.nan) is None
 
