@@ -96,11 +96,10 @@ class LearnedCar:
         """The car after some more intervals."""
         car = replace(self, gated=Counter())
         for interval in intervals:
-            reason = gate_interval(interval)
-            if reason is not None:
-                car.gated[reason] += 1
-            elif math.isnan(interval.energy):
+            if math.isnan(interval.energy):
                 car = car._without(interval)
+            elif (reason := gate_interval(interval)) is not None:
+                car.gated[reason] += 1
             else:
                 car = car._with(interval)
         return car

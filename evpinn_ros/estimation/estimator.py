@@ -284,7 +284,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 yield from self._predict(PowerKind.SMOOTHED, event.sample)
             case MeasuredSample():
                 stamp_ns = event.sample.stamp_ns
-                if (stuck := self._stuck.why_not(stamp_ns, stamp_ns)) is not None:
+                stuck = self._stuck.why_not(stamp_ns, stamp_ns)
+                if stuck != BATTERY_STUCK:
+                    self._learner.battery_measured(stamp_ns)
+                if stuck is not None:
                     self._learner.gated[stuck] += 1
                     return
                 if gate(event.sample, event.power) is None:
@@ -297,8 +300,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             case Interval():
                 # Nothing is learned in a dropout, and its energy must have no holes.
                 dropout = math.isnan(event.energy)
-                usable = dropout or self._stuck.why_not(event.start_ns, event.end_ns) is None
-                if self.enabled and usable:
+                sound = self._stuck.why_not(event.start_ns, event.end_ns) is None
+                if dropout or (self.enabled and sound):
                     self._news |= self._learner.add_interval(event)
             case Gap():
                 pass  # no sample spans it; the learner sees in the next stamp that time passed
@@ -328,7 +331,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._tick_ns += (stamp_ns - self._tick_ns) // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
         if self._waiting:
             self._collect()
-        if not self._waiting and self.enabled and self._news:
+        if self._news and not self._waiting and self._activity() is not Activity.PAUSED:
             self._news = False
             self._begin_update()
         yield replace(self.parameters(), stamp_ns=stamp_ns)

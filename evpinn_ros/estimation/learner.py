@@ -66,6 +66,10 @@ class Learner(Protocol):
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power at a sample from what was learned from earlier samples and speed alone."""
 
+    def battery_measured(self, stamp_ns: int) -> None:
+        """Note that the battery was measured then, whether or not that is learned from."""
+        return
+
     def observe(self, sample: Sample, power: float) -> None:
         """Learn from a sample whose battery power, W, was measured."""
 

@@ -123,9 +123,12 @@ class PinnLearner(Saveable[SavedPinn]):
         energy = self._energy_since_battery(sample.stamp_ns)
         return PowerPrediction(power + correction.power, sigma, *energy)
 
+    def battery_measured(self, stamp_ns: int) -> None:
+        """Count the energy of a dropout from here on."""
+        self._measured_ns, self._before = stamp_ns, None
+
     def observe(self, sample: Sample, power: float) -> None:
         """Let the trim learn from a measured sample."""
-        self._measured_ns, self._before = sample.stamp_ns, None
         step = self._step(sample)
         reason = gate(sample, power)
         if reason is not None:

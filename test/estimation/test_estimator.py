@@ -1,6 +1,7 @@
 from dataclasses import replace
 import math
 
+import numpy as np
 import pytest
 
 from evpinn_ros.estimation.estimate import ParameterSet, PowerKind, Trust
@@ -12,6 +13,7 @@ from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.physics import RegenForm
 
 MODES = list(Mode)
+CUT = 70.0  # s, in motion: from there on the battery is silent
 
 
 def up_to(readings, seconds) -> list:
@@ -151,6 +153,31 @@ def test_without_a_battery_predictions_go_on(new_estimator, play, powers, drive,
     assert status.activity is Activity.PREDICTING
     # The paper's window has nothing new; intervals without energy show what they predict.
     assert status.updates <= updates + (4 if mode is Mode.PAPER else seconds / DURATION + 1)
+
+
+@pytest.mark.parametrize("unlearned", ["stuck speed", "pause"])
+def test_energy_of_a_dropout_begins_where_the_battery_was_last_measured(
+    new_estimator, play, powers, drive, unlearned
+):
+    """Also where what was measured before it taught nothing; and it has no end."""
+    readings = list(up_to(drive(1, 240.0).readings, 230.0))
+    begin_ns, estimator = readings[0].stamp_ns, new_estimator()
+    play(estimator, up_to(readings, 40.0))
+    estimator.enabled = unlearned != "pause"
+    held = next(r.speed for r in from_on(readings, CUT) if isinstance(r, SpeedReading))
+    before = [
+        replace(r, speed=held) if unlearned != "pause" and isinstance(r, SpeedReading) else r
+        for r in from_on(up_to(readings, CUT), 40.0)
+    ]
+    play(estimator, before)
+    silent = [r for r in from_on(readings, CUT) if not isinstance(r, BatteryReading)]
+    found = [p for p in powers(play(estimator, silent)) if math.isfinite(p.energy)]
+    first, last = found[0], found[-1]
+    assert (first.stamp_ns - begin_ns) / NANOSECONDS < CUT + 2.0
+    assert abs(first.energy) < 2.0 * 15_000.0  # J: of two seconds
+    seconds = np.diff([p.stamp_ns for p in found]) / NANOSECONDS
+    drawn = float(np.array([p.power for p in found[1:]]) @ seconds)
+    assert last.energy - first.energy == pytest.approx(drawn, abs=3 * last.energy_sigma)
 
 
 def probe_sigma(estimator) -> float:
