@@ -20,7 +20,10 @@ GROWTHS = np.array([0.0004, 0.004, 0.04])  # m^2 of unseen height per m: flat, h
 HILLS_KEPT = 0.98  # of the evidence on these, from one rehearsal to the next
 MOST_DEVIATE = 4.0  # sigmas; one odd road counts no more
 MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
-PRIOR_CASES, CASES_KEPT = 8.0, 40.0  # that true sigmas count as at first; cases remembered
+# What counts before any case: cars without a word on their heating, their height or their wind
+# err by more than their sigmas say, simulated ones by less.
+PRIOR_CASES, PRIOR_SCALE = 4.0, 1.5
+CASES_KEPT = 40.0  # remembered
 
 
 class PredictedEnergy(NamedTuple):
@@ -44,14 +47,13 @@ class Spread(NamedTuple):
     @property
     def scale(self) -> float:
         """Factor of the variance, above or below 1."""
-        return (PRIOR_CASES + self.squares) / (PRIOR_CASES + self.cases)
+        return (PRIOR_CASES * PRIOR_SCALE + self.squares) / (PRIOR_CASES + self.cases)
 
     def after(self, deviate: float) -> Spread:
         """With one more case, this many sigmas off."""
         keep = min(1.0, (CASES_KEPT - 1.0) / max(self.cases, 1.0))
-        return Spread(
-            keep * self.cases + 1.0, keep * self.squares + min(abs(deviate), MOST_DEVIATE) ** 2
-        )
+        square = min(abs(deviate), MOST_DEVIATE) ** 2
+        return Spread(keep * self.cases + 1.0, keep * self.squares + square)
 
 
 @dataclass(frozen=True, slots=True)
