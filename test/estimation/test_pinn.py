@@ -161,7 +161,7 @@ def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(lea
     assert sigmas[-1] > sigmas[0] > 0.0 and abs(total - truth) < 2 * sigmas[-1]
     learner.add_interval(replace(silent[-1], energy=town[-1].energy))
     learner.consider(learner.prepare_update()())
-    learner.observe(sample(9000), 5000.0)
+    learner.battery_measured(sample(9000).stamp_ns)
     assert math.isnan(learner.predict(sample(9001)).energy)
 
 
