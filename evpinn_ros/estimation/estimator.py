@@ -205,6 +205,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             if power is not None:
                 coarse = 0.0 if math.isnan(reading.power_std) else reading.power_std
                 sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power, coarse)
+                self._learner.battery_measured(reading.stamp_ns)
                 yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
         for event in events:
             yield from self._handle(event)
@@ -284,10 +285,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 yield from self._predict(PowerKind.SMOOTHED, event.sample)
             case MeasuredSample():
                 stamp_ns = event.sample.stamp_ns
-                stuck = self._stuck.why_not(stamp_ns, stamp_ns)
-                if stuck != BATTERY_STUCK:
-                    self._learner.battery_measured(stamp_ns)
-                if stuck is not None:
+                if (stuck := self._stuck.why_not(stamp_ns, stamp_ns)) is not None:
                     self._learner.gated[stuck] += 1
                     return
                 if gate(event.sample, event.power) is None:
