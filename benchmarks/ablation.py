@@ -93,7 +93,10 @@ VARIANTS = (
             ConstantPlace("learning", "see_reported_climate"): _unseen,
         },
     ),
-    Variant("bands not scaled", {ConstantPlace("bands", "PRIOR_CASES"): 1e12}),
+    Variant(
+        "bands not scaled",
+        {ConstantPlace("bands", "PRIOR_CASES"): 1e12, ConstantPlace("bands", "PRIOR_SCALE"): 1.0},
+    ),
     Variant("hills of one size", _fixed(0.004)),
     Variant("no unseen hills", _fixed(0.0)),
     Variant("no heavy tails", {ConstantPlace("posterior", "OUTLIER"): 1e3}),

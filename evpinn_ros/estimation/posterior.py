@@ -184,12 +184,18 @@ class CarState:
             noise=self.weights @ self.scale,
             load_variance=float(self.weights @ self.load_variance),
             growth=self.bands.growth,
-            trust=(self.bands.drive if self.intervals == 0 else self.bands.dropout).scale,
+            trust=self._trust(),
             seconds=self.seconds,
             celsius=self.celsius,
             reports=self.reports,
             last_drive=self.last_drive,
         )
+
+    def _trust(self) -> float:
+        """Factor of the variance of energy; of a car never driven the prior is wide as it is."""
+        if self.intervals:
+            return self.bands.dropout.scale
+        return self.bands.drive.scale if self.known else 1.0
 
     def with_gaussian(self, now: Gaussian) -> CarState:
         """With another mean and covariance."""

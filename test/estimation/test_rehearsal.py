@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.bands import GROWTHS, PRIOR_CASES, Bands, PredictedEnergy, Spread
+from evpinn_ros.estimation.bands import (
+    GROWTHS,
+    PRIOR_CASES,
+    PRIOR_SCALE,
+    Bands,
+    PredictedEnergy,
+    Spread,
+)
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.terms import equation_of
@@ -47,10 +54,10 @@ def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(intervals):
 
 def test_a_spread_goes_both_ways_and_one_odd_road_counts_little():
     spread = Spread()
-    assert spread.scale == 1.0
+    assert spread.scale == PRIOR_SCALE
     for _ in range(100):
         spread = spread.after(0.5)
-    assert 0.25 < spread.scale < 0.25 + PRIOR_CASES / 40
+    assert 0.25 < spread.scale < 0.25 + PRIOR_CASES * PRIOR_SCALE / 40
     odd = spread.after(1e6)
     assert odd.scale < spread.scale + 16.0 / 40
 
