@@ -28,6 +28,7 @@ PORT, TLS_PORT = 1883, 8883
 MOST_SECRET = 65_536  # bytes
 IN_FLIGHT = 20  # messages
 MOST_WAITING = 10_000  # messages that came and are not yet processed; a minute of 160 a second
+LONGEST_PAYLOAD = 16_000  # bytes; a larger one is no value, and 10,000 of those are 160 MB
 RECONNECT_S = 1, 30  # first and longest wait, doubled each time
 KEEP_ALIVE_S = 30
 FAREWELL_S = 3.0  # for the last messages to go out
@@ -106,7 +107,7 @@ class Connection:
     """A client of a broker with a thread of its own.
 
     Attributes:
-        lost: messages that came and were dropped, because too many waited.
+        lost: messages that came and were dropped: too many waited, or one could not be read.
         connections: how often the broker took us.
         clock: of the moments at which messages come.
         refused: reason of the broker, None while it takes us.
@@ -213,10 +214,13 @@ class Connection:
         self.connections += 1
 
     def _on_message(self, _: Any, __: Any, message: Any) -> None:
-        found = Message(message.topic, message.payload, message.retain, self.clock())
+        if len(message.payload) > LONGEST_PAYLOAD:
+            self.lost += 1
+            return
         try:
+            found = Message(message.topic, message.payload, message.retain, self.clock())
             self._arrived.put_nowait(found)
-        except Full:
+        except (Full, UnicodeDecodeError):  # of a topic; it would end the thread of the client
             self.lost += 1
 
 

@@ -36,7 +36,7 @@ class BridgedCar:
     Attributes:
         name: of the car, in topics.
         vehicle: its file.
-        newest_ns: stamp of the newest reading, None before the first.
+        newest_ns: stamp of the last reading, None before the first.
         readings: how many were taken.
     """
 
@@ -69,7 +69,7 @@ class BridgedCar:
         began = False
         for reading in readings:
             self.readings += 1
-            self.newest_ns = max(self.newest_ns or 0, reading.stamp_ns)
+            self.newest_ns = reading.stamp_ns
             if isinstance(reading, SpeedReading):
                 began |= self._begins(reading)
             for output in self.chain.add_reading(reading):

@@ -25,7 +25,6 @@ from evpinn_ros.common.yaml_section import Section, compose
 KMH = 1 / 3.6
 PERCENT = 0.01
 KILO = 1000.0
-LONGEST_PAYLOAD = 64_000  # bytes; a larger one is no value
 CAR_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -147,7 +146,7 @@ class Layout:
         if found is None or CAR_NAME.fullmatch(found["car"]) is None:
             return None
         rule = self._rules.get(found["name"])
-        if rule is None or len(payload) > LONGEST_PAYLOAD:
+        if rule is None:
             return Parsed(found["car"], ())
         value = rule.value(payload.decode("utf-8", "replace").strip())
         return Parsed(found["car"], () if math.isnan(value) else (Value(rule, value),))
@@ -195,8 +194,6 @@ class PlainLayout(Layout):
         return None
 
     def _values(self, car: str, payload: bytes, rules: Mapping[str, Rule]) -> Parsed:
-        if len(payload) > LONGEST_PAYLOAD:
-            return Parsed(car, ())
         text = payload.decode("utf-8", "replace").strip()
         try:
             fields = {"": text} if "" in rules else json.loads(text)

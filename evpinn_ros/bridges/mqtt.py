@@ -18,7 +18,7 @@ from evpinn_ros.bridges.broker import FAREWELL_S, ONLINE, Connection, Message
 from evpinn_ros.bridges.car import BridgedCar, Document
 from evpinn_ros.bridges.layouts import Layout
 from evpinn_ros.bridges.sensors import SENSORS, discovery
-from evpinn_ros.bridges.snapshot import Snapshots
+from evpinn_ros.bridges.snapshot import Snapshots, is_due
 from evpinn_ros.common.json_text import json_text
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
@@ -129,7 +129,7 @@ class MqttBridge:
         for each in self._seen.values():
             self._feed(each, each.snapshots.flush(now_ns))
             self._publish(each, now_ns)
-        if _due(self._saved_ns, now_ns, SAVE_NS):
+        if is_due(self._saved_ns, now_ns, SAVE_NS):
             self.save()
             self._saved_ns = now_ns
         self._connection.send()
@@ -203,10 +203,10 @@ class MqttBridge:
     def _publish(self, seen: _Seen, now_ns: int) -> None:
         """Publish what is due: by the car's own stamps, for they are what goes on in a replay."""
         newest_ns = seen.car.newest_ns
-        if newest_ns is not None and _due(seen.power_ns, newest_ns, POWER_NS):
+        if newest_ns is not None and is_due(seen.power_ns, newest_ns, POWER_NS):
             seen.power_ns = newest_ns
             self._publish_document(seen, "power", seen.car.power(), retain=False)
-        if _due(seen.documents_ns, now_ns, DOCUMENTS_NS):
+        if is_due(seen.documents_ns, now_ns, DOCUMENTS_NS):
             seen.documents_ns = now_ns
             self._publish_documents(seen)
 
@@ -237,8 +237,3 @@ class MqttBridge:
         about = (self.settings.status_topic, car.name, car.vehicle.name)
         for topic, content in discovery(self.settings.discovery, base, *about):
             self._connection.publish(topic, json_text(content), retain=True)
-
-
-def _due(last_ns: int, now_ns: int, period_ns: int) -> bool:
-    """True a period after the last time, and where the clock was set back."""
-    return not 0 <= now_ns - last_ns < period_ns

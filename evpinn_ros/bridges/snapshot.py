@@ -17,6 +17,7 @@ import math
 
 from evpinn_ros.bridges.layouts import LASTING, Measurand, Parsed, Rule
 from evpinn_ros.signals.readings import (
+    NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
@@ -26,6 +27,8 @@ from evpinn_ros.signals.readings import (
 )
 
 BURST_NS = 150_000_000  # ns; a publisher sends what changed within some milliseconds
+MOST_AHEAD_NS = 86_400 * NANOSECONDS
+"""Clocks of cars go wrong by seconds or a zone; a stamp farther ahead of its arrival is none."""
 VARIANCE_OF_A_STEP = 1.0 / 12.0  # of a rounded number, per squared step
 NAN = math.nan
 
@@ -69,7 +72,9 @@ class Snapshots:
         if not self._on_change:
             self._held.clear()
             self._hold(parsed)
-            return self._readings(parsed.stamp_ns or arrived_ns)
+            stamp_ns = parsed.stamp_ns or arrived_ns
+            is_one = stamp_ns - arrived_ns < MOST_AHEAD_NS
+            return self._readings(stamp_ns if is_one else arrived_ns)
         complete = self.flush(arrived_ns)
         if self._burst_ns is None:
             self._burst_ns = arrived_ns
@@ -135,3 +140,8 @@ class Snapshots:
         if all(map(math.isnan, (volt, current, charge))):
             return None
         return BatteryReading(stamp_ns, volt, current, charge, power_std)
+
+
+def is_due(last_ns: int, now_ns: int, period_ns: int) -> bool:
+    """True a period after the last time, and where the clock was set back."""
+    return not 0 <= now_ns - last_ns < period_ns

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.bridges.car import BridgedCar
 from evpinn_ros.bridges.layouts import KMH, PERCENT, Measurand, Parsed, Rule, Value
-from evpinn_ros.bridges.snapshot import Snapshots
+from evpinn_ros.bridges.snapshot import Snapshots, is_due
 from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -103,7 +103,7 @@ class DatabrokerFeed:
         for updates in self._client.subscribe_current_values(INPUTS):
             self._take(updates)
             newest_ns = self._car.newest_ns
-            if newest_ns is not None and newest_ns - self._sent_ns >= SEND_NS:
+            if newest_ns is not None and is_due(self._sent_ns, newest_ns, SEND_NS):
                 self._sent_ns = newest_ns
                 self.send()
             yield

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 import signal
 import threading
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +13,7 @@ import typer
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import ParamsOption, complete_vehicle
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.stopping import at_stop, leave_terminal
 
 if TYPE_CHECKING:
     from evpinn_ros.bridges.broker import Connection
@@ -98,8 +100,13 @@ def _serve(bridge: MqttBridge, connection: Connection) -> None:
     from evpinn_ros.bridges.broker import password_is_known
 
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+
+    def end(number: int, _: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            leave_terminal()
+        stop.set()
+
+    at_stop(end)
     address, shown = connection.settings.address, ""
     connection.start()
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 import signal
 import time
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +13,7 @@ import typer
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import VehicleOption
 from evpinn_ros.common.errors import extra_needed
+from evpinn_ros.common.stopping import at_stop, leave_terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,7 +60,7 @@ def vss(
     car = BridgedCar("vehicle", load_vehicle(vehicle), EstimatorSettings(), state)
     if car.problem is not None:
         note(f"evpinn: {car.problem}")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    at_stop(_end)
     try:
         while True:
             try:
@@ -72,6 +74,14 @@ def vss(
         pass
     finally:
         car.save()
+
+
+def _end(number: int, _: FrameType | None) -> None:
+    """End at the first signal; a later one shall not interrupt the saving."""
+    at_stop(lambda *_: None)
+    if number == signal.SIGHUP:
+        leave_terminal()
+    raise KeyboardInterrupt
 
 
 def _follow(feed: DatabrokerFeed, save: Callable[[], None]) -> None:

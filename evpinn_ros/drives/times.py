@@ -27,6 +27,7 @@ NONE = np.iinfo(np.int64).min  # where there is no time
 DAY_NS = 86_400 * NANOSECONDS
 HALF_DAY_NS = DAY_NS // 2
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
+LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits
 RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
 SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
 MOSTLY = 0.8  # of the steps between rows
@@ -173,7 +174,7 @@ def clock_of_numbers(
 ) -> Clock | None:
     """The clock of a column of numbers; None where most cells are none."""
     values = to_floats(cells, style)
-    known = values[np.isfinite(values)]
+    known = values[np.abs(values) < LARGEST]
     filled = [cell for cell in cells if cell.strip().lower() not in MISSING]
     if known.size == 0 or known.size < ENOUGH * len(filled):
         return None

@@ -13,7 +13,7 @@ from evpinn_ros.can.logs import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError, as_input_error, with_kind
 from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.drives.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
-from evpinn_ros.energy.plan import Legs, Plan, PlanError
+from evpinn_ros.energy.plan import MAX_POINTS, Legs, Plan, PlanError
 from evpinn_ros.plans.recorded import driven_plan
 from evpinn_ros.plans.route import legs_of_route
 from evpinn_ros.plans.table import COLUMNS, table_plan
@@ -21,7 +21,8 @@ from evpinn_ros.plans.track import geojson_track, gpx_track, legs_of_track
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 MOST_XML = 32 << 20  # bytes, unpacked: 50,000 points with all that watches add
-MOST_JSON = 16 << 20  # bytes; as objects of Python they take thirty times as much
+MOST_JSON = 16 << 20  # bytes
+MOST_VALUES = 20 * MAX_POINTS  # of JSON; as an object of Python each takes up to 150 bytes
 BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of the encoding too
 BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - {*TEXT_SUFFIXES}  # and logs of other forms than tables
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
@@ -90,6 +91,8 @@ def _whole(path: Path, most: int) -> bytes:
 
 
 def _json_plan(content: bytes) -> Legs:
+    if sum(map(content.count, (b",", b"[", b"{"))) > MOST_VALUES:
+        raise PlanError(f"more than {MOST_VALUES} values, which no plan needs")
     try:
         data = json.loads(content)
         if (legs := legs_of_route(data)) is not None:

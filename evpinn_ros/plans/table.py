@@ -87,13 +87,17 @@ def table_plan(path: Path) -> Plan | Legs | None:
     head = find_head(table)
     names = {*head.names}
     recorded = "distance_m" not in names and any(columns <= names for columns in BATTERY)
-    if recorded or not ({*NEEDED} <= names or leg_columns(head.names)):
+    if recorded:
         return None
-    rows = [*islice(data_rows(table, head), MAX_POINTS + 1)]
-    cells = {
-        name: [row[place] if place < len(row) else "" for _, row in rows]
-        for place, name in enumerate(head.names)
-    }
+    of_legs = {} if {*NEEDED} <= names else leg_columns(head.names)
+    used = {name for name, _ in of_legs.values()} if of_legs else {*NEEDED, *OPTIONAL}
+    if not (of_legs or {*NEEDED} <= names):
+        return None
+    places = {name: place for place, name in enumerate(head.names) if name in used}
+    cells: dict[str, list[str]] = {name: [] for name in places}  # the others may be thousands
+    for _, row in islice(data_rows(table, head), MAX_POINTS + 1):
+        for name, place in places.items():
+            cells[name].append(row[place] if place < len(row) else "")
     style = style_of(chain(*cells.values())) or POINT
     return plan_of_columns({name: Cells(each, style) for name, each in cells.items()})
 

@@ -17,12 +17,15 @@ from xml.etree.ElementTree import ParseError, XMLParser
 import numpy as np
 import polars as pl
 
-from evpinn_ros.energy.plan import Legs, PlanError
+from evpinn_ros.energy.plan import MAX_POINTS, Legs, PlanError
 from evpinn_ros.plans.way import Heights, legs_between, way_length
 
 MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
 TIMES, SPEEDS = ("coordTimes", "times"), ("speeds",)
 POINTS, DETAILS = ("trkpt", "rtept"), ("ele", "time", "speed")
+MOST_PLACES = 2 * MAX_POINTS  # of a GPX; each takes some 500 bytes, and not all have a time
+PIECE = 1 << 16  # bytes
+DEEPEST = 100  # elements in each other: the parser keeps each that is open
 NEITHER = (
     "its points have neither times nor speeds: export it with times, or give the route as the "
     "JSON of its service or as a table of legs"
@@ -77,7 +80,8 @@ def gpx_track(content: bytes) -> GeoTrack:
     reader = _Gpx()
     parser = XMLParser(target=reader)
     try:
-        parser.feed(content)
+        for begin in range(0, len(content), PIECE):  # what is refused ends with its piece
+            parser.feed(content[begin : begin + PIECE])
         parser.close()
         found = [_gpx_points(reader.points[kind]) for kind in POINTS]
     except (ParseError, KeyError, ValueError) as error:
@@ -95,6 +99,7 @@ class _Gpx:
         self.is_gpx = False
         self.points: dict[str, list[dict[str, str]]] = {kind: [] for kind in POINTS}
         self._point: dict[str, str] | None = None
+        self._depth = 0
         self._text: list[str] = []
 
     def doctype(self, *_: object) -> None:
@@ -104,9 +109,14 @@ class _Gpx:
         name = _local(tag)
         self.is_gpx |= name == "gpx"
         self._text = []
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise PlanError(f"its XML is more than {DEEPEST} elements deep")
         if name in POINTS:
-            self._point = dict(attributes)
+            self._point = {"lat": attributes["lat"], "lon": attributes["lon"]}
             self.points[name].append(self._point)
+            if len(self.points[name]) > MOST_PLACES:
+                raise PlanError(f"more than {MOST_PLACES} points")
 
     def data(self, text: str) -> None:
         if self._point is not None:
@@ -114,6 +124,7 @@ class _Gpx:
 
     def end(self, tag: str) -> None:
         name = _local(tag)
+        self._depth -= 1
         if name in POINTS:
             self._point = None
         elif name in DETAILS and self._point is not None:

@@ -10,6 +10,7 @@ from evpinn_ros.bridges.layouts import Layout, ovms, teslamate
 from evpinn_ros.bridges.sensors import SENSORS
 from evpinn_ros.bridges.snapshot import Snapshots
 from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.signals.readings import SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 
 SECOND = 1_000_000_000
@@ -122,3 +123,11 @@ def test_nothing_new_is_not_written_again(tmp_path: Path) -> None:
     found = car(tmp_path / "1.json")
     found.save()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stamp_that_leapt_ahead_is_not_the_newest_for_ever() -> None:
+    """A bridge that waits for it would publish no power until then."""
+    found = car()
+    stamps = [(1_700_000_000 + second) * SECOND for second in (0, 1, 50_000, 2, 3)]
+    found.add_readings(SpeedReading(stamp_ns, 10.0) for stamp_ns in stamps)
+    assert found.newest_ns == stamps[-1]

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from evpinn_ros.bridges.layouts import ovms, teslamate
-from evpinn_ros.bridges.snapshot import BURST_NS, Snapshots
+from evpinn_ros.bridges.layouts import Measurand, Parsed, Rule, Value, ovms, teslamate
+from evpinn_ros.bridges.snapshot import BURST_NS, Snapshots, is_due
 from evpinn_ros.signals.readings import (
     BatteryReading,
     Reading,
@@ -111,3 +111,17 @@ def test_ovms_gives_voltage_and_current_as_they_are() -> None:
 def test_a_clock_that_is_set_back_ends_a_burst(tesla: Tesla) -> None:
     tesla.send(1000, speed=36)
     assert len(tesla.snapshots.flush(500 * SECOND)) == 1
+
+
+@pytest.mark.parametrize(("ahead_s", "used"), [(3600, True), (1e8, False), (8e9, False)])
+def test_a_stamp_of_a_day_that_has_not_come_is_that_of_arrival(ahead_s: float, used: bool) -> None:
+    """One of the year 2283 would be the newest for ever, and more ns than 64 bits hold."""
+    now_ns = 1_790_000_000 * SECOND
+    stamp_ns = now_ns + round(ahead_s * SECOND)
+    parsed = Parsed("zoe", (Value(Rule(Measurand.SPEED), 10.0),), stamp_ns)
+    (speed,) = Snapshots(360.0, on_change=False).add(parsed, now_ns, retained=False)
+    assert speed.stamp_ns == (stamp_ns if used else now_ns)
+
+
+def test_after_a_clock_was_set_back_something_is_due_again() -> None:
+    assert is_due(100, 50, 10) and is_due(100, 110, 10) and not is_due(100, 109, 10)

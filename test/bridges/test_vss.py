@@ -241,6 +241,7 @@ def test_the_command_follows_a_databroker_and_saves(served, tmp_path: Path) -> N
     while not broker.written and time.monotonic() < until:
         time.sleep(0.02)
     assert "Vehicle.EvPinn.PredictedPower" in broker.written
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
-    assert process.returncode == 0 and state.exists()
+    process.send_signal(signal.SIGHUP)  # its terminal was closed
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 0 and state.exists() and "Traceback" not in said, said

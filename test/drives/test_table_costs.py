@@ -89,6 +89,15 @@ def refused(command, path):
     return float(seconds), float(megabytes)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_numbers_as_large_as_floats_can_be_are_refused_in_one_line(tmp_path):
+    """numpy writes a warning of two lines to the terminal where a mean of them overflows."""
+    path = tmp_path / "huge.csv"
+    path.write_text("t_s,speed_mps,power_w\n" + "1e308,1,2\n" * 300)
+    with pytest.raises(InputError, match="1e308"):
+        list(open_drive(path).readings())
+
+
 def test_a_long_comment_costs_no_square_of_its_length(tmp_path):
     path = tmp_path / "spaces.csv"
     path.write_text("# start" + " " * 100_000 + "\nt_s,speed_mps,power_w\n0,1,2\n1,2,3\n")
