@@ -23,10 +23,8 @@ ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
 SIMULATED = "bags/urban", "tesla_model_3_lr"
 GIVEN = {
-    "i3": ("bmw_i3/TripB34.csv.gz", "bmw_i3"),
     "e208": ("peugeot_e208_car_scanner/2023-12-07_20-18-19.csv.gz", "generic"),
     "leaf2013": ("nissan_leaf_2013_leafspy/Log_leaf_170516_24CA1.csv.gz", "nissan_leaf"),
-    "changchun": ("changchun_sedan/trip_022.csv.gz", "generic"),
     "model3": ("tesla_model3/drive_first_757s.csv", "tesla_model_3_lr"),
 }
 
@@ -78,7 +76,7 @@ def test_forecast_of_a_driven_speed_is_its_withheld_replay():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("key", GIVEN)
-def test_so_it_is_on_every_given_car(key):
+def test_so_it_is_on_given_cars(key):
     path, vehicle = GIVEN[key]
     if not (DATA / path).exists():
         pytest.skip(f"{DATA / path} is not there")
