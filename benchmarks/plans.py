@@ -2,8 +2,9 @@
 
 Each drive of a car becomes plans of several resolutions with exact mean speeds, times and climbs;
 each is forecast from what the drives before it taught, at the mean temperature of the drive and
-with its loads unknown. Beside it stand the energy per kilometre of the drives before, the same by
-mean speed, and our forecast that knows nothing of what lies between two points.
+with its loads unknown; where the car reports its heating and cooling, once more with the mean of
+these given. Beside it stand the energy per kilometre of the drives before, the same by mean speed,
+and our forecast that knows nothing of what lies between two points.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from evpinn_ros.energy.plan import Legs, Plan, PlanError, plan_from_speed_profil
 from evpinn_ros.energy.power_model import PowerModel, Weather
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.learner import gate_interval
+from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.estimation.unevenness import Unevenness
 from evpinn_ros.signals.interval import Interval
@@ -28,7 +30,7 @@ from evpinn_ros.signals.stream import SampleStream, StreamSettings
 
 CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun")
 RESOLUTIONS = ("1 s", "10 s", "60 s", "200 m", "500 m", "2000 m", "trip")
-METHODS = ("forecast", "even speed", "per km", "per km by speed")
+METHODS = ("forecast", "loads given", "even speed", "per km", "per km by speed")
 LEAST_DISTANCE = 1000.0  # m of a drive that is a plan
 SPEED_CLASS = 5.0  # m/s, of consumption by mean speed
 SECOND_NS = 1_000_000_000
@@ -101,7 +103,8 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
             continue
         totals = tuple(driven.sum(0).tolist())
         if before and totals[1] >= LEAST_DISTANCE:
-            yield from _forecasts(learned, done, before, float(np.abs(driven[:, 0]).sum()))
+            model = learned.state.model(learned.equation)
+            yield from forecasts(replace(model, unevenness=learned.unevenness), done, before)
         learned = learned.after(intervals)
         before.append((totals[0], totals[1], totals[2]))
 
@@ -117,30 +120,57 @@ def intervals_of(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
                 yield event
 
 
-def _forecasts(
-    learned: LearnedCar,
-    done: list[Interval],
-    before: list[tuple[float, float, float]],
-    gross: float,
+def forecasts(
+    model: CarModel, done: list[Interval], before: list[tuple[float, float, float]]
 ) -> Iterator[PlannedDrive]:
+    """A drive as plans of all resolutions, by all methods.
+
+    Args:
+        model: what the drives before taught.
+        done: intervals of the drive whose energy was measured.
+        before: energy, J, distance, m, and duration, s, of each drive before.
+    """
     measured = sum(each.energy for each in done)
-    model = replace(learned.state.model(learned.equation), unevenness=learned.unevenness)
-    even = replace(model, unevenness=_even())
-    celsius = [e.conditions.celsius for e in done if e.conditions.celsius is not None]
-    density = float(np.mean([each.conditions.air_density for each in done]))
-    weather = Weather(density, float(np.mean(celsius)) if celsius else None)
-    steps = _Steps.of(done)
+    gross = sum(abs(each.energy) for each in done)
+    weather, loaded = weather_of(done), weather_of(done, loads=True)
+    ways = {"forecast": (model, weather)}
+    if loaded.heating is not None:
+        ways["loads given"] = model, loaded
+    ways["even speed"] = replace(model, unevenness=_even()), weather
     for resolution in RESOLUTIONS:
         try:
-            plan = steps.plan(resolution)
+            plan = plan_of(done, resolution)
         except PlanError:
             continue
-        for method, each in (("forecast", model), ("even speed", even)):
-            found = forecast_plan(plan, PowerModel(each), weather)
+        for method, (car, around) in ways.items():
+            found = forecast_plan(plan, PowerModel(car), around)
             energy, sigma = float(found.energy[-1]), float(found.sigma[-1])
             yield PlannedDrive(resolution, method, energy, sigma, measured, gross)
         for method, energy in _by_distance(before, done):
             yield PlannedDrive(resolution, method, energy, math.nan, measured, gross)
+
+
+def weather_of(done: list[Interval], *, loads: bool = False) -> Weather:
+    """Means of a drive: of its temperature and, where asked for and reported, of its loads."""
+    known = [each for each in done if each.conditions.celsius is not None]
+    celsius = _mean(known, "celsius") if known else None
+    reported = loads and any(each.conditions.load > 0.0 for each in done)
+    return Weather(_mean(done, "air_density"), celsius, _mean(done, "load") if reported else None)
+
+
+def plan_of(done: list[Interval], resolution: str) -> Plan | Legs:
+    """A drive as a plan: of points each second, else of legs.
+
+    Raises:
+        PlanError: it cannot be driven.
+    """
+    return _Steps.of(done).plan(resolution)
+
+
+def _mean(done: list[Interval], name: str) -> float:
+    """Mean of a condition over time."""
+    values = [getattr(each.conditions, name) for each in done]
+    return float(np.average(values, weights=[each.duration for each in done]))
 
 
 def _even() -> Unevenness:
@@ -164,13 +194,13 @@ def _by_distance(
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """Steps of a drive as columns: s, m, m^2/s^2, m; whether height is known."""
+    """Steps of a drive as columns: s, m, m^2/s^2, m; whether height is known, 0 where not."""
 
     duration: np.ndarray
     distance: np.ndarray
     kinetic: np.ndarray
     climb: np.ndarray
-    known: bool
+    known: np.ndarray
 
     @classmethod
     def of(cls, done: list[Interval]) -> _Steps:
@@ -178,11 +208,12 @@ class _Steps:
             np.concatenate([getattr(each.steps, name) for each in done])
             for name in ("duration", "distance", "kinetic", "climb")
         )
-        known = all(each.height_known for each in done)
+        counts = [len(each.steps.duration) for each in done]
+        known = np.repeat([float(each.height_known) for each in done], counts)
         return cls(duration, np.abs(distance), kinetic, climb, known)
 
     def plan(self, resolution: str) -> Plan | Legs:
-        """The drive as a plan: of points each second, else of legs."""
+        """The plan of one of `RESOLUTIONS`."""
         if resolution == "1 s":
             return self._dense()
         owner = np.zeros(len(self.duration), np.int64)
@@ -191,16 +222,14 @@ class _Steps:
             along = np.cumsum(self.duration if unit == "s" else self.distance)
             owner = np.maximum((along - 1e-9) // float(size), 0.0).astype(np.int64)
         count = int(owner[-1]) + 1
-        duration, length, climb = (
+        sums = [
             np.bincount(owner, column, count)
-            for column in (self.duration, self.distance, self.climb)
-        )
-        there = duration > 0.0
-        duration, length, climb = duration[there], length[there], climb[there]
+            for column in (self.duration, self.distance, self.climb, self.distance * self.known)
+        ]
+        duration, length, climb, seen = (each[sums[0] > 0.0] for each in sums)
         climb = np.clip(climb, -length, length)
         unknown = np.full(len(duration), math.nan)
-        known = np.full(len(duration), self.known)
-        return Legs(length, duration, climb, unknown, known, unknown, unknown)
+        return Legs(length, duration, climb, unknown, seen > length / 2.0, unknown, unknown)
 
     def _dense(self) -> Plan:
         """Points at the ends of the steps, speeds by their kinetic energy."""
@@ -214,7 +243,7 @@ class _Steps:
         speed = np.concatenate((starts[:1], (starts[1:] + ends[:-1]) / 2.0, ends[-1:]))
         steep = np.clip(np.diff(height), -self.distance, self.distance)
         height = np.concatenate(([0.0], np.cumsum(steep)))
-        return plan_from_speed_profile(time, distance, speed, height if self.known else None)
+        return plan_from_speed_profile(time, distance, speed, height)
 
 
 def _score(car: str, rows: list[PlannedDrive]) -> PlanScore:

@@ -17,11 +17,13 @@ import numpy as np
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.terms import WARM
 from evpinn_ros.estimation.unevenness import Path
 
-LEAST_SHARE = 1e-6  # of the variance of all edges; a direction with less is rounding
-CHUNK = 16_384  # edges computed together
+JUDGED = 2000  # edges by which directions are chosen
+LEAST_SHARE = 1e-4  # of the variance of these; a direction with less is left out
+CHUNK = 2048  # edges computed together, so that what they need stays in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,40 +80,53 @@ def edge_energies(
         weather: on the way.
         head_wind: against the car on every edge, m/s.
     """
-    warm = weather._replace(start=WARM)
+    car, warm = model.car, weather._replace(start=WARM)
+    count = len(legs.length)
+    some = np.arange(count)[:: max(1, count // JUDGED)]
+    rows = _onto(legs, some, model, warm, head_wind, np.eye(SIZE))[0]
+    onto = np.column_stack((car.mean, _directions(rows, car.covariance)))
     parts = [
-        _rows(legs, slice(begin, begin + CHUNK), model, warm, head_wind)
-        for begin in range(0, len(legs.length), CHUNK)
+        _onto(legs, slice(begin, begin + CHUNK), model, warm, head_wind, onto)
+        for begin in range(0, count, CHUNK)
     ]
-    rows, uneven = (np.concatenate(each) for each in zip(*parts, strict=True))
-    car = model.car
-    variance, vectors = np.linalg.eigh(car.covariance)
-    directions = rows @ (vectors * np.sqrt(np.maximum(variance, 0.0)))
-    size = (directions**2).sum(0)
-    counts = size > LEAST_SHARE * size.sum()
-    square = legs.length**2 / legs.duration
-    own = model.noise(legs.duration, square)
+    found, uneven = (np.concatenate(each) for each in zip(*parts, strict=True))
+    own = model.noise(legs.duration, legs.length**2 / legs.duration)
     own += car.load_variance * legs.duration**2
     own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
     trust = math.sqrt(car.trust)
     return Edges(
-        energy=rows @ car.mean,
-        directions=trust * directions[:, counts],
+        energy=found[:, 0],
+        directions=trust * found[:, 1:],
         own=car.trust * own,
-        uneven=trust * car.unevenness.share * np.abs(uneven),
+        uneven=car.unevenness.share * np.abs(uneven),
     )
 
 
-def _rows(
-    legs: Legs, part: slice, model: PowerModel, weather: Weather, head_wind: float
+def _directions(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """What is not known of the car, one sigma each, as far as these rows feel it; (SIZE, k)."""
+    variance, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(variance, 0.0))
+    felt = rows @ root
+    size, turned = np.linalg.eigh(felt.T @ felt)
+    return np.asarray(root @ turned[:, size > LEAST_SHARE * size.sum()])
+
+
+def _onto(
+    legs: Legs,
+    part: slice | np.ndarray,
+    model: PowerModel,
+    weather: Weather,
+    head_wind: float,
+    onto: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of some edges, and the energy that is expected of uneven speed, J."""
+    """Rows of some edges times `onto`, (n, k), and the energy of uneven speed in them, J."""
     duration, length, climb = legs.duration[part], legs.length[part], legs.climb[part]
-    speed, zero = length / duration, np.zeros_like(duration)
-    flow = speed + head_wind
-    motion = Motion(duration, length, flow * np.abs(flow) * length, zero, climb)
-    rows = model.rows(motion, weather)
+    zero, flow = np.zeros_like(duration), length / duration + head_wind
+    columns = duration, length, flow * np.abs(flow) * length, zero, climb
+    found = model.steps_onto(Motion(*(each[:, None] for each in columns)), weather, onto)
     density = np.full_like(duration, weather.air_density)
     path = Path(duration, length, zero, zero, climb, density, zero)
-    beyond = model.car.unevenness.of_legs(model.car.equation, path)
-    return rows + beyond, beyond @ model.car.mean
+    car = model.car
+    with_mean = np.column_stack((onto, car.mean))
+    beyond = car.unevenness.of_legs(car.equation, path, with_mean)
+    return found + beyond[:, :-1], beyond[:, -1]

@@ -197,7 +197,7 @@ def plan_parts(
     rows[-1] = found.end.row - rows[WHOLE].sum(0)
     car = model.car
     variance = car.trust * np.einsum("ij,jk,ik->i", rows, car.covariance, rows)
-    variance[-1] += car.trust * (car.unevenness.share * found.end.uneven) ** 2
+    variance[-1] += (car.unevenness.share * found.end.uneven) ** 2
     return Parts(rows @ car.mean, np.sqrt(np.maximum(variance, 0.0)))
 
 

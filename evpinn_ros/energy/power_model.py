@@ -147,11 +147,35 @@ class PowerModel:
 
     def summed_rows(self, motion: Motion, weather: Weather) -> np.ndarray:
         """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
-        equation, duration = self.car.equation, motion.duration
-        wheels = equation.wheels(*motion, weather.air_density)
-        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
-        rows = equation.moving_sums(wheels, duration, coldness(celsius), warmth.tyres)
+        wheels = self.car.equation.wheels(*motion, weather.air_density)
+        rows = self._summed(wheels, motion.duration, weather)
         rows[:, WEIGHTS] += _looked_up(wheels, motion.distance, self._table)
+        return rows
+
+    def steps_onto(self, motion: Motion, weather: Weather, onto: np.ndarray) -> np.ndarray:
+        """Rows of steps, each a trip of its own, times `onto`; the network by the same table.
+
+        Args:
+            motion: columns of shape (n, 1).
+            weather: on the way.
+            onto: combinations of the states, shape (SIZE, k).
+
+        Returns:
+            Shape (n, k). The rows themselves would be five times as much to compute.
+        """
+        wheels = self.car.equation.wheels(*motion, weather.air_density)
+        found = self._summed(wheels, motion.duration, weather) @ onto
+        table = (self._table @ onto[WEIGHTS]).reshape(-1, onto.shape[1])
+        cell, shares = _nodes(wheels)
+        way = np.abs(motion.distance)
+        for shift, share in shares:
+            found += table[cell[:, 0] + shift] * (share * way)
+        return np.asarray(found)
+
+    def _summed(self, wheels: Wheels, duration: np.ndarray, weather: Weather) -> np.ndarray:
+        """Rows of whole trips without the force of the network, shape (batch, SIZE)."""
+        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
+        rows = self.car.equation.moving_sums(wheels, duration, coldness(celsius), warmth.tyres)
         for state, power in self._loads(weather.heating, celsius, warmth).items():
             rows[:, state] = (power * duration).sum(-1)
         return rows
@@ -173,9 +197,9 @@ class PowerModel:
         mean, covariance = like(car.mean, rows), like(car.covariance, rows)
         variance = ((rows @ covariance) * rows).sum(-1) + car.load_variance * rest
         variance = variance + self.noise(elapsed, square)
-        variance = variance + car.growth * car.weight_over_eta**2 * unseen
-        variance = variance + (car.unevenness.share * uneven) ** 2
-        return rows @ mean, xp.sqrt(within(car.trust * variance, 0.0, math.inf))
+        variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
+        variance = variance + (car.unevenness.share * uneven) ** 2  # which is judged by itself
+        return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
 
     def noise(self, elapsed: Any, square: Any) -> Any:
         """Variance of energy that no state explains, J^2; arguments as in `predicted`."""
@@ -199,8 +223,9 @@ class PowerModel:
         variance += one.noise + other.noise
         if abs(one.distance - other.distance) > SAME_LENGTH:
             variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
+        variance = car.trust * max(variance, 0.0)
         variance += (car.unevenness.share * (one.uneven - other.uneven)) ** 2
-        return float(row @ car.mean), math.sqrt(max(car.trust * variance, 0.0))
+        return float(row @ car.mean), math.sqrt(variance)
 
     def start(self, stood: float | None, prewarmed: float) -> Warmth:
         """Coldness at the start of a trip.
@@ -290,24 +315,32 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
     return PowerModel(replace(car, mean=mean, covariance=covariance))
 
 
+def _nodes(wheels: Wheels) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+    """Numbers of the lower nodes of the grid below steps; shifts and shares of all four about."""
+    forces = len(GRID_FORCE)
+    x = np.minimum(wheels.speed * (1.0 / GRID_SPEED[1]), len(GRID_SPEED) - 1.001)
+    y = (wheels.force - GRID_FORCE[0]) * (1.0 / (GRID_FORCE[1] - GRID_FORCE[0]))
+    i, j = x.astype(np.int32), np.minimum(y, forces - 1.001).astype(np.int32)
+    x, y = x - i, y - j
+    shares = [
+        (0, (1 - x) * (1 - y)),
+        (1, (1 - x) * y),
+        (forces, x * (1 - y)),
+        (forces + 1, x * y),
+    ]
+    return i * forces + j, shares
+
+
 def _looked_up(wheels: Wheels, distance: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Energy of the network before its share of the terms is taken away, (batch, NETWORK).
 
     Steps are spread over the four nodes around them by weights, so a trip is one row of weights.
     """
-    batch, forces = len(distance), table.shape[1]
-    x = np.minimum(wheels.speed * (1.0 / GRID_SPEED[1]), len(table) - 1.001)
-    y = (wheels.force - GRID_FORCE[0]) * (1.0 / (GRID_FORCE[1] - GRID_FORCE[0]))
-    i, j = x.astype(np.int32), np.minimum(y, forces - 1.001).astype(np.int32)
-    x, y, way = x - i, y - j, np.abs(distance)
-    most = int(i.max()) + 2
-    cell = (np.arange(batch, dtype=np.int32)[:, None] * most + i) * forces + j
-    weights = np.zeros(batch * most * forces)
-    for shift, share in (
-        (0, (1 - x) * (1 - y)),
-        (1, (1 - x) * y),
-        (forces, x * (1 - y)),
-        (forces + 1, x * y),
-    ):
+    batch, way = len(distance), np.abs(distance)
+    node, shares = _nodes(wheels)
+    most = (int(node.max()) // len(GRID_FORCE) + 2) * len(GRID_FORCE)
+    cell = np.arange(batch, dtype=np.int32)[:, None] * most + node
+    weights = np.zeros(batch * most)
+    for shift, share in shares:
         weights += np.bincount((cell + shift).ravel(), (share * way).ravel(), len(weights))
-    return np.asarray(weights.reshape(batch, -1) @ table[:most].reshape(-1, table.shape[2]))
+    return np.asarray(weights.reshape(batch, -1) @ table.reshape(-1, table.shape[2])[:most])

@@ -4,8 +4,9 @@ A plan whose points lie a minute or a kilometre apart knows mean speeds. A drive
 speeds up and brakes again, turns, waits. The energy of that is again terms times states: the rows
 of the driving (`Equation.moving_rows`) less those of legs at even speed. This difference needs no
 battery, only speed. A car's own drives are cut into legs of many lengths, and the difference per
-metre is learned by mean speed and duration of a leg. Before it has driven, simulated drives stand
-in. It vanishes with the duration of a leg.
+metre is learned by mean speed and duration of a leg, at nodes between which it is linear. Before
+the car has driven, simulated drives stand in; what it drove long ago counts less, for roads and
+habits change. It vanishes with the duration of a leg.
 
 Even speed means: from the middle of a leg to the middle of the next, speed goes from the one mean
 to the other; a trip begins and ends standing.
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+import math
 from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
@@ -25,19 +27,20 @@ from evpinn_ros.estimation.states import NAMES, SIZE, State
 from evpinn_ros.estimation.terms import Equation
 
 REFERENCE = "config/reference/uneven.csv"
-SPEEDS = np.array([3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 31.0])  # m/s, between classes
-MIDDLES = np.array([2.0, 4.5, 7.5, 10.5, 14.0, 18.0, 22.5, 28.0, 33.0])  # m/s, of classes
-DURATIONS = np.array([10.0, 30.0, 60.0, 200.0, 600.0, 2000.0])  # s, of classes
+MIDDLES = np.array([2.0, 4.5, 7.5, 10.5, 14.0, 18.0, 22.5, 28.0, 33.0])  # m/s, of nodes
+DURATIONS = np.array([10.0, 30.0, 60.0, 200.0, 600.0, 2000.0])  # s, of nodes
 SHORTEST = 8.0  # s; a leg that is shorter teaches nothing
 LEG_SECONDS = (10.0, 30.0, 60.0, 200.0, 600.0, 1200.0)  # by which drives are cut to learn
 LEG_METRES = (100.0, 200.0, 500.0, 2000.0, 5000.0)
 JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
-PRIOR_METRES = 300.0  # that the simulated drives count for in each class
+PRIOR_METRES = 2000.0  # that the simulated drives count for at each node
+LEAST_METRES = 200.0  # of them at a node, else its neighbour stands in
+MEMORY = 150e3  # m of driving within which what was before is forgotten to a third
 PRIOR_SHARE, PRIOR_ENERGY = 0.35, 1e6  # scatter before any drive; J of unevenness it counts for
 MOST_SHARE = 100.0  # of that scatter, whatever a file claims
 SPREAD_KEPT = 0.97  # of the scatter's sums, from drive to drive
 LEAST_DRIVE = 1000.0  # m of a drive that scatter is judged by
-SHAPE = (len(SPEEDS) + 1, len(DURATIONS))
+SHAPE = (len(MIDDLES), len(DURATIONS))
 Numbers: TypeAlias = tuple[Annotated[float, Range(-1e18, 1e18)], ...]
 
 
@@ -77,7 +80,7 @@ class Unevenness:
     """Lessons of a car's driving; a value.
 
     Attributes:
-        metres: driven in legs of each class of speed and duration, shape `SHAPE`.
+        metres: driven in legs about each node of speed and duration, shape `SHAPE`.
         rows: sum of the differences by state, J per unit, shape (*SHAPE, SIZE).
         squares: sum of squared energy by which drives strayed from what was expected, J^2.
         expected: the same of what was expected.
@@ -98,13 +101,25 @@ class Unevenness:
         """1-sigma of a trip's unevenness over what is expected of it."""
         return float(np.sqrt(self.squares / self.expected))
 
-    def of_legs(self, equation: Equation, legs: Path) -> np.ndarray:
-        """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE)."""
+    def of_legs(
+        self, equation: Equation, legs: Path, onto: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE).
+
+        Args:
+            equation: of the car.
+            legs: n of them.
+            onto: combinations of the states, shape (SIZE, k); these of the rows instead, (n, k).
+        """
         table = self.rows + PRIOR_METRES * _prior(equation)
         table = table / (self.metres + PRIOR_METRES)[..., None]
-        speed, duration = _classes(legs)
+        if onto is not None:
+            table = table @ onto
         way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
-        return np.asarray(table[speed, duration] * way[:, None])
+        found = np.zeros((len(way), table.shape[-1]))
+        for speed, duration, share in _nodes(legs):
+            found += table[speed, duration] * (share * way)[:, None]
+        return found
 
     def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
         """With one more drive.
@@ -118,7 +133,8 @@ class Unevenness:
             return self
         driven = _moving(equation, drive)
         found = self._judged(equation, mean, drive, driven)
-        metres, rows = self.metres.copy(), self.rows.copy()
+        kept = math.exp(-float(np.abs(drive.distance).sum()) / MEMORY)
+        metres, rows = kept * self.metres, kept * self.rows
         _add_drive(metres, rows, equation, drive, driven)
         return replace(found, metres=metres, rows=rows)
 
@@ -180,15 +196,17 @@ def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
 def _add_drive(
     metres: np.ndarray, rows: np.ndarray, equation: Equation, drive: Path, driven: np.ndarray
 ) -> None:
-    """Add a drive, cut into legs in many ways, to the sums of its classes."""
+    """Add a drive, cut into legs in many ways, to the sums of the nodes about these."""
     for owner in _cuts(drive):
         legs = drive.legs(owner)
         more = _summed(driven, owner, drive.duration) - even_rows(equation, legs)
         more -= _carried(equation, legs)
         known = legs.duration >= SHORTEST
-        classes = tuple(each[known] for each in _classes(legs))
-        np.add.at(metres, classes, np.abs(legs.distance)[known])
-        np.add.at(rows, classes, more[known])
+        way = np.abs(legs.distance)
+        for speed, duration, share in _nodes(legs):
+            share, nodes = share[known], (speed[known], duration[known])
+            np.add.at(metres, nodes, share * way[known])
+            np.add.at(rows, nodes, share[:, None] * more[known])
 
 
 def _carried(equation: Equation, legs: Path) -> np.ndarray:
@@ -264,21 +282,32 @@ def _summed(rows: np.ndarray, owner: np.ndarray, duration: np.ndarray) -> np.nda
     return np.asarray(np.add.reduceat(rows, begins[kept], axis=0))
 
 
-def _classes(legs: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Class of speed and of duration of each leg."""
-    speed = np.searchsorted(SPEEDS, np.abs(legs.distance) / legs.duration, side="right")
-    away = np.log(np.maximum(legs.duration, 1.0))[:, None] - np.log(DURATIONS)
-    return speed, np.argmin(np.abs(away), axis=1)
+def _nodes(legs: Path) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The four nodes about each leg: numbers of speed and duration, and its share in each."""
+    speeds = _between(np.abs(legs.distance) / legs.duration, MIDDLES)
+    durations = _between(np.log(legs.duration), np.log(DURATIONS))
+    return [(i, j, one * other) for i, one in speeds for j, other in durations]
+
+
+def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Numbers of the nodes below and above, and shares linear between them; ends reach on."""
+    below = np.clip(np.searchsorted(nodes, values) - 1, 0, len(nodes) - 2)
+    share = np.clip((values - nodes[below]) / np.diff(nodes)[below], 0.0, 1.0)
+    return [(below, 1.0 - share), (below + 1, share)]
 
 
 @lru_cache(maxsize=8)
 def _prior(equation: Equation) -> np.ndarray:
-    """Rows per metre of simulated drives, shape (*SHAPE, SIZE); zero where they have no leg."""
+    """Rows per metre of simulated drives, shape (*SHAPE, SIZE)."""
     metres, rows = np.zeros(SHAPE), np.zeros((*SHAPE, SIZE))
     for line in bundled_lines(REFERENCE):
         drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
         _add_drive(metres, rows, equation, drive, _moving(equation, drive))
-    return np.asarray(rows / np.maximum(metres, 1.0)[..., None])
+    places = np.indices(SHAPE).reshape(2, -1).T
+    there = places[metres.ravel() >= LEAST_METRES]
+    away = np.abs(places[:, None] - there) @ (1, len(MIDDLES))  # rather of another speed
+    found = tuple(there[away.argmin(1)].T)
+    return np.asarray((rows[found] / metres[found][:, None]).reshape(rows.shape))
 
 
 def _drive_of(speed: np.ndarray, density: float) -> Path:

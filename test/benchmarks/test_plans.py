@@ -1,0 +1,102 @@
+"""Plans made of driven trips: what they keep of a drive, and that forecasts are its replay."""
+
+from dataclasses import replace
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.plans import METHODS, RESOLUTIONS, forecasts, intervals_of, plan_of, weather_of
+from benchmarks.unseen.drives import load_car
+from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.plan import Legs
+from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.journey import NOWHERE
+from evpinn_ros.estimation.learning import passed
+from evpinn_ros.estimation.posterior import CarModel
+from evpinn_ros.estimation.terms import equation_of
+from evpinn_ros.signals.interval import Interval
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"
+SIMULATED = "bags/urban", "tesla_model_3_lr"
+GIVEN = {
+    "e208": ("peugeot_e208_car_scanner/2023-12-07_20-18-19.csv.gz", "generic"),
+    "leaf2013": ("nissan_leaf_2013_leafspy/Log_leaf_170516_24CA1.csv.gz", "nissan_leaf"),
+    "model3": ("tesla_model3/drive_first_757s.csv", "tesla_model_3_lr"),
+}
+
+
+def learned_half(path: Path, vehicle: str) -> tuple[CarModel, list[Interval]]:
+    """A car that learned the first half of a drive, and the measured intervals of the rest."""
+    car = load_car("", f"{path}={vehicle}")
+    intervals = max((list(intervals_of(car, each)) for each in car.drives), key=len)
+    middle = len(intervals) // 2
+    learned = LearnedCar.new(equation_of(car.vehicle)).after(intervals[:middle])
+    model = replace(learned.state.model(learned.equation), unevenness=learned.uneven())
+    return model, [each for each in intervals[middle:] if not math.isnan(each.energy)]
+
+
+def in_even_weather(done: list[Interval]) -> list[Interval]:
+    """The same with the temperature and the load that the plan is given, all heights known."""
+    weather = weather_of(done, loads=True)
+    steady = {
+        "air_density": weather.air_density,
+        "celsius": weather.celsius,
+        "load": weather.heating or 0.0,
+        "load_known": weather.heating is not None,
+        "doubted_load": 0.0,
+    }
+    return [
+        replace(each, conditions=each.conditions._replace(**steady), height_known=True)
+        for each in done
+    ]
+
+
+def check_forecast_is_the_replay(model: CarModel, done: list[Interval]) -> None:
+    done = in_even_weather(done)
+    journey, seconds = NOWHERE, model.seconds
+    for each in done:
+        journey = journey.plus(passed(model.equation, each, seconds).journey)
+        seconds += each.duration
+    energy, sigma = model.predicted(journey)
+    found = forecast_plan(plan_of(done, "1 s"), PowerModel(model), weather_of(done, loads=True))
+    gross = sum(abs(each.energy) for each in done)
+    assert abs(found.energy[-1] - energy) < 0.005 * gross
+    if np.ptp(plan_of(done, "1 s").elevation):  # a flat plan is one whose heights are not known
+        assert found.sigma[-1] == pytest.approx(sigma, rel=0.01)
+
+
+def test_forecast_of_a_driven_speed_is_its_withheld_replay():
+    path, vehicle = SIMULATED
+    check_forecast_is_the_replay(*learned_half(ROOT / path, vehicle))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("key", GIVEN)
+def test_so_it_is_on_given_cars(key):
+    path, vehicle = GIVEN[key]
+    if not (DATA / path).exists():
+        pytest.skip(f"{DATA / path} is not there")
+    check_forecast_is_the_replay(*learned_half(DATA / path, vehicle))
+
+
+def test_plans_of_all_resolutions_are_of_one_way():
+    path, vehicle = SIMULATED
+    model, done = learned_half(ROOT / path, vehicle)
+    length = sum(abs(each.distance) for each in done)
+    seconds = sum(each.duration for each in done)
+    for resolution in RESOLUTIONS:
+        plan = plan_of(done, resolution)
+        if isinstance(plan, Legs):
+            assert plan.length.sum() == pytest.approx(length)
+            assert plan.duration.sum() == pytest.approx(seconds)
+        else:
+            assert np.ptp(plan.distance) == pytest.approx(length)
+            assert np.ptp(plan.time) == pytest.approx(seconds)
+    rows = list(forecasts(model, done, [(4e6, 8e3, 600.0)]))
+    assert {row.resolution for row in rows} == {*RESOLUTIONS}
+    assert {row.method for row in rows} <= {*METHODS}
+    assert {row.forecast for row in rows if row.method == "per km"} == {0.5e3 * length}
