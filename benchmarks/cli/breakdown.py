@@ -36,7 +36,9 @@ def breakdown(
     plausible: Annotated[
         bool, typer.Option("--plausible", help="Plausible cars, nearer than priors claim.")
     ] = False,
-    rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
+    rms_grade: Annotated[
+        float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")
+    ] = RMS_GRADE,
     altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
     temperature: Annotated[
         bool, typer.Option("--temperature", help="With a thermometer.")

@@ -64,6 +64,7 @@ class Breakdown:
         measured_variance: of that, due to the rate of its readings, J^2.
         distance: m.
         seconds: s.
+        unseen: m of the distance where no height was known.
     """
 
     energy: np.ndarray
@@ -72,6 +73,7 @@ class Breakdown:
     measured_variance: float
     distance: float
     seconds: float
+    unseen: float = 0.0
 
     def amounts(self) -> dict[str, Amount]:
         """The parts, what they leave unexplained, and what braking brought back beside them."""
@@ -171,7 +173,7 @@ class Breakdowns:
         whole = self.drives[drive]
         if whole.seconds == 0.0:
             return None
-        counts = whole.measured, whole.measured_variance, whole.distance, whole.seconds
+        counts = astuple(whole)
         return Breakdown(self.energy[drive], self.covariance[drive, :, drive], *counts)
 
     def difference(self, drive: int, base: int) -> Breakdown:
@@ -197,6 +199,7 @@ class Breakdowns:
             measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
             distance=DISTANCE,
             seconds=0.0,
+            unseen=DISTANCE * max(each.unseen / each.distance for each in (more, less)),
         )
 
     def joined(self, owners: Sequence[int]) -> Breakdowns:

@@ -303,7 +303,7 @@ def test_what_lies_beyond_the_measured_is_named(reported, tmp_path):
     found = dict(reported.found) | {"breakdown": breakdown}
     words = page(tmp_path / "down", replace(reported, found=found)).words
     assert "Beyond it is what lies below zero: " in words
-    assert "slopes, up less down -0.500 ± 0.054 kWh" in words
+    assert "net climb -0.500 ± 0.054 kWh" in words
     assert "The way down gave back 0.50 ± 0.05 kWh." in words
 
 
