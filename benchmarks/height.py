@@ -85,11 +85,12 @@ def _checks(
     if true is None or found is None:
         return
     for part in list(Part)[WHOLE]:
-        yield _check(f"{car.key} {kind}", seed, part, true, found)
+        yield _check(car.key, kind, seed, part, true, found)
 
 
-def _check(kind: str, seed: int, part: Part, true: Breakdown, found: Breakdown) -> PartCheck:
+def _check(
+    car: str, kind: str, seed: int, part: Part, true: Breakdown, found: Breakdown
+) -> PartCheck:
     amount = found.of(part)
-    name, total = part.name.lower(), found.total().kwh
-    values = amount.kwh, amount.sigma_kwh, true.of(part).kwh, abs(total)
-    return PartCheck(kind, kind, seed, name, *values)
+    values = amount.kwh, amount.sigma_kwh, true.of(part).kwh, abs(found.total().kwh)
+    return PartCheck(car, kind, seed, f"{kind}: {part.name.lower()}", *values)

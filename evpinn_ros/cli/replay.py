@@ -45,7 +45,9 @@ from evpinn_ros.replays.run import (
     output_folders,
 )
 from evpinn_ros.replays.tables import energy_lines
+from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.simulation.truth_file import read_truth
+from evpinn_ros.vehicle.files import Vehicle
 
 RECORDINGS = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
 BAG_FILES = (".mcap", ".db3", ".yaml", ".zstd")  # of a folder that is a bag
@@ -135,7 +137,7 @@ def replay(
                 if interruption.asked:
                     break
                 found = _one(car, source, folder, lambda: interruption.asked)
-                _show(found, source, warm_up, len(folders) > 1, units.units)
+                _show(found, source, car.vehicle, warm_up, len(folders) > 1, units.units)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
             written = _write(car, (metrics, report, state), units.units)
@@ -201,7 +203,14 @@ def _one(
         return car.replay(source, writer=writer, progress=progress, stopped=stopped)
 
 
-def _show(result: Replayed, source: Source, warm_up: float, briefly: bool, units: Units) -> None:
+def _show(
+    result: Replayed,
+    source: Source,
+    vehicle: Vehicle,
+    warm_up: float,
+    briefly: bool,
+    units: Units,
+) -> None:
     """Tables for people, of one of many drives a line, and one for each thing that was missing."""
     found = result.metrics
     if result.problem:
@@ -217,6 +226,8 @@ def _show(result: Replayed, source: Source, warm_up: float, briefly: bool, units
     if dropped:
         say(f"Dropped readings: {dropped}")
     say(owner_line(result.drive, found, units))
+    if doubt := vehicle_doubt(vehicle, result.drive):
+        say(doubt)
     if briefly:
         return
     if found["breakdown"]["unknown"] is None:

@@ -45,7 +45,7 @@ class TripSource(Source):
 
     def __init__(self, log: Source, number: int, trips: Sequence[Trip]) -> None:
         """Trip of this number, from 1 on; its name is that of the log with the number."""
-        super().__init__(log.path.with_name(f"{log.path.name}:{number}"))
+        super().__init__(log.path.with_name(f"{log.path.name.partition('.')[0]}:{number}"))
         self.rules, self.ignored, self.dated, self.zoned = (
             log.rules, log.ignored, log.dated, log.zoned,
         )  # fmt: skip

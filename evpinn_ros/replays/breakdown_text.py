@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
+from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.terms import WHOLE, Part
 
@@ -196,8 +197,10 @@ def _took(name: str) -> str:
 
 
 def _amount(kwh: float, sigma_kwh: float) -> str:
-    digits = 1 if sigma_kwh >= 0.095 else 2 if sigma_kwh >= 0.0095 else 3
-    return f"{kwh:.{digits}f} +- {sigma_kwh:.{digits}f} kWh"
+    half = GAUSSIAN_QUANTILE * sigma_kwh
+    digits = 1 if half >= 0.495 else 2 if half >= 0.0095 else 3
+    low, high = (f"{round(each, digits) + 0.0:.{digits}f}" for each in (kwh - half, kwh + half))
+    return f"{low} to {high} kWh (9 times in 10)"
 
 
 def _share(share: float) -> str:

@@ -28,7 +28,7 @@ def day(tmp_path: Path) -> Path:
 
 def test_trips_end_where_the_car_charges_and_where_the_log_pauses(day: Path) -> None:
     trips, charged = split(open_drive(day))
-    assert [trip.path.name for trip in trips] == ["day.csv:1", "day.csv:2", "day.csv:3"]
+    assert [trip.path.name for trip in trips] == ["day:1", "day:2", "day:3"]
     assert charged == pytest.approx(3600 * 3500.0, rel=0.01)
     for trip in trips:
         speeds = [r for r in trip.readings() if isinstance(r, SpeedReading)]
