@@ -36,6 +36,7 @@ from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
 from evpinn_ros.replays.car import CarReplay
+from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.owner_text import owner_line
 from evpinn_ros.replays.run import (
     WARM_UP,
@@ -222,9 +223,8 @@ def _show(
         f"{found['input']['path']}: {result.drive.duration:.0f} s, {found['vehicle']}, "
         f"{found['mode']}, {found['replay']['realtime_factor'] or 0:.0f} x real time"
     )
-    dropped = ", ".join(f"{n} {reason}" for reason, n in found["input"]["dropped"].items())
-    if dropped:
-        say(f"Dropped readings: {dropped}")
+    if dropped := dropped_text(found["input"]["dropped"]):
+        say(f"Not used: {dropped}")
     say(owner_line(result.drive, found, units))
     if doubt := vehicle_doubt(vehicle, result.drive):
         say(doubt)

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
+from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
@@ -220,10 +221,10 @@ def _maps(reported: ReportedDrive, moments: drive_maps.Moments, units: Units) ->
 
 def _record(found: Mapping[str, Any]) -> str:
     """The recording, and the mode that learned from it."""
-    dropped = ", ".join(f"{n} {why}" for why, n in found["input"]["dropped"].items())
+    dropped = dropped_text(found["input"]["dropped"])
     return (
         f"{found['input']['path']}, mode {found['mode']}; {found['input']['samples']} samples; "
-        f"dropped readings: {dropped or 'none'}."
+        f"not used: {dropped or 'nothing'}."
     )
 
 
