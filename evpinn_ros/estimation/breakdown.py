@@ -35,12 +35,11 @@ REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold drivi
 DISTANCE = 1e5  # m that a difference of drives is of
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
 STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
-# Where no height is known, the net climb of a drive is as unknown as roads make it: between places
-# at whose heights nobody looked lie this many m, 1-sigma, once a drive is longer than `HILL`. By
-# drives of an i3 and a Leaf with heights, which were taken out (`evpinn bench breakdown
-# --heights`): what a climb took is booked elsewhere then, as braking and losses of the drivetrain
-# on a steep short drive, more and more as tyres and air on a long one.
-NET_CLIMB, HILL = 107.0, 1000.0
+# Where no height is known, the net climb of a drive is as unknown as roads make it: so many m,
+# 1-sigma, once a drive is longer than `HILL`, m. By drives of an i3 and a Leaf whose heights were
+# taken out (`evpinn bench breakdown --heights`): what a climb took is booked elsewhere then, as
+# braking and losses of the drivetrain on a steep short drive, as tyres and air on a long one.
+NET_CLIMB, HILL = 122.0, 1000.0
 CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
 CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
 # Between drives: efficiency changes by this much for each e-fold of power, and a constant one

@@ -23,19 +23,19 @@ def breakdown_values(found: Mapping[str, Any], units: Units) -> dict[str, Any]:
     if found["unknown"] is not None:
         return {"sentence": "", "notes": breakdown_lines(found), "rows": [], "parts": []}
     parts = sorted(shown(found), key=lambda one: -one[1]["kwh"])
+    digits = 2 if max(abs(part["kwh"]) for _, part in parts) >= 0.5 else 3
     return {
         "sentence": breakdown_sentence(found),
         "notes": breakdown_notes(found, units),
         "columns": breakdown_columns(units),
         "rows": breakdown_rows(found, units),
-        "parts": interval_rows([_row(name, part, units) for name, part in parts]),
+        "parts": interval_rows([_row(name, part, digits, units) for name, part in parts]),
     }
 
 
-def _row(name: str, part: Mapping[str, float], units: Units) -> Row:
+def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> Row:
     """A part: kWh, its interval of 90 % in words, energy over distance."""
     kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
-    digits = 2 if abs(kwh) + half >= 1.0 else 3
     value, low, high = (
         f"{round(each, digits) + 0.0:.{digits}f}" for each in (kwh, kwh - half, kwh + half)
     )
