@@ -12,7 +12,7 @@ import tempfile
 ROOT = Path(__file__).resolve().parents[1]
 BROWSERS = ("chromium", "chromium-browser", "chrome")
 SIZE = "1100,1720"  # CSS pixels: what the drive took and why, and the first curves
-DRIVE = ("--kind", "mixed", "--duration", "900", "--seed", "3", "--altitude", "--temperature")
+DRIVE = ("--kind", "mixed", "--duration", "900", "--seed", "7", "--altitude", "--temperature")
 
 
 def evpinn(folder: Path, *arguments: str) -> None:
