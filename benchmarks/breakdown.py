@@ -17,6 +17,7 @@ from benchmarks.ledger import true_parts
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
+from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.terms import WHOLE, Equation, Part
 from evpinn_ros.signals.interval import Interval
@@ -43,7 +44,11 @@ class PartCheck:
     @property
     def covered(self) -> bool:
         """True if the interval of 95 % holds the truth."""
-        return abs(self.kwh - self.true_kwh) <= INTERVAL * self.sigma_kwh
+        return self.within(INTERVAL)
+
+    def within(self, sigmas: float) -> bool:
+        """True if the truth lies within so many sigmas."""
+        return abs(self.kwh - self.true_kwh) <= sigmas * self.sigma_kwh
 
 
 class SpanChain(CarChain):
@@ -172,6 +177,7 @@ class PartSummary:
     name: str
     drives: int
     coverage_percent: float
+    coverage_90_percent: float
     deviation: float
     share_percent: float
     bias_percent: float
@@ -195,6 +201,8 @@ def _summary(name: str, group: list[PartCheck]) -> PartSummary:
         name=name,
         drives=len(group),
         coverage_percent=100.0 * float(np.mean([each.covered for each in group])),
+        coverage_90_percent=100.0
+        * float(np.mean([each.within(GAUSSIAN_QUANTILE) for each in group])),
         deviation=float(np.sqrt(np.mean((error / np.maximum(sigma, 1e-12)) ** 2))),
         share_percent=100.0 * float(np.mean(true / total)),
         bias_percent=100.0 * float(np.mean(error / total)),

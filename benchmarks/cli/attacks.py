@@ -19,7 +19,9 @@ from evpinn_ros.common.errors import InputError
 def attacks(
     files: Annotated[int, typer.Option(min=0, help="Damaged files of each format.")] = 100,
     only: Annotated[list[str] | None, typer.Option(help="This format; may be repeated.")] = None,
-    reads: Annotated[int, typer.Option(min=0, help="Of a state that two write.")] = 1000,
+    reads: Annotated[
+        int, typer.Option(min=0, help="Reads of a state that two processes write.")
+    ] = 1000,
     seed: Annotated[int, typer.Option(min=1, help="Another one gives other damage.")] = 1,
     kept: Annotated[Path, typer.Option(help="For files that break a promise.")] = Path("broken"),
     json_file: JsonOption = None,

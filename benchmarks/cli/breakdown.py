@@ -9,6 +9,7 @@ import typer
 
 from benchmarks.breakdown import PartCheck, difference_checks, part_checks, part_summaries
 from benchmarks.cli.output import table_of
+from benchmarks.height import CARS, height_checks
 from benchmarks.truth import VEHICLES
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
@@ -21,6 +22,7 @@ COLUMNS = (
     ("part", "{0.name}"),
     ("drives", "{0.drives}"),
     ("95 % covers %", "{0.coverage_percent:.1f}"),
+    ("90 % covers %", "{0.coverage_90_percent:.1f}"),
     ("rms error / sigma", "{0.deviation:.2f}"),
     ("share %", "{0.share_percent:.1f}"),
     ("bias %", "{0.bias_percent:+.2f}"),
@@ -36,7 +38,9 @@ def breakdown(
     plausible: Annotated[
         bool, typer.Option("--plausible", help="Plausible cars, nearer than priors claim.")
     ] = False,
-    rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
+    rms_grade: Annotated[
+        float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")
+    ] = RMS_GRADE,
     altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
     temperature: Annotated[
         bool, typer.Option("--temperature", help="With a thermometer.")
@@ -47,18 +51,25 @@ def breakdown(
     pairs: Annotated[
         bool, typer.Option("--pairs", help="The difference of two drives of each car instead.")
     ] = False,
+    heights: Annotated[
+        str, typer.Option(metavar="DATA", help="Recorded drives with heights taken out instead.")
+    ] = "",
+    cars: Annotated[str, typer.Option(help="Cars of --heights, by comma.")] = ",".join(CARS),
     json_file: JsonOption = None,
 ) -> None:
     """Compare each part of the breakdown with what it truly took, on simulated cars.
 
-    Cars are drawn from the priors; town, motorway and both in turn.
+    Cars are drawn from the priors; town, motorway and both in turn. --heights DATA takes recorded
+    drives instead: truth is the breakdown with heights, compared is the one without them.
 
     Example: evpinn bench breakdown --drives 30
     """
     limit_blas_threads()
     found: list[PartCheck] = []
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
-    if pairs:
+    if heights:
+        checks = height_checks(heights, cars.split(","), drives)
+    elif pairs:
         checks = difference_checks(VEHICLES, seeds, seconds=seconds, altitude=altitude)
     else:
         checks = part_checks(
@@ -76,7 +87,7 @@ def breakdown(
         with progress_bar("drives", drives, unit="drives") as progress:
             for check in checks:
                 found.append(check)
-                progress(check.seed - FIRST_SEED + 1)
+                progress(len(found) if heights else check.seed - FIRST_SEED + 1)
     finally:  # Ctrl-C leaves the drives so far
         rows = part_summaries(found)
         show(table_of("", rows, COLUMNS), at_least=WIDTH)

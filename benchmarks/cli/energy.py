@@ -66,7 +66,7 @@ def energy(
         typer.Option("--part", help="Measure this alone; more than one may be given."),
     ] = [*MeasuredPart],  # noqa: B006
     epochs: Annotated[
-        int, typer.Option(min=1, help="Of the networks trained to be compared as integrators.")
+        int, typer.Option(min=1, help="Seed of the networks that are compared as integrators.")
     ] = EPOCHS,
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
     json_file: JsonOption = None,

@@ -21,7 +21,7 @@ from evpinn_ros.drives.formats import recordings
 def logs(
     data: Annotated[list[Path], typer.Argument(help="Logs of apps, or folders of them.")],
     megabytes: Annotated[
-        int, typer.Option(min=0, help="Of the table that tells the speed; 0 leaves it out.")
+        int, typer.Option(min=0, help="Rows of the table that measures speed; 0 leaves it out.")
     ] = 100,
     json_file: JsonOption = None,
 ) -> None:

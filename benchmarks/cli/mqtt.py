@@ -24,9 +24,11 @@ DAY = (("h", "{.hours:.1f}"), ("MB", "{.memory_mb:.1f}"), ("ms a second", "{.cpu
 
 def mqtt(
     seconds: Annotated[
-        int, typer.Option(min=0, help="Of a drive at 1 Hz over a real mosquitto; 0: none.")
+        int, typer.Option(min=0, help="Seconds of a drive at 1 Hz over a real mosquitto; 0: none.")
     ] = 120,
-    hours: Annotated[float, typer.Option(min=0.0, help="Of driving at speed; 0: none.")] = 1.0,
+    hours: Annotated[
+        float, typer.Option(min=0.0, help="Hours of driving at full speed; 0: none.")
+    ] = 1.0,
     json_file: JsonOption = None,
 ) -> None:
     """Measure delay, processor and memory of `evpinn mqtt`.

@@ -47,7 +47,10 @@ def online(
         ),
     ] = "generic",
     methods: Annotated[
-        str, typer.Option(help=f"Of {', '.join(METHODS)}, by comma; else all.", show_default=False)
+        str,
+        typer.Option(
+            help=f"Methods, by comma: {', '.join(METHODS)}. Default: all.", show_default=False
+        ),
     ] = ",".join(METHODS),
     warm_up: Annotated[float, typer.Option(min=0.0, help="Not scored at the start, s.")] = WARM_UP,
     json_file: JsonOption = None,

@@ -18,9 +18,9 @@ MEGABYTE = 1e6
 
 def recover(
     cases: Annotated[int, typer.Option(min=12, help="Bags to break.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Of bags and faults.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of bags and faults.")] = 0,
     megabytes: Annotated[
-        int, typer.Option(min=0, help="Of the bags that tell the speed; 0 leaves it out.")
+        int, typer.Option(min=0, help="MB of the bags that measure speed; 0 leaves it out.")
     ] = 60,
     json_file: JsonOption = None,
 ) -> None:

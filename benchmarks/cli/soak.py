@@ -27,7 +27,7 @@ COLUMNS = (
 
 
 def soak(
-    hours: Annotated[int, typer.Option(min=2, help="Of driving, through one chain.")] = 24,
+    hours: Annotated[int, typer.Option(min=2, help="Hours of driving through one chain.")] = 24,
     seconds: Annotated[
         float, typer.Option(min=0.0, help="To watch the three nodes in real time; 0: not at all.")
     ] = 120.0,

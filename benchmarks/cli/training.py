@@ -22,8 +22,8 @@ from evpinn_ros.vehicle.files import load_vehicle
 def training(
     log: Annotated[Path, typer.Argument(help="CSV, bag or CAN log of one drive.")],
     vehicle: VehicleOption,
-    epochs: Annotated[int, typer.Option(min=1, help="Of Adam as published.")] = 10_000,
-    seed: Annotated[int, typer.Option(min=0, help="Of split, networks and batches.")] = 0,
+    epochs: Annotated[int, typer.Option(min=1, help="Epochs of Adam, as published.")] = 10_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of split, networks and batches.")] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Time every optimiser to the validation loss that Adam as published ends with.

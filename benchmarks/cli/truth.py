@@ -51,7 +51,9 @@ def truth(
     from_priors: Annotated[
         bool, typer.Option("--from-priors", help="Draw from the priors: are intervals true?")
     ] = False,
-    rms_grade: Annotated[float, typer.Option(min=0.0, help="Of the roads; 0: flat.")] = RMS_GRADE,
+    rms_grade: Annotated[
+        float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")
+    ] = RMS_GRADE,
     altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
     floor: Annotated[
         bool, typer.Option("--floor", help="Also the floor: what an oracle could tell.")

@@ -39,7 +39,10 @@ def unseen(
     ],
     cars: Annotated[str, typer.Option(help="Only these of its cars, by comma.")] = "",
     methods: Annotated[
-        str, typer.Option(help=f"Of {', '.join(METHODS)}, by comma; else all.", show_default=False)
+        str,
+        typer.Option(
+            help=f"Methods, by comma: {', '.join(METHODS)}. Default: all.", show_default=False
+        ),
     ] = ",".join(METHODS),
     method: Annotated[
         list[str] | None,

@@ -95,7 +95,7 @@ def forecast(
         the battery is empty before.
 
     Raises:
-        InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is no trip.
+        InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is invalid.
     """
     charge_pct = finite_or_none("charge_pct", charge_pct)
     stood_h = finite_or_none("stood_h", stood_h)

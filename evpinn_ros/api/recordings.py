@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from evpinn_ros.api.result import Result
 from evpinn_ros.common.arguments import (
@@ -18,9 +20,12 @@ from evpinn_ros.replays.car import CarReplay, mode_of
 from evpinn_ros.replays.run import WARM_UP, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 
 def replay(
-    drive: str | os.PathLike[str],
+    drive: str | os.PathLike[str] | DataFrame,
     vehicle: str | Path | Vehicle = "generic",
     *,
     mode: str | None = None,
@@ -42,7 +47,7 @@ def replay(
         >>> result.power[["measured_w", "smoothed_w"]].plot()  # doctest: +SKIP
 
     Args:
-        drive: bag, CAN log or table.
+        drive: bag, CAN log or table; or a pandas DataFrame, whose columns are those of a table.
         vehicle: name, file, or what `load_vehicle` gave.
         mode: `hybrid` or `paper`; that of `params`, else hybrid, if not given.
         params: parameter file of the nodes.
@@ -59,7 +64,6 @@ def replay(
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
     """
-    path = path_of("drive", drive)
     written = None if state is None else path_of("state", state)
     options = ReplayOptions(
         finite_or_none("withhold_battery_after", withhold_battery_after),
@@ -78,9 +82,20 @@ def replay(
     if can_profile is not None:
         text_of("can_profile", can_profile)
     columns = [text_of("columns", each) for each in sequence_of("columns", columns)]
-    source = car.open(path, can_profile, trust_profile=trust_profile, columns=columns)
-    found = car.replay(source)
+    with TemporaryDirectory() as folder:
+        path = _path_of(drive, Path(folder))
+        source = car.open(path, can_profile, trust_profile=trust_profile, columns=columns)
+        found = car.replay(source)
     if written is not None:
         car.write_state(written)
     learned = car.chain.estimator.model()
     return Result(found, car.vehicle, car.options, learned, car.chain.account)
+
+
+def _path_of(drive: str | os.PathLike[str] | DataFrame, folder: Path) -> Path:
+    """Path of a drive; a DataFrame is written as a table into the folder first."""
+    if not hasattr(drive, "to_csv"):
+        return path_of("drive", drive)
+    path = folder / "drive.csv"
+    drive.to_csv(path, index=False)
+    return path

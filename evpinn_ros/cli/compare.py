@@ -37,8 +37,10 @@ def compare(
     ],
     vehicle: VehicleOption = "generic",
     report: Annotated[Path | None, typer.Option(help="Write a page: one HTML file.")] = None,
-    state: Annotated[Path | None, typer.Option(help="Of an earlier replay.")] = None,
-    units: Annotated[UnitSystem, typer.Option(help="Of distances.")] = UnitSystem.METRIC,
+    state: Annotated[
+        Path | None, typer.Option(help="Start from what an earlier replay saved.")
+    ] = None,
+    units: Annotated[UnitSystem, typer.Option(help="Units of distance.")] = UnitSystem.METRIC,
     start: StartOption = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=0.0, help="Compare this much of each drive, s.")

@@ -42,8 +42,8 @@ def convert(
     column: Annotated[
         list[str] | None,
         typer.Option(
-            help="Of a table: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative while "
-            "it discharges. " + f"Quantities: {', '.join(QUANTITIES)}."
+            help="Columns of a table: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative "
+            "while it discharges. " + f"Quantities: {', '.join(QUANTITIES)}."
         ),
     ] = None,
     storage: Annotated[

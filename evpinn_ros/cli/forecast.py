@@ -36,7 +36,7 @@ def forecast(
         float | None, typer.Option(min=0.0, max=100.0, help="State of charge at the start, %.")
     ] = None,
     temperature: Annotated[
-        float | None, typer.Option(min=-60.0, max=60.0, help="Of the air outside, degrees C.")
+        float | None, typer.Option(min=-60.0, max=60.0, help="Outside temperature, degrees C.")
     ] = None,
     heating: Annotated[
         float | None,

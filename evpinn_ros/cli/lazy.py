@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, ClassVar
 
 import typer
@@ -54,7 +57,7 @@ class LazyCommands(ReadableGroup):
 
     names: ClassVar[tuple[str, ...]] = ()
     package: ClassVar[str] = "evpinn_ros.cli"
-    _completing = False
+    _listing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in the order of the help."""
@@ -65,8 +68,8 @@ class LazyCommands(ReadableGroup):
         name = cmd_name.replace("-", "_")
         if name not in self.names:
             return None
-        if self._completing:
-            return TyperCommand(cmd_name)
+        if self._listing:
+            return TyperCommand(cmd_name, help=_described(f"{self.package}.{name}", name))
         found = getattr(import_module(f"{self.package}.{name}"), name)
         if isinstance(found, typer.Typer):
             group = typer.main.get_group(found)
@@ -85,8 +88,30 @@ class LazyCommands(ReadableGroup):
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
         """Completions: names and options, without importing each for a line of help."""
-        self._completing = True
+        self._listing = True
         try:
             return super().shell_complete(ctx, incomplete)
         finally:
-            self._completing = False
+            self._listing = False
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help, with the first sentence of each command, which is not imported."""
+        self._listing = True
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self._listing = False
+
+
+def _described(module: str, name: str) -> str:
+    """First paragraph of a command's docstring, read from its source: to import it takes long."""
+    spec = find_spec(module)
+    if spec is None or spec.origin is None:
+        return ""
+    for node in ast.parse(Path(spec.origin).read_text(encoding="utf-8")).body:
+        if not isinstance(node, ast.FunctionDef):
+            continue
+        decorators = {ast.unparse(each) for each in node.decorator_list}
+        if node.name == name or f"{name}.callback()" in decorators:
+            return " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
+    return ""

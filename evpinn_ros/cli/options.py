@@ -43,13 +43,16 @@ CanProfileOption = Annotated[
     str | None,
     typer.Option(help="Another CAN profile.", autocompletion=complete_profile),
 ]
-TrustProfileOption = Annotated[bool, typer.Option("--trust-profile", help="Use it in any case.")]
+TrustProfileOption = Annotated[
+    bool,
+    typer.Option("--trust-profile", help="Use the profile even if the traffic contradicts it."),
+]
 ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file.")]
 ColumnOption = Annotated[
     list[str] | None,
-    typer.Option(help="Of a table, as speed=NAME:km/h; evpinn convert tells more."),
+    typer.Option(help="Which column is what: speed=NAME:km/h; details in evpinn convert."),
 ]
-StartOption = Annotated[float, typer.Option(min=0.0, help="Leave out what is before, s.")]
+StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]
 Elm327Option = Annotated[
     str | None,
     typer.Option(

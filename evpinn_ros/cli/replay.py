@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
-import itertools
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.can.logs import LOG_SUFFIXES
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
@@ -26,13 +27,16 @@ from evpinn_ros.cli.options import (
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.common.units import Units, UnitSystem
+from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
+from evpinn_ros.drives.formats import TABLE_SUFFIXES, is_drive_table, suffix_of
 from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.trips import split
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
 from evpinn_ros.replays.car import CarReplay
+from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.owner_text import owner_line
 from evpinn_ros.replays.run import (
     WARM_UP,
@@ -42,20 +46,25 @@ from evpinn_ros.replays.run import (
     output_folders,
 )
 from evpinn_ros.replays.tables import energy_lines
+from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.simulation.truth_file import read_truth
+from evpinn_ros.vehicle.files import Vehicle
 
+RECORDINGS = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
+BAG_FILES = (".mcap", ".db3", ".yaml", ".zstd")  # of a folder that is a bag
 WIDE = 110  # characters of the table of drives
 
 
 def replay(
     inputs: Annotated[
-        list[Path], typer.Argument(help="Bags, CAN logs or tables of one car, in order.")
+        list[Path],
+        typer.Argument(help="Bags, CAN logs, tables of one car in order, or a folder of them."),
     ],
     vehicle: VehicleOption = "generic",
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
     optimizer: Annotated[
         PaperOptimizer | None,
-        typer.Option(help="Of mode paper; as published, or other."),
+        typer.Option(help="Optimizer of --mode paper."),
     ] = None,
     params: ParamsOption = None,
     out: Annotated[
@@ -65,19 +74,22 @@ def replay(
     report: Annotated[Path | None, typer.Option(help="Write a report, one HTML file.")] = None,
     metrics: MetricsOption = None,
     units: Annotated[
-        UnitSystem, typer.Option(help="Of distances, here and in the report.")
+        UnitSystem, typer.Option(help="Units of distance, here and in the report.")
     ] = UnitSystem.METRIC,
     withhold_battery_after: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Hide the battery from here on, s: what is speed worth alone?"),
+        typer.Option(min=0.0, help="Hide the battery after N seconds and predict it from speed."),
     ] = None,
-    warm_up: Annotated[float, typer.Option(min=0.0, help="Not scored at the start, s.")] = WARM_UP,
+    warm_up: Annotated[
+        float, typer.Option(min=0.0, help="Leave the first N seconds out of the scores.")
+    ] = WARM_UP,
     state: Annotated[
         Path | None,
-        typer.Option(help="What was learned: read at the start if there, written at the end."),
+        typer.Option(help="File of what was learned: read at the start, written at the end."),
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.01, help="Of real time; else as fast as it can.")
+        float | None,
+        typer.Option(min=0.01, help="Speed, times real time; as fast as possible if not given."),
     ] = None,
     start: StartOption = 0.0,
     duration: Annotated[
@@ -86,14 +98,18 @@ def replay(
     loop: Annotated[
         int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
     ] = 1,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Do not split a log into its trips.")
+    ] = False,
     column: ColumnOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
 ) -> None:
     """Replay recorded drives, and score every prediction.
 
-    The same cores as in the nodes, without ROS: readings, samples, learning, power, energy. What
-    one input teaches is carried over to the next, and from one turn of --loop to the next.
+    Runs the nodes' cores without ROS: readings, samples, learning, power, energy. What one input
+    teaches is carried over to the next. A log that was parked or charged in between is split into
+    trips; of a folder, all that is readable is replayed.
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
@@ -113,28 +129,65 @@ def replay(
     open_input = partial(
         car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()
     )
-    first = [open_input(path) for path in inputs]
-    for source in first:
-        explain_columns(source)
-    again = (open_input(path) for _ in range(loop - 1) for path in inputs)
+    first, unreadable = _opened(open_input, inputs, whole)
+    again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
     with Interruption() as interruption:
         try:
-            folders = output_folders(out, inputs * loop)
-            for source, folder in zip(itertools.chain(first, again), folders, strict=True):
+            folders = output_folders(out, [source.path for source in first] * loop)
+            for source, folder in zip(chain(first, again), folders, strict=True):
                 if interruption.asked:
                     break
                 found = _one(car, source, folder, lambda: interruption.asked)
-                _show(found, source, warm_up, len(folders) > 1, units.units)
+                _show(found, source, car.vehicle, warm_up, len(folders) > 1, units.units)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
             written = _write(car, (metrics, report, state), units.units)
     if len(car.done) > 1:
-        drives = drives_table([(each.drive, each.metrics) for each in car.done], units.units)
-        show(drives, at_least=WIDE)
+        rows = [(each.drive, each.metrics) for each in car.done]
+        show(drives_table(rows, units.units), at_least=WIDE)
         show(parameter_table(car.done[-1].metrics))
         say("evpinn compare puts the breakdowns of these drives side by side.")
-    if not written or any(result.problem for result in car.done):
+    for line in unreadable:
+        note(f"evpinn: not replayed: {line}")
+    if unreadable or not written or any(result.problem for result in car.done):
         raise typer.Exit(1)
+
+
+def _opened(
+    open_input: Callable[[Path], Source], inputs: Sequence[Path], whole: bool
+) -> tuple[list[Source], list[str]]:
+    """Drives of all inputs, logs split into trips, and a line for each input that is unreadable.
+
+    Raises:
+        InputError: none can be read.
+    """
+    found: list[Source] = []
+    unreadable: list[str] = []
+    for path in chain.from_iterable(map(_files, inputs)):
+        try:
+            log = open_input(path)
+            explain_columns(log)
+            if whole or not is_drive_table(path):
+                found.append(log)
+                continue
+            trips, charged = split(log)
+        except InputError as error:
+            unreadable.append(str(error))
+            continue
+        found += trips
+        if len(trips) > 1:
+            kwh = f"; charged while parked: {charged / JOULES_PER_KWH:.1f} kWh" if charged else ""
+            note(f"{path}: {len(trips)} trips{kwh}")
+    if not found:
+        raise InputError("; ".join(unreadable) or "no recording in this folder")
+    return found, unreadable
+
+
+def _files(path: Path) -> list[Path]:
+    """The path itself, or the recordings in a folder that is no bag, in order of their names."""
+    if not path.is_dir() or any(each.suffix in BAG_FILES for each in path.iterdir()):
+        return [path]
+    return sorted(each for each in path.iterdir() if suffix_of(each) in RECORDINGS) or [path]
 
 
 def _one(
@@ -151,7 +204,14 @@ def _one(
         return car.replay(source, writer=writer, progress=progress, stopped=stopped)
 
 
-def _show(result: Replayed, source: Source, warm_up: float, briefly: bool, units: Units) -> None:
+def _show(
+    result: Replayed,
+    source: Source,
+    vehicle: Vehicle,
+    warm_up: float,
+    briefly: bool,
+    units: Units,
+) -> None:
     """Tables for people, of one of many drives a line, and one for each thing that was missing."""
     found = result.metrics
     if result.problem:
@@ -163,10 +223,11 @@ def _show(result: Replayed, source: Source, warm_up: float, briefly: bool, units
         f"{found['input']['path']}: {result.drive.duration:.0f} s, {found['vehicle']}, "
         f"{found['mode']}, {found['replay']['realtime_factor'] or 0:.0f} x real time"
     )
-    dropped = ", ".join(f"{n} {reason}" for reason, n in found["input"]["dropped"].items())
-    if dropped:
-        say(f"Dropped readings: {dropped}")
+    if dropped := dropped_text(found["input"]["dropped"]):
+        say(f"Not used: {dropped}")
     say(owner_line(result.drive, found, units))
+    if doubt := vehicle_doubt(vehicle, result.drive):
+        say(doubt)
     if briefly:
         return
     if found["breakdown"]["unknown"] is None:

@@ -72,10 +72,10 @@ def reproduce(
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option(min=1, help="Of the power network; 10000 for adam, fewer for the others."),
+        typer.Option(min=1, help="Epochs of the power network; 10000 for adam, fewer for others."),
     ] = None,
     regen_form: Annotated[RegenForm, typer.Option(help="Reading of eq. 21.")] = RegenForm.RECOVERY,
-    seed: Annotated[int, typer.Option(min=0, help="Of split, networks and batches.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of split, networks and batches.")] = 0,
     device: Annotated[Device, typer.Option(help="Where to train.")] = Device.CPU,
     quick: Annotated[
         bool,

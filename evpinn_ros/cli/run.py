@@ -107,7 +107,7 @@ def run(
     foxglove: Annotated[bool, typer.Option("--foxglove", help="Let Foxglove connect.")] = False,
     foxglove_host: Annotated[str, typer.Option(help="For Foxglove to connect to.")] = LOOPBACK,
     foxglove_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Likewise, 0 for any.")
+        int, typer.Option(min=0, max=65535, help="Port of the Foxglove server, 0 for any.")
     ] = PORT,
     foxglove_origin: OriginOption = None,
 ) -> None:

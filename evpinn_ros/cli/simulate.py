@@ -30,7 +30,7 @@ def simulate(
     vehicle: VehicleOption = "tesla_model_3_lr",
     kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
     duration: Annotated[float, typer.Option(help="Length of the drive, s.")] = 600.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything left to chance.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything that is random.")] = 1,
     true: Annotated[
         list[str] | None,
         typer.Option(

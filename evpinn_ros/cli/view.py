@@ -22,7 +22,9 @@ POLL = 0.1  # s
 
 def view(
     bag: Annotated[Path, typer.Argument(help="Bag: a folder, .mcap or .db3.")],
-    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Of real time.")] = 1.0,
+    rate: Annotated[
+        float, typer.Option(min=0.01, max=1000.0, help="Speed, times real time.")
+    ] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
     host: Annotated[str, typer.Option(help="To listen on.")] = LOOPBACK,
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 for any.")] = PORT,

@@ -10,7 +10,7 @@ from evpinn_ros.topics import NAMESPACE
 
 
 def watch(
-    namespace: Annotated[str, typer.Option(help="Of the topics.")] = NAMESPACE,
+    namespace: Annotated[str, typer.Option(help="Namespace of the topics.")] = NAMESPACE,
     plain: Annotated[bool, typer.Option("--plain", help="Lines, as without a terminal.")] = False,
     for_scripts: Annotated[
         bool, typer.Option("--json", help="Print a JSON object a second, each in a line.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 import math
 
@@ -51,10 +51,13 @@ class Column:
         return self.measured_in(text, QUANTITIES[self.quantity].units[text], why)
 
 
-def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column]:
+def columns_by_name(
+    header: Sequence[str], chosen: Sequence[str], empty: Collection[int] = ()
+) -> list[Column]:
     """The columns of a header that are used, those for the time all: their cells decide.
 
-    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign.
+    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign. Columns
+    at the places `empty` hold nothing, so they are not guessed at.
 
     Raises:
         InputError: a choice that names no quantity, no column or no unit, or a bracketed unit
@@ -84,8 +87,9 @@ def columns_by_name(header: Sequence[str], chosen: Sequence[str]) -> list[Column
         # Power is voltage times current: of a stranger's file it is not needed then.
         if quantity == "power" and {"voltage", "current"} <= known:
             continue
-        scores = {i: score(quantity, header[i]) for i in range(len(header)) if i not in taken}
-        scores |= _of_app(quantity, header)
+        free = (i for i in range(len(header)) if i not in taken and i not in empty)
+        scores = {i: score(quantity, header[i]) for i in free}
+        scores |= {i: most for i, most in _of_app(quantity, header).items() if i not in empty}
         best = max(scores, key=lambda i: scores[i], default=None)
         if best is not None and scores[best] > 0:
             found.append(_by_name(quantity, header, best))

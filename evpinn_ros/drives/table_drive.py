@@ -99,13 +99,10 @@ class TableDrive(Source):
             raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
         own = all(not column.why and column.is_ours for column in found)
         limit = FEW_ROWS if own else MOST_ROWS
-        survey = look_through(
-            self._table,
-            self._head,
-            sorted({column.place for column in found}),
-            early=partial(self._chosen_clock, found),
-            limit=limit,
-        )
+        survey = self._look_through(found, limit)
+        filled = _filled(found, survey, header, chosen)
+        if filled != found:
+            found, survey = filled, self._look_through(filled, limit)
         self._survey = survey
         self._looked_at_all = survey.widths.total() < limit
         self._styles = _styles(survey)
@@ -196,6 +193,16 @@ class TableDrive(Source):
                 found[name].append(each)
         time = np.concatenate(times)
         return {name: Signal(time, np.concatenate(values)) for name, values in found.items()}
+
+    def _look_through(self, found: Sequence[Column], limit: int) -> Survey:
+        """Cells of these columns."""
+        return look_through(
+            self._table,
+            self._head,
+            sorted({column.place for column in found}),
+            early=partial(self._chosen_clock, found),
+            limit=limit,
+        )
 
     def _chosen_clock(self, found: Sequence[Column], survey: Survey) -> Clock:
         """The clock of the table; InputError when no column of time can be read."""
@@ -339,6 +346,22 @@ class TableDrive(Source):
         if started is not None and clock.kind == "number":
             return started - first, "log"
         return DRIVE_START_NS, ""
+
+
+def _filled(
+    found: list[Column], survey: Survey, header: Sequence[str], chosen: Sequence[str]
+) -> list[Column]:
+    """The columns, a guessed one without any cell in place of another of its quantity, if any."""
+    empty = {
+        column.place
+        for column in found
+        if column.why != "as given"
+        and not column.is_ours
+        and not any(cell.strip() for cell in survey.cells[column.place])
+    }
+    others = columns_by_name(header, chosen, empty) if empty else found
+    known = {column.quantity for column in found if column.place not in empty}
+    return others if known < {column.quantity for column in others} else found
 
 
 def _batches(rows: Iterator[Row]) -> Iterator[Batch]:

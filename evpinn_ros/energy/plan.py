@@ -275,7 +275,7 @@ def plan_from_speed_profile(
     distance are counted from the first point.
 
     Raises:
-        PlanError: the profile is no trip, or its speeds make `UNITS_APART` times its distance.
+        PlanError: the profile is invalid, or its speeds make `UNITS_APART` times its distance.
     """
     _check_size(len(time))
     time, speed = _array(time), _array(speed)

@@ -35,6 +35,13 @@ REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold drivi
 DISTANCE = 1e5  # m that a difference of drives is of
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
 STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
+# Where no height is known, the net climb of a drive is as unknown as roads make it: so many m,
+# 1-sigma, once a drive is longer than `HILL`, m. By drives of an i3 and a Leaf whose heights were
+# taken out (`evpinn bench breakdown --heights`): what a climb took is booked elsewhere then, as
+# braking and losses of the drivetrain on a steep short drive, as tyres and air on a long one.
+NET_CLIMB, HILL = 122.0, 1000.0
+CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
+CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
 # Between drives: efficiency changes by this much for each e-fold of power, and a constant one
 # has air, the part that grows with speed most, account for it.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
@@ -64,6 +71,7 @@ class Breakdown:
         measured_variance: of that, due to the rate of its readings, J^2.
         distance: m.
         seconds: s.
+        unseen: m of the distance where no height was known.
     """
 
     energy: np.ndarray
@@ -72,6 +80,7 @@ class Breakdown:
     measured_variance: float
     distance: float
     seconds: float
+    unseen: float = 0.0
 
     def amounts(self) -> dict[str, Amount]:
         """The parts, what they leave unexplained, and what braking brought back beside them."""
@@ -171,7 +180,7 @@ class Breakdowns:
         whole = self.drives[drive]
         if whole.seconds == 0.0:
             return None
-        counts = whole.measured, whole.measured_variance, whole.distance, whole.seconds
+        counts = astuple(whole)
         return Breakdown(self.energy[drive], self.covariance[drive, :, drive], *counts)
 
     def difference(self, drive: int, base: int) -> Breakdown:
@@ -197,6 +206,7 @@ class Breakdowns:
             measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
             distance=DISTANCE,
             seconds=0.0,
+            unseen=DISTANCE * max(each.unseen / each.distance for each in (more, less)),
         )
 
     def joined(self, owners: Sequence[int]) -> Breakdowns:
@@ -296,7 +306,27 @@ def _beside(energy: np.ndarray, totals: Totals, weight: float) -> np.ndarray:
     own = np.zeros((COUNT, COUNT))
     if totals.unseen < totals.distance:
         own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
+    if totals.unseen > 0.0:
+        climbed = _unseen_climb(energy, totals.unseen)
+        own += (weight * NET_CLIMB) ** 2 * np.outer(climbed, climbed)
     own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
     # (m v dv)^2 at both ends
     own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
     return own
+
+
+def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
+    """What a net climb of 1 sigma moves of each part, over the climb; shape (COUNT,), sum 0.
+
+    Args:
+        energy: of the parts, J.
+        unseen: m without height.
+    """
+    friction = min(MOST_AS_FRICTION, CLIMB_AS_FRICTION * unseen)
+    air, tyres = np.maximum(energy[[Part.AIR, Part.TYRES]], 0.0) + 1.0
+    found = np.zeros(COUNT)
+    found[Part.SLOPE] = 1.0
+    found[[Part.AIR, Part.TYRES]] = -friction * np.array([air, tyres]) / (air + tyres)
+    found[[Part.BRAKES, Part.STANDING]] = -CLIMB_AS_BRAKES, -CLIMB_AS_STANDING
+    found[Part.DRIVETRAIN] = -found[WHOLE].sum()
+    return found * math.sqrt(1.0 - math.exp(-unseen / HILL))

@@ -33,7 +33,7 @@ def driven_plan(path: Path, vehicle: Vehicle) -> Plan:
     """The plan that a recorded drive would have been, of any kind that `evpinn replay` reads.
 
     Raises:
-        InputError: it cannot be read; `PlanError`: it is no trip.
+        InputError: it cannot be read; `PlanError`: it is no valid plan.
     """
     source = open_source(path, vehicle, battery=False)
     readings = [reading for reading in source.readings() if type(reading) in FIELDS]

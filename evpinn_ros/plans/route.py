@@ -44,7 +44,7 @@ def legs_of_route(data: Json) -> Legs | None:
     """Legs of the answer of a route service; None for other JSON.
 
     Raises:
-        PlanError: the service found no route, or a route that is no trip.
+        PlanError: the service found no route, or a route that is no valid plan.
         KeyError, TypeError, ValueError: the answer is damaged.
     """
     if "legs" in (data.get("trip") or ()):

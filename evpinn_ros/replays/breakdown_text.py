@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
+from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.terms import WHOLE, Part
 
@@ -15,8 +16,8 @@ NAMES = tuple(part.name.lower() for part in list(Part)[WHOLE])
 MEANINGS: Mapping[str, str] = {
     "air": "air and wind",
     "tyres": "tyres",
-    "slope": "slopes, up less down",
-    "speed": "speed the car now has",
+    "slope": "net climb",
+    "speed": "kinetic energy at the end",
     "brakes": "lost while braking",
     "drivetrain": "motor and drivetrain",
     "climate": "heating and cooling",
@@ -29,7 +30,6 @@ TOGETHER = " + "  # between the names of parts that are not separated
 LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
 SHORT = {  # in a column of a table
     MEANINGS["air"]: "air",
-    MEANINGS["slope"]: "slopes",
     MEANINGS["brakes"]: "braking",
     MEANINGS["drivetrain"]: "drivetrain",
     MEANINGS["climate"]: "heating",
@@ -44,6 +44,8 @@ WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can b
 # From here on what took energy is given as shares of all that did: a drive that went down takes
 # little in sum, and each part of it is a multiple of that.
 GAVE_BACK = 1.1  # of what was measured
+CONTRADICTED = 3.0  # sigmas of what is unexplained that are worth a warning
+MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
 PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
 NOTHING = "the battery was measured over no interval that could be learned from"
 
@@ -63,7 +65,14 @@ def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
         nothing = dict.fromkeys(Amount.__dataclass_fields__)
         rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}
         why = PAPER if mode == Mode.PAPER.value else NOTHING
-        return {**rows, "together": [], "distance_m": None, "duration_s": None, "unknown": why}
+        return {
+            **rows,
+            "together": [],
+            "distance_m": None,
+            "duration_s": None,
+            "unknown": why,
+            "without_height_m": None,
+        }
     amounts = {**found.amounts(), "measured": found.total()}
     return {
         **{name: asdict(amounts[name]) for name in MEANINGS},
@@ -74,6 +83,7 @@ def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
         "distance_m": found.distance,
         "duration_s": found.seconds,
         "unknown": None,
+        "without_height_m": found.unseen,
     }
 
 
@@ -117,14 +127,26 @@ def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str
 
 
 def breakdown_notes(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
-    """Sentences on a known breakdown: what is given together, and of how much driving."""
+    """Sentences on a known breakdown: what to doubt in it, and how much driving it is based on."""
     lines = [
-        f"Cannot be separated on this drive, so given together: {_together(group['parts'])}."
+        f"This drive cannot separate {_together(group['parts'])}: only their sum is known."
         for group in found["together"]
     ]
+    left = found[UNEXPLAINED]
+    if abs(left["kwh"]) > CONTRADICTED * left["sigma_kwh"]:
+        amount = _amount(left["kwh"], left["sigma_kwh"])
+        lines.append(
+            f"Unexplained: {amount}. The model of the car does not account for this drive, so "
+            "doubt its parts: a signal may be wrong, or the vehicle may be another."
+        )
+    if found["without_height_m"] > MOSTLY_UNSEEN * found["distance_m"]:
+        lines.append(
+            "No heights in this log: a climb would appear as air and tyres, so the intervals of "
+            "these are wide."
+        )
     minutes, far = found["duration_s"] / 60, found["distance_m"] / units.metres
     driven = f"{far:.1f} {units.distance} and {minutes:.0f} min"
-    return [*lines, f"Of the {driven} with the battery measured that were learned from."]
+    return [*lines, f"Based on {driven} with usable battery data."]
 
 
 def known_parts(found: Mapping[str, Any]) -> list[KnownPart]:
@@ -175,8 +197,10 @@ def _took(name: str) -> str:
 
 
 def _amount(kwh: float, sigma_kwh: float) -> str:
-    digits = 1 if sigma_kwh >= 0.095 else 2 if sigma_kwh >= 0.0095 else 3
-    return f"{kwh:.{digits}f} +- {sigma_kwh:.{digits}f} kWh"
+    half = GAUSSIAN_QUANTILE * sigma_kwh
+    digits = 1 if half >= 0.495 else 2 if half >= 0.0095 else 3
+    low, high = (f"{round(each, digits) + 0.0:.{digits}f}" for each in (kwh - half, kwh + half))
+    return f"{low} to {high} kWh (9 times in 10)"
 
 
 def _share(share: float) -> str:

@@ -17,7 +17,7 @@ from evpinn_ros.replays.breakdown_text import MEANINGS, name_of
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.driven import travelled
 
-SURE = 2.0  # sigmas of a difference that is more than chance
+SURE = 2.0  # sigmas of a difference that is statistically significant
 Rows = list[tuple[str, ...]]
 
 
@@ -90,18 +90,16 @@ def sentences(found: Comparison, units: Units = METRIC) -> Iterator[str]:
 
 
 def _explained(difference: Breakdown, units: Units) -> str:
-    """The parts whose difference is more than chance, the largest first."""
+    """The parts whose difference is statistically significant, the largest first."""
     parts = {group: difference.of(*group) for group in common_groups([difference])}
     sure = {g: each for g, each in parts.items() if abs(each.kwh) > SURE * each.sigma_kwh > 0.0}
     if not sure:
-        return (
-            "No single part differs by more than 2 sigma: which it was, these drives do not show."
-        )
+        return "No single part differs by more than 2 sigma: these drives do not show the cause."
     largest = sorted(sure, key=lambda group: -abs(sure[group].kwh))
     listed = "; ".join(
         f"{name_of(group)} {rate_text(sure[group], DISTANCE, True, units)}" for group in largest
     )
-    return f"More than chance: {listed}."
+    return f"Statistically significant: {listed}."
 
 
 def rate_text(amount: Amount, distance: float, signed: bool = False, units: Units = METRIC) -> str:

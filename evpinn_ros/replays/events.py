@@ -68,7 +68,7 @@ def _resets(drive: Drive) -> Iterator[Event]:
     steps = np.diff(times)
     recorded = ((times[i + 1], -steps[i]) for i in np.flatnonzero(steps < -CLOCK_STEP))
     for time, back in (*drive.jumps, *recorded):
-        text = f"Stamps went back by {back:.0f} s; what is joined over time began anew."
+        text = f"Stamps went back by {back:.0f} s; all that is integrated over time starts again."
         yield Event(float(time), EventKind.RESET, text)
 
 

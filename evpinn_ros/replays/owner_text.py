@@ -31,7 +31,7 @@ def owner_line(drive: Drive, found: Mapping[str, Any], units: Units = METRIC) ->
     if per_distance and 0.0 < known < NEARLY_WHOLE * whole:
         per_distance += f" over the {known / units.metres:.1f} {units.distance} measured"
     taken = charged(drive)
-    plugged = f" Charged while it stood: {taken / JOULES_PER_KWH:.2f} kWh, in no other figure."
+    plugged = f" Charged while it stood: {taken / JOULES_PER_KWH:.2f} kWh, not included above."
     line = f"{far} {units.distance} in {minutes} min: {kwh} kWh {how}{per_distance}."
     return line + (plugged if taken >= LEAST_CHARGED else "")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import Breakdown
+from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.breakdown_text import name_of
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison_text import (
@@ -20,6 +21,7 @@ from evpinn_ros.replays.comparison_text import (
 from evpinn_ros.replays.over_distance import over_distance
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
+from evpinn_ros.report.intervals import Row, interval_rows
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
 CURVES = {
@@ -92,27 +94,21 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> lis
 
 
 def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
-    """A bar with its 1-sigma for each part, in percent of the width; zero is at `zero`."""
+    """A bar with its 90 % interval for each part, the biggest first."""
     rows = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
     rows = [row for row in rows if row[1].kwh or row[1].sigma_kwh]
-    low = min([0.0, *(each.kwh - each.sigma_kwh for _, each in rows)])
-    high = max([0.0, *(each.kwh + each.sigma_kwh for _, each in rows)])
-
-    def at(kwh: float) -> float:
-        return round(100.0 * (kwh - low) / (high - low), 2)
-
-    return [
-        {
-            "name": name,
-            "text": rate_text(each, difference.distance, True, units),
-            "zero": at(0.0),
-            "left": min(at(each.kwh), at(0.0)),
-            "width": abs(at(each.kwh) - at(0.0)),
-            "from_": at(each.kwh - each.sigma_kwh),
-            "to": at(each.kwh + each.sigma_kwh),
-        }
-        for name, each in sorted(rows, key=lambda row: -abs(row[1].kwh))
-    ]
+    rows.sort(key=lambda row: -abs(row[1].kwh))
+    return interval_rows(
+        [
+            Row(
+                name,
+                rate_text(each, difference.distance, True, units),
+                each.kwh,
+                GAUSSIAN_QUANTILE * each.sigma_kwh,
+            )
+            for name, each in rows
+        ]
+    )
 
 
 def _curves(found: Comparison, units: Units) -> list[dict[str, Any]]:

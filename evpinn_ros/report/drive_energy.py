@@ -44,6 +44,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units
         "kind": "bySpeed",
         "axes": [f"speed, {units.speed}", f"Wh/{units.distance}"],
         "width": width,
+        "driven": float(speeds.max(initial=0.0)),
         "bars": [[i * width, energy[i] / distance[i], distance[i]] for i in shown],
         "start": float(grid[0]),
         "middle": packed(middle),

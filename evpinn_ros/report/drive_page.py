@@ -11,9 +11,11 @@ from typing import Any, TypeAlias
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
+from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.owner_text import drives_columns, drives_rows
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.replays.tables import (
@@ -25,6 +27,7 @@ from evpinn_ros.replays.tables import (
     signed_percent,
     watts,
 )
+from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.breakdown_bar import breakdown_values
 from evpinn_ros.report.drive_energy import running_totals, speed_energy_chart
@@ -102,6 +105,9 @@ def write_drives(
     found = [
         _drive(name, reported, points, units) for name, reported in zip(names, drives, strict=True)
     ]
+    rows = drives_rows(
+        [(name, each.drive, each.found) for name, each in zip(names, drives, strict=True)], units
+    )
     write_page(
         path,
         "drive.html.j2",
@@ -109,6 +115,11 @@ def write_drives(
         command=command,
         plots=[plots for _, plots in found],
         drives=[values for values, _ in found],
+        index_columns=("drive", "began", *drives_columns(units)[1:]),
+        index=[
+            (row[0], _date(each.drive.start_ns), *row[1:])
+            for row, each in zip(rows, drives, strict=True)
+        ],
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,
         most_events=MOST_EVENTS,
@@ -133,6 +144,7 @@ def _drive(
     values = {
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive.start_ns)}",
+        "doubt": vehicle_doubt(reported.vehicle, drive),
         "record": _record(found),
         "breakdown": breakdown_values(found["breakdown"], units),
         "tiles": list(drive_tiles(drive, *steps, units)),
@@ -209,10 +221,10 @@ def _maps(reported: ReportedDrive, moments: drive_maps.Moments, units: Units) ->
 
 def _record(found: Mapping[str, Any]) -> str:
     """The recording, and the mode that learned from it."""
-    dropped = ", ".join(f"{n} {why}" for why, n in found["input"]["dropped"].items())
+    dropped = dropped_text(found["input"]["dropped"])
     return (
         f"{found['input']['path']}, mode {found['mode']}; {found['input']['samples']} samples; "
-        f"dropped readings: {dropped or 'none'}."
+        f"not used: {dropped or 'nothing'}."
     )
 
 

@@ -25,7 +25,10 @@ def drive_tiles(
         yield f"{energy / JOULES_PER_KWH:.3g} kWh", "from the battery"
     taken = charged(drive)
     if taken >= LEAST_CHARGED:
-        yield f"{taken / JOULES_PER_KWH:.3g} kWh", "charged while it stood, in no other figure"
+        yield (
+            f"{taken / JOULES_PER_KWH:.3g} kWh",
+            "charged while parked, not included elsewhere",
+        )
     seconds = float(travelled.seconds.sum())
     mean = far / seconds * units.speeds if seconds else 0.0
     time = clock(drive.duration)

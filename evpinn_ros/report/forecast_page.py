@@ -17,6 +17,7 @@ from evpinn_ros.estimation.terms import Part
 from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
+from evpinn_ros.report.intervals import Row, interval_rows
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
 UNEVEN = "speeding up and braking between the points"
@@ -118,25 +119,9 @@ def _parts(planned: PlannedEnergy, head_wind: float) -> list[dict[str, Any]]:
         if part != Part.REGAINED and max(abs(energy), sigma) > LEAST_SHOWN * JOULES_PER_KWH
     ]
     rows.sort(key=lambda row: -row[1].value)
-    ends = [each.value + sign * GAUSSIAN_QUANTILE * each.sigma for _, each in rows
-            for sign in (-1.0, 1.0)]  # fmt: skip
-    low, high = min(0.0, *ends), max(1.0, *ends)
-
-    def at(joules: float) -> float:
-        return round(100.0 * (joules - low) / (high - low), 2)
-
-    return [
-        {
-            "name": name,
-            "text": _kwh(each),
-            "zero": at(0.0),
-            "left": at(min(each.value, 0.0)),
-            "width": round(abs(at(each.value) - at(0.0)), 2),
-            "from_": at(each.value - GAUSSIAN_QUANTILE * each.sigma),
-            "to": at(each.value + GAUSSIAN_QUANTILE * each.sigma),
-        }
-        for name, each in rows
-    ]
+    return interval_rows(
+        [Row(name, _kwh(each), each.value, GAUSSIAN_QUANTILE * each.sigma) for name, each in rows]
+    )
 
 
 def _kwh(energy: Uncertain, sign: str = "") -> str:

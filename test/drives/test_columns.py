@@ -226,3 +226,17 @@ def test_what_is_no_place_ends_no_file(tmp_path, name, place):
     drive = drive_of(tmp_path, header, lines)
     assert ("latitude" in {rule.quantity for rule in drive.rules}) == place
     check(drive)
+
+
+def test_an_empty_column_gives_way_to_a_full_one(tmp_path):
+    """VED has two of air conditioning, of which one is empty."""
+    path = tmp_path / "ved.csv"
+    header = "Timestamp(s),Vehicle Speed[km/h],HV Battery Voltage[V],HV Battery Current[A]"
+    header += ",Air Conditioning Power[kW],Air Conditioning Power[Watts]\n"
+    rows = "".join(f"{i},{i % 50},350,{-(i % 9)},,{600 + i}\n" for i in range(100))
+    path.write_text(header + rows, encoding="utf-8")
+    (aircon,) = (rule for rule in open_drive(path).rules if rule.quantity == "aircon")
+    assert aircon.name == "Air Conditioning Power[Watts]"
+    path.write_text(header + rows.replace(",,", ",0.6,"), encoding="utf-8")
+    (aircon,) = (rule for rule in open_drive(path).rules if rule.quantity == "aircon")
+    assert aircon.name == "Air Conditioning Power[kW]"

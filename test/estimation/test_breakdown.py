@@ -1,10 +1,12 @@
 """Where the energy of a drive went: parts of the one equation, summed."""
 
 from dataclasses import replace
+import math
 
 import numpy as np
 import pytest
 
+from evpinn_ros.estimation.breakdown import HILL, NET_CLIMB
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.states import State
@@ -111,3 +113,22 @@ def test_parts_that_data_tell_apart_badly_are_given_together(learned):
 
 def test_before_any_drive_there_is_nothing():
     assert LearnedCar.new(EQUATION).breakdowns().of(-1) is None
+
+
+def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(town):
+    """It is no part of what they add up to: what slopes took more, others took less."""
+    seen, unseen = (
+        LearnedCar.new(EQUATION)
+        .after([replace(one, height_known=known) for one in town])
+        .breakdowns()
+        .of(-1)
+        for known in (True, False)
+    )
+    assert (seen.unseen, unseen.unseen) == (0.0, pytest.approx(unseen.distance))
+    climb = NET_CLIMB * (1.0 - math.exp(-unseen.distance / HILL)) ** 0.5
+    assert unseen.of(Part.SLOPE).sigma_kwh * 3.6e6 >= 0.9 * climb * 9.81 * EQUATION.mean[2]
+    assert seen.of(Part.SLOPE).sigma_kwh < 0.1 * unseen.of(Part.SLOPE).sigma_kwh
+    for part in (Part.BRAKES, Part.DRIVETRAIN):
+        assert unseen.of(part).sigma_kwh > seen.of(part).sigma_kwh
+    whole = list(Part)[WHOLE]
+    assert unseen.of(*whole).sigma_kwh < 1.5 * seen.of(*whole).sigma_kwh

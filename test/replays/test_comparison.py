@@ -59,7 +59,7 @@ def test_a_load_is_found_as_what_explains_the_difference(winter):
             assert abs(part.kwh) < 0.1 * true, name
     first, second = sentences(winter)
     assert first.startswith("drive1 took") and "more than drive0" in first
-    assert second.startswith("More than chance: other standing load +")
+    assert second.startswith("Statistically significant: other standing load +")
 
 
 def test_rows_are_per_100_km_and_of_every_drive(winter):

@@ -62,7 +62,7 @@ def test_what_a_charger_gave_is_told_apart(town):
     )
     before, after = (owner_line(drive, town.metrics) for drive in (town.drive, plugged))
     assert after.startswith(before)
-    assert after.endswith("Charged while it stood: 7.00 kWh, in no other figure.")
+    assert after.endswith("Charged while it stood: 7.00 kWh, not included above.")
     assert charged(town.drive) == 0.0
 
 

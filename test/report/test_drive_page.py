@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import METRIC, US
-from evpinn_ros.replays.breakdown_text import PAPER, breakdown_metrics, shown
+from evpinn_ros.replays.breakdown_text import PAPER, breakdown_metrics
 from evpinn_ros.replays.driven import measured_steps
 from evpinn_ros.replays.history import PowerSeries
+from evpinn_ros.report.breakdown_bar import breakdown_values
+from evpinn_ros.report.drive_energy import speed_energy_chart
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.report.html import BROWSER, UPLOT
 from evpinn_ros.report.thinning import LEVELS, NO_VALUE
@@ -99,7 +101,7 @@ def test_the_whole_story_is_told(reported, tmp_path):
         "other standing load",
     ):
         assert text in found.text
-    assert "svg" in [tag for tag, _ in found.tags]
+    assert "whiskers" in [attributes.get("class") for tag, attributes in found.tags]
     assert len(found.data[0]["events"]) == 2
 
 
@@ -107,8 +109,8 @@ def test_what_the_drive_took_comes_before_how_sure_that_is(reported, tmp_path):
     words = page(tmp_path, reported).words
     order = ["kWh/100 km", "Where the energy went", "Energy by speed", "How sure is this", "RMSE"]
     assert sorted(order, key=words.index) == order
-    sentence = re.search(r"[A-Z][a-z ]+ took (\S+) ± (\S+) kWh, .+ of this drive\.", words)
-    assert float(sentence[1]) > 2 * float(sentence[2])
+    sentence = re.search(r"[A-Z][a-z, ]+ took (\S+) to (\S+) kWh .+ of this drive\.", words)
+    assert 0.0 < float(sentence[1]) < float(sentence[2])
     consumption = float(re.search(r"(\S+)kWh/100 km", words)[1])
     steps = measured_steps(reported.drive)
     expected = steps.energy.sum() / steps.distance.sum() / 36.0
@@ -284,27 +286,35 @@ def test_uplot_is_the_release_that_it_says():
         assert "</script" not in path.read_text("utf-8").lower()
 
 
-def test_the_bar_is_as_long_as_what_took_energy(reported, tmp_path):
-    """Boxes stand side by side without a gap, each as wide as its share of what took energy."""
-    found = page(tmp_path, reported)
-    boxes = [a for tag, a in found.tags if tag == "rect" and a["class"].startswith("part")]
-    begins, widths = (np.array([float(box[side]) for box in boxes]) for side in ("x", "width"))
-    assert begins == pytest.approx(np.concatenate(([0.0], np.cumsum(widths)[:-1])), abs=0.5)
-    breakdown = reported.found["breakdown"]
-    took = [part["kwh"] for _, part in shown(breakdown) if part["kwh"] > 0.0]
-    assert widths / widths.sum() == pytest.approx(np.array(took) / sum(took), abs=1e-3)
-
-
-def test_what_lies_beyond_the_measured_is_named(reported, tmp_path):
-    """A way down, say: the bar is longer than what was measured, and the page says by what."""
+def test_each_part_has_a_row_with_its_interval_the_biggest_first(reported, tmp_path):
+    """No bar and no interval leaves the width, whatever gave energy back."""
     breakdown = deepcopy(reported.found["breakdown"])
     breakdown["slope"] |= {"kwh": -0.5, "sigma_kwh": 0.054}
+    breakdown["together"] = []
     breakdown["measured"]["kwh"] = 0.05
+    rows = breakdown_values(breakdown, METRIC)["parts"]
+    assert [row["name"] for row in rows][-1] == "net climb"
+    assert rows[-1]["text"].startswith("-0.50 kWh (-0.59 to -0.41)")
+    for row in rows:
+        assert 0.0 <= row["from_"] <= row["to"] <= 100.0
+        assert 0.0 <= row["left"] <= row["left"] + row["width"] <= 100.01
     found = dict(reported.found) | {"breakdown": breakdown}
     words = page(tmp_path / "down", replace(reported, found=found)).words
-    assert "Beyond it is what lies below zero: " in words
-    assert "slopes, up less down -0.500 ± 0.054 kWh" in words
-    assert "The way down gave back 0.50 ± 0.05 kWh." in words
+    assert "The way down gave back 0.41 to 0.59 kWh (9 times in 10)." in words
+    assert "For engineers" in words
+
+
+def test_a_page_of_several_drives_begins_with_an_index(reported, tmp_path):
+    write_drives(tmp_path / "two.html", [reported, reported], "evpinn replay")
+    text = (tmp_path / "two.html").read_text("utf-8")
+    for number in (1, 2):
+        assert text.index(f'href="#drive-{number}"') < text.index(f'<span id="drive-{number}"')
+
+
+def test_steady_speed_beyond_what_was_driven_is_drawn_apart(reported):
+    steps = measured_steps(reported.drive)
+    chart = speed_energy_chart(reported.drive, reported.vehicle, steps, METRIC)
+    assert chart["driven"] == pytest.approx(3.6 * steps.speed.max())
 
 
 def test_a_log_with_hours_between_its_trips_says_what_was_recorded(reported, tmp_path):

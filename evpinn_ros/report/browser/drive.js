@@ -226,7 +226,10 @@
     const measured = new Map(spec.bars.map((bar) => [bar[0], bar]));
     const barAt = (v) => measured.get(Math.floor(v / spec.width) * spec.width);
     const bars = x.map((v) => (barAt(v) || [])[1]);
-    const data = [x, unpack(spec.low), middle, unpack(spec.high), bars];
+    const within = (wanted) => middle.map((v, i) => ((x[i] <= spec.driven) === wanted ? v : null));
+    const data = [x, unpack(spec.low), within(true), unpack(spec.high), bars, within(false)];
+    const interval = (u, v, _, i) => (v == null ? ""
+      : `${digits(v)} (${digits(u.data[1][i])} to ${digits(u.data[3][i])})`);
     const [distance] = spec.axes[1].split("/").slice(1), digits = (v) => number(v, 0);
     const hidden = { class: "unlisted", width: 0, points: { show: false } };
     const draw = (u) => tidy(u.ctx, () => {
@@ -244,11 +247,12 @@
       axes: [axis(spec.axes[0], { size: 28, space: 50 }), sideAxis(spec.axes[1])],
       series: [{ label: "speed", value: (_, v) => (v == null ? "" : digits(v)) }, hidden,
         { label: "steady, flat", stroke: () => palette.predicted, width: 2, points: { show: false },
-          value: (u, v, _, i) => (v == null ? ""
-            : `${digits(v)} (${digits(u.data[1][i])} to ${digits(u.data[3][i])})`) },
+          value: interval },
         hidden, { label: "measured", paths: () => null, points: { show: false },
           stroke: () => palette.bar, value: (u, v, _, i) => (v == null ? ""
-            : `${digits(v)}, over ${number(barAt(x[i])[2], 1)} ${distance}`) }],
+            : `${digits(v)}, over ${number(barAt(x[i])[2], 1)} ${distance}`) },
+        { label: "faster than driven", stroke: () => palette.predicted, width: 2, dash: [3, 5],
+          points: { show: false }, value: interval }],
       bands: [{ series: [3, 1], fill: () => palette.band }],
       hooks: { drawAxes: [draw] },
     }, data];

@@ -1,0 +1,96 @@
+"""Breakdowns without heights compared with those of the same drives with heights.
+
+A recorded drive is learned from twice: as it is, and with its heights taken out. Every part of the
+second breakdown has an interval, and the part that was found with height should lie in it. Each
+drive begins at the vehicle file, as a stranger's only log does; the difference of two drives in a
+row (`evpinn compare`) is checked in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from benchmarks.breakdown import PartCheck
+from benchmarks.unseen.drives import UnseenCar, UnseenDrive, load_car
+from evpinn_ros.estimation.breakdown import Breakdown, Breakdowns
+from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.terms import WHOLE, Part, equation_of
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.vehicle.files import Vehicle
+
+CARS = ("i3", "leaf2013", "changchun")  # of `benchmarks.unseen.drives` those with heights
+LEAST_DISTANCE = 2000.0  # m; of less no part is worth knowing
+HEIGHT_KNOWN = 0.9  # of the way, of a drive that counts
+
+
+def height_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartCheck]:
+    """Each part of drives of each car without heights, and of the differences of two in a row."""
+    for key in cars:
+        car = load_car(data, key)
+        found = [list(intervals_of(drive, car.vehicle)) for drive in car.drives[:drives]]
+        usable = [intervals for intervals in found if has_height(intervals)]
+        for seed, intervals in enumerate(usable):
+            yield from _checks(car, "alone", seed, [intervals])
+        for seed, pair in enumerate(pairwise(usable)):
+            yield from _checks(car, "difference", seed, pair)
+
+
+def intervals_of(drive: UnseenDrive, vehicle: Vehicle) -> Iterator[Interval]:
+    """Intervals that a drive is learned from."""
+    stream = SampleStream(
+        StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
+    )
+    for reading in drive.readings:
+        for event in stream.add_reading(reading):
+            if isinstance(event, Interval):
+                yield event
+
+
+def has_height(intervals: Sequence[Interval]) -> bool:
+    """True if a drive is long enough, and its height known nearly all the way."""
+    way = np.array([abs(each.distance) for each in intervals])
+    known = np.array([each.height_known for each in intervals])
+    return bool(way.sum() > LEAST_DISTANCE and way[known].sum() > HEIGHT_KNOWN * way.sum())
+
+
+def without_height(interval: Interval) -> Interval:
+    """The same interval of a log that has no heights."""
+    flat = interval.steps._replace(climb=np.zeros_like(interval.steps.climb))
+    return replace(interval, steps=flat, height_known=False)
+
+
+def learned(vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> Breakdowns:
+    """Breakdowns of drives that one car learned from, to be compared."""
+    car = LearnedCar.new(equation_of(vehicle))
+    for number, intervals in enumerate(drives):
+        car = car.begin_drive(compare=True) if number else car
+        car = car.after(intervals)
+    return car.breakdowns()
+
+
+def _checks(
+    car: UnseenCar, kind: str, seed: int, drives: Sequence[Sequence[Interval]]
+) -> Iterator[PartCheck]:
+    flat = [[without_height(each) for each in intervals] for intervals in drives]
+    pair = [learned(car.vehicle, each) for each in (drives, flat)]
+    if len(drives) == 1:
+        true, found = (each.of(0) for each in pair)
+    else:
+        true, found = (each.difference(1, 0) for each in pair)
+    if true is None or found is None:
+        return
+    for part in list(Part)[WHOLE]:
+        yield _check(car.key, kind, seed, part, true, found)
+
+
+def _check(
+    car: str, kind: str, seed: int, part: Part, true: Breakdown, found: Breakdown
+) -> PartCheck:
+    amount = found.of(part)
+    values = amount.kwh, amount.sigma_kwh, true.of(part).kwh, abs(found.total().kwh)
+    return PartCheck(car, kind, seed, f"{kind}: {part.name.lower()}", *values)

@@ -1,0 +1,35 @@
+"""Readings that were not used, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+# What was not lost: a state of charge that came without voltage and current is used as such.
+NO_LOSS = ("battery_unmeasured",)
+WORDS = {
+    "acceleration_impossible": "speeds that no tyre could follow",
+    "battery_doubled": "battery readings with the stamp of another",
+    "battery_late": "battery readings that came too late",
+    "no_time": "rows without a time",
+    "second_publisher": "readings of a second source of the same signal",
+    "soc_pct_out_of_range": "states of charge outside of 0 to 100 %",
+    "speed_doubled": "speeds with the stamp of another",
+    "speed_late": "speeds that came too late",
+    "speed_out_of_range": "speeds that no car drives",
+    "speed_stands_still": "speeds of 0 while the odometer goes on",
+    "stamp_leaps": "readings whose time leaps",
+    "t_s_not_a_number": "rows whose time cannot be read",
+    "time_not_increasing": "readings no later than the one before",
+    "time_out_of_range": "rows of an impossible date",
+    "voltage_not_positive": "battery readings without a voltage",
+    "wrong_number_of_cells": "torn rows",
+}
+
+
+def dropped_text(dropped: Mapping[str, int]) -> str:
+    """What was lost, as a list; empty where nothing was."""
+    return ", ".join(
+        f"{count} {WORDS.get(reason, reason.replace('_', ' '))}"
+        for reason, count in dropped.items()
+        if count and reason not in NO_LOSS
+    )

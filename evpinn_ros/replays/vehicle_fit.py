@@ -1,0 +1,77 @@
+"""Doubt that a drive is of the car it was replayed as, in words.
+
+A vehicle file is a prior: a log of another car pulls what is learned far from it, and the battery
+of another car holds another energy. Both are compared with what the file expects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import math
+
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.replays.driven import charged, measured_steps
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.vehicle.certified import certified_cars
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.identifiable import prior_identifiable
+
+GENERIC = "generic"
+DOUBTFUL = 3.0  # sigmas from what the vehicle file expects
+LEAST_DISCHARGE = 0.1  # of the battery, from here on its size shows
+LEAST_MEASURED = 0.95  # of the drive with battery measured, that the energy is of
+USUAL_CAPACITY = (0.6, 1.4)  # of that of the file: age, cold, and a gauge that is not linear
+MOST_RIVALS = 3
+
+
+def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
+    """Sentence on what speaks against the vehicle file of a drive; None where nothing does."""
+    if vehicle.key == GENERIC:
+        return None
+    reasons = [*_mass_reason(vehicle, drive), *_capacity_reason(vehicle, drive)]
+    if not reasons:
+        return None
+    rivals = ", ".join(_rivals(drive))
+    advice = f"--vehicle {GENERIC}{rivals and f', or one of {rivals}'}"
+    return f"This log does not look like a {vehicle.name}: {' and '.join(reasons)}. Try {advice}."
+
+
+def _mass_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
+    rows = drive.combinations.get("mass_over_eta", ())
+    if not len(rows):
+        return
+    _, value, std = rows[-1].tolist()
+    expected, spread = (each.mass_over_eta for each in prior_identifiable(vehicle))
+    if abs(value - expected) > DOUBTFUL * math.hypot(std, spread):
+        yield f"mass over eta is {value:.0f} kg ({expected:.0f} +- {spread:.0f} expected)"
+
+
+def _capacity_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
+    """By the energy that a fall of the state of charge gave, of a drive without charging."""
+    unknown = not math.isfinite(vehicle.battery_capacity)
+    if unknown or len(drive.charge) < 2 or charged(drive):
+        return
+    used = float(drive.charge[0, 1] - drive.charge[-1, 1])
+    steps = measured_steps(drive)
+    if used < LEAST_DISCHARGE or steps.seconds.sum() < LEAST_MEASURED * drive.duration:
+        return
+    capacity = float(steps.energy.sum()) / used
+    low, high = (share * vehicle.battery_capacity for share in USUAL_CAPACITY)
+    if not low <= capacity <= high:
+        kwh, expected = capacity / JOULES_PER_KWH, vehicle.battery_capacity / JOULES_PER_KWH
+        yield f"its battery holds {kwh:.0f} kWh by charge and energy ({expected:.0f} expected)"
+
+
+def _rivals(drive: Drive) -> Iterator[str]:
+    """Certified cars whose mass over eta is nearest to what was learned, the nearest first."""
+    rows = drive.combinations.get("mass_over_eta", ())
+    if not len(rows):
+        return
+    value = float(rows[-1, 1])
+
+    def distance(key: str) -> float:
+        expected, spread = (each.mass_over_eta for each in prior_identifiable(load_vehicle(key)))
+        return abs(value - float(expected)) / float(spread)
+
+    near = sorted((distance(key), key) for key in certified_cars())
+    yield from (key for away, key in near[:MOST_RIVALS] if away < 1.0)

@@ -1,0 +1,41 @@
+"""Rows of amounts with their intervals, for the macro `intervals`: a bar each, and a line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+
+class Row(NamedTuple):
+    """A row: its name, what stands beside it, the amount and half of its interval."""
+
+    name: str
+    text: str
+    value: float
+    half: float
+
+
+def interval_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """The rows with the places of bar, interval and zero, in percent of the width.
+
+    The width holds every interval and zero, so that nothing is cut off.
+    """
+    low = min([0.0, *(min(one.value, one.value - one.half) for one in rows)])
+    high = max([0.0, *(one.value + one.half for one in rows)])
+    width = max(high - low, 1e-12)
+
+    def at(value: float) -> float:
+        return round(100.0 * (value - low) / width, 2)
+
+    return [
+        {
+            "name": one.name,
+            "text": one.text,
+            "zero": at(0.0),
+            "left": at(min(one.value, 0.0)),
+            "width": round(abs(at(one.value) - at(0.0)), 2),
+            "from_": at(one.value - one.half),
+            "to": at(one.value + one.half),
+        }
+        for one in rows
+    ]
