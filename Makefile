@@ -108,15 +108,20 @@ site: $(INSTALLED)
 clean:
 	rm -rf $(VENV) $(JAZZY) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
-$(MSGS)/installed: $(INSTALLED) $(shell find evpinn_msgs -type f)
-	@echo "Building evpinn_msgs into $(MSGS); it takes half a minute."
+# With them those that tests send as other stacks do: CAN frames, Autoware, Nav2's bond.
+$(MSGS)/installed: $(INSTALLED) $(shell find evpinn_msgs test/messages -type f)
+	@echo "Building evpinn_msgs and messages of others into $(MSGS); it takes a minute."
 	@$(BIN)/python -m pip install -qq --no-input --disable-pip-version-check \
 		-c $(CONSTRAINTS) -r evpinn_msgs/requirements-build.txt
-	@rm -rf $(MSGS) && PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S evpinn_msgs -B $(MSGS)/build -GNinja \
-		-DCMAKE_PROJECT_INCLUDE=cmake/wheels.cmake -DBUILD_TESTING=OFF --log-level=ERROR \
-		-DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" \
-		-DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(MSGS)" >/dev/null
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake --build $(MSGS)/build -j 2 --target install >/dev/null
+	@rm -rf $(MSGS)
+	@for source in evpinn_msgs test/messages/*; do \
+		build=$(MSGS)/build/$$(basename $$source) && PATH="$(CURDIR)/$(BIN):$$PATH" && \
+		cmake -S $$source -B $$build -GNinja -DBUILD_TESTING=OFF --log-level=ERROR \
+			-DCMAKE_PROJECT_INCLUDE="$(CURDIR)/evpinn_msgs/cmake/wheels.cmake" \
+			-DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" \
+			-DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(MSGS)" >/dev/null && \
+		cmake --build $$build -j 2 --target install >/dev/null || exit 1; \
+	done
 	@touch $@
 
 $(VENV)/ros2/installed: $(INSTALLED)

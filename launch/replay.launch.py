@@ -25,6 +25,7 @@ OWN = (
     argument("bag", None, "The recorded drive."),
     argument("bag_namespace", NAMESPACE, "Of the topics in the bag."),
     argument("rate", "1.0", "Speed against real time."),
+    argument("keep", "false", "Leave the nodes up when the bag has ended.", TRUTH),
 )
 BY_THE_BAG = argument(
     "use_sim_time", "true", "Publish the bag's time on /clock, and take it from there.", TRUTH
@@ -37,8 +38,10 @@ def generate_launch_description():
 
 def _actions(given):
     player = _player(given)
-    over = OnProcessExit(target_action=player, on_exit=[EmitEvent(event=Shutdown())])
     nodes = [node(given, executable, _parameters(given, executable)) for executable in QUEUED]
+    if given.is_true("keep"):
+        return [*nodes, player]
+    over = OnProcessExit(target_action=player, on_exit=[EmitEvent(event=Shutdown())])
     return [*nodes, player, RegisterEventHandler(over)]
 
 

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 import struct
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
@@ -83,15 +83,8 @@ class BagFrames:
                 if not first_bus.takes(message.id, message.is_extended, record.topic):
                     self.skipped["other_bus"] += 1
                     continue
-                stamp = message.header.stamp
-                stamp_ns = stamp.sec * NANOSECONDS + stamp.nanosec
                 self.count += 1
-                yield CanFrame(
-                    stamp_ns or record.log_time_ns,
-                    int(message.id),
-                    bytes(message.data[: message.dlc]),
-                    bool(message.is_extended),
-                )
+                yield read_frame(message, record.log_time_ns)
         self.skipped.update(self._reader.dropped)
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN data frame in it")
@@ -123,6 +116,17 @@ def holds_frames(path: Path) -> bool:
     """
     with BagReader(path) as reader:
         return bool(_frame_topics(reader))
+
+
+def read_frame(message: Any, arrived_ns: int) -> CanFrame:
+    """The data frame in a `can_msgs/Frame` of any class family; no stamp means its arrival's."""
+    stamp = message.header.stamp
+    return CanFrame(
+        stamp.sec * NANOSECONDS + stamp.nanosec or arrived_ns,
+        int(message.id),
+        bytes(message.data[: message.dlc]),
+        bool(message.is_extended),
+    )
 
 
 def encode_frame(frame: CanFrame) -> bytes:

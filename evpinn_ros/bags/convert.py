@@ -82,14 +82,14 @@ class BagReadings:
         """
         self.dropped: Counter[str] = Counter()
         self._reader, self._mounting = reader, mounting
-        speed = _named(reader, topics.SPEED, namespace)
+        speeds = (_named(reader, topic, namespace) for topic in topics.SPEEDS)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
-        found = [speed or _named(reader, topics.ODOMETRY, namespace)]
+        found = [next(filter(None, speeds), None)]
         found += [_named(reader, topic, namespace) for topic in wanted_topics]
         self.topics = tuple(name for name in found if name)
         missing = {topics.SPEED, topics.BATTERY} - {topic_of(name) for name in self.topics}
         if found[0]:
-            missing.discard(topics.SPEED)  # odometry has it too
+            missing.discard(topics.SPEED)  # others have it too
         self.notes = tuple(_near_topics(reader, missing))
         if not self.topics:
             wanted = ", ".join(topic.name for topic in READING_TOPICS.values())

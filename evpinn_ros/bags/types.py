@@ -1,6 +1,6 @@
 """ROS 2 messages and their CDR bytes without ROS: the classes of rosbags for ROS 2 Jazzy.
 
-`can_msgs/Frame`, which is no part of ROS 2 itself, is described here.
+Messages that are no part of ROS 2 itself, of CAN adapters and of Autoware, are described here.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 import struct
+from textwrap import dedent
 from typing import Any
 
 import numpy as np
@@ -15,24 +16,50 @@ from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, VELOCITY_REPORT_TYPE
+
 CDR_BIG_ENDIAN, CDR_LITTLE_ENDIAN = b"\x00\x00", b"\x00\x01"
 
 FRAME_TYPE = "can_msgs/msg/Frame"
-_FRAME_FIELDS = """std_msgs/Header header
-uint32 id
-bool is_rtr
-bool is_extended
-bool is_error
-uint8 dlc
-uint8[8] data
-"""
+_OTHERS = {
+    FRAME_TYPE: """
+        std_msgs/Header header
+        uint32 id
+        bool is_rtr
+        bool is_extended
+        bool is_error
+        uint8 dlc
+        uint8[8] data
+    """,
+    VELOCITY_REPORT_TYPE: """
+        std_msgs/Header header
+        float32 longitudinal_velocity
+        float32 lateral_velocity
+        float32 heading_rate
+    """,
+    "autoware_planning_msgs/msg/TrajectoryPoint": """
+        builtin_interfaces/Duration time_from_start
+        geometry_msgs/Pose pose
+        float32 longitudinal_velocity_mps
+        float32 lateral_velocity_mps
+        float32 acceleration_mps2
+        float32 heading_rate_rps
+        float32 front_wheel_angle_rad
+        float32 rear_wheel_angle_rad
+    """,
+    AUTOWARE_TRAJECTORY_TYPE: """
+        std_msgs/Header header
+        autoware_planning_msgs/TrajectoryPoint[] points
+    """,
+}
 
 
 @cache
 def typestore() -> Any:
     """The rosbags type store; made at first use, which takes a fraction of a second."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(_FRAME_FIELDS, FRAME_TYPE))
+    for name, fields in _OTHERS.items():
+        store.register(get_types_from_msg(dedent(fields), name))
     return store
 
 

@@ -33,8 +33,7 @@ VECTORS = (
     topics.ENERGY_CONSUMPTION,
     topics.ENERGY_RANGE,
 )
-WATCHED = (topics.SPEED, topics.ODOMETRY, topics.BATTERY, *VECTORS, topics.DIAGNOSTICS)
-SPEEDS_OF_CAR = (topics.SPEED, topics.ODOMETRY)
+WATCHED = (*topics.SPEEDS, topics.BATTERY, *VECTORS, topics.DIAGNOSTICS)
 POWERS = {topics.POWER_MEASURED: "measured", topics.POWER_PREDICTED: "predicted"}
 NODES = ("can_bridge", "estimator", "energy", "recorder", "foxglove")
 
@@ -109,7 +108,7 @@ class LiveState:
         if topic is topics.DIAGNOSTICS:
             for status in message.status:
                 self._take_status(status, now)
-        elif topic in SPEEDS_OF_CAR:
+        elif topic in topics.SPEEDS:
             self.speed = speed_reading(message).speed
         elif topic is topics.BATTERY:
             self.battery = battery_reading(message)
@@ -159,7 +158,7 @@ class LiveState:
 
     def fresh_speed(self, now: float) -> float:
         """Speed, m/s, NaN when it has fallen silent."""
-        age = min(self.age(topic, now) for topic in SPEEDS_OF_CAR)
+        age = min(self.age(topic, now) for topic in topics.SPEEDS)
         return self.speed if age < STALE_AFTER else math.nan
 
     def fresh_battery(self, now: float) -> BatteryReading | None:

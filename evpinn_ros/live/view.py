@@ -25,7 +25,7 @@ from evpinn_ros.common.json_text import json_text
 from evpinn_ros.live.json_view import as_json
 from evpinn_ros.live.screen import plain_line, problem_lines, screen
 from evpinn_ros.live.state import NOTHING, WATCHED, LiveState
-from evpinn_ros.nodes.factory import message_class, qos_profile
+from evpinn_ros.nodes.factory import installed, message_class, qos_profile
 from evpinn_ros.topics import NAMESPACE, QUEUE_DEPTH, Qos
 
 PERIOD = 0.1  # s between two pictures
@@ -57,7 +57,7 @@ class LiveListener(Node):
             topic: self.create_subscription(
                 message_class(topic.type_name), topic.name, self._never_called, profile
             )
-            for topic in WATCHED
+            for topic in installed(WATCHED)
         }
 
     def take_all(self) -> None:

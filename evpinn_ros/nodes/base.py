@@ -22,7 +22,7 @@ from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import declare
-from evpinn_ros.nodes.typed import TYPED, is_installed, typed_message
+from evpinn_ros.nodes.typed import PACKAGE, TYPED, typed_message
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import BadMessage, Level, diagnostics
@@ -116,7 +116,8 @@ class GuardedNode(ABC, Node):
 
     def advertise(self, *outputs: Topic) -> None:
         """Make publishers for `publish`."""
-        beside = [TYPED[topic] for topic in outputs if topic in TYPED] if is_installed() else []
+        known = factory.is_installed(PACKAGE)
+        beside = [TYPED[topic] for topic in outputs if known and topic in TYPED]
         for topic in (*outputs, *beside):
             outlet = factory.advertise(self, topic, partial(self._refused_by, topic))
             self._outlets[topic] = outlet
@@ -300,15 +301,16 @@ class GuardedNode(ABC, Node):
         return self._now_s() - max(arrived) if arrived else math.nan
 
     def stream(self, topic: Topic) -> Topic:
-        """The stream that an input belongs to: odometry stands in for `vehicle/speed`.
+        """The stream that an input belongs to: others of `SPEEDS` stand in for `vehicle/speed`.
 
         Raises:
-            BadMessage: it does not, for that is received, and its steps and noise are others.
+            BadMessage: it does not, for a better one is received: its steps and noise are others.
         """
-        if topic is not topics.ODOMETRY:
+        if topic not in topics.SPEEDS:
             return topic
-        if self.received[topics.SPEED]:
-            raise BadMessage("vehicle/speed is received", usual=True)
+        for better in topics.SPEEDS[: topics.SPEEDS.index(topic)]:
+            if self.received[better]:
+                raise BadMessage(f"{better.name} is received", usual=True)
         return topics.SPEED
 
     def _now_s(self) -> float:

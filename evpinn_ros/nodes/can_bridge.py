@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 import threading
 from typing import Any
+
+from rclpy.exceptions import InvalidTopicNameException
 
 from evpinn_ros import topics
 from evpinn_ros.can import elm327
@@ -18,13 +21,14 @@ from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
-from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.factory import is_installed, new_message
+from evpinn_ros.nodes.frame_topic import FrameTopic, frame_topic
 from evpinn_ros.nodes.log_player import LogPlayer
 from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.messages import Level
-from evpinn_ros.topics.node_parameters import bus_options
+from evpinn_ros.topics.node_parameters import FRAMES, bus_options
 from evpinn_ros.topics.readings import reading_messages
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -65,7 +69,9 @@ class CanBridgeNode(ManagedNode):
         self._bridge = self._make_bridge()
         self._lock = threading.Lock()  # of the bridge, between its thread and the diagnostics
         self.advertise(*PUBLISHES)
-        self._source: BusReader | LogPlayer | None = None
+        self._source: BusReader | LogPlayer | FrameTopic | None = None
+        if self.values["interface"] == FRAMES and not self.values["log_file"]:
+            self._listen_to_frames()
         self._threads: list[threading.Thread] = []
         self.begun(f"decoding {self._profile.key}; {self._where()}; waiting for frames")
 
@@ -98,7 +104,8 @@ class CanBridgeNode(ManagedNode):
         if isinstance(source, LogPlayer):
             bridge = self._bridge_status(source.newest_ns)
             return [log_status(source.text, source.problem, bridge, health)]
-        statuses = [bus_status(source.status(), self._bridge_status(self.now_ns()), health)]
+        bus = source.status(self.steady_s()) if isinstance(source, FrameTopic) else source.status()
+        statuses = [bus_status(bus, self._bridge_status(self.now_ns()), health)]
         if self._bridge.poller is not None:
             poll = self._bridge.poller.status()
             statuses.append(poll_status(poll, self._profile.experimental))
@@ -134,6 +141,8 @@ class CanBridgeNode(ManagedNode):
             raise InputError(f"poll: CAN profile '{self._profile.key}' asks nothing; leave it out")
         if values["log_file"]:
             raise InputError("poll: a log cannot be asked; leave it out")
+        if values["interface"] == FRAMES:
+            raise InputError("poll: a topic of frames cannot be asked; leave it out")
         if bus_options(values["bus_options"]).get("listen_only"):
             raise InputError("poll: cannot send with listen_only in bus_options; leave one out")
 
@@ -146,13 +155,34 @@ class CanBridgeNode(ManagedNode):
             sign=CurrentSign(),
         )
 
-    def _open_source(self) -> BusReader | LogPlayer:
+    def _listen_to_frames(self) -> None:
+        """Subscribe to the topic `channel`.
+
+        Raises:
+            InputError: its messages are not installed, or it is no name of a topic.
+        """
+        if not is_installed(FRAMES):
+            raise InputError(f"interface {FRAMES}: the package {FRAMES} is not installed")
+        self._frames = frame_topic(self.values["channel"])
+        try:
+            self.listen(self._frames, self._take_frame)
+        except InvalidTopicNameException as error:
+            raise InputError(f"channel: {error}") from error
+
+    def _take_frame(self, message: Any) -> None:
+        if isinstance(self._source, FrameTopic):
+            self._source.take(message, self.now_ns(), self.steady_s())
+
+    def _open_source(self) -> BusReader | LogPlayer | FrameTopic:
         values = self.values
         on_frame = self.guarded(self._on_frame, "frame")
         if values["log_file"]:
             return LogPlayer(
                 Path(values["log_file"]), values["log_rate"], values["log_delay"], on_frame
             )
+        if values["interface"] == FRAMES:
+            name = self.resolve_topic_name(self._frames.name)
+            return FrameTopic(name, on_frame, partial(self.count_publishers, name))
         options: dict[str, Any] = dict(bus_options(values["bus_options"]))
         if values["bitrate"]:
             options.setdefault("bitrate", values["bitrate"])

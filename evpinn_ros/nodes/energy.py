@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from copy import deepcopy
+from copy import copy, deepcopy
 from functools import partial
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.battery_model import BatteryModel
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecaster import Forecaster, PlanAnswer, PlanLog
+from evpinn_ros.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError, Question
+from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
@@ -31,11 +29,11 @@ from evpinn_ros.nodes.energy_diagnosis import (
     meter_status,
     plan_status,
 )
-from evpinn_ros.nodes.factory import message_class, new_message
+from evpinn_ros.nodes.factory import installed, is_installed, message_class, new_message
 from evpinn_ros.nodes.plan_desk import Job, PlanDesk
-from evpinn_ros.nodes.plan_service import answer_plans, refuse_plans
+from evpinn_ros.nodes.plan_service import BATCH, SERVICE, Moment, PlanCall
 from evpinn_ros.nodes.stateful import StatefulNode
-from evpinn_ros.nodes.typed import PACKAGE, PLAN_SERVICE, TYPED_FORECAST, is_installed
+from evpinn_ros.nodes.typed import PACKAGE, PLAN_ACTION, PLAN_SERVICE, TYPED_FORECAST
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.signals.time_jump import StampGuard
@@ -55,19 +53,10 @@ from evpinn_ros.topics.plans import (
     read_conditions,
     request_header,
     speed_profile_plan,
+    trajectory_plan,
 )
 from evpinn_ros.topics.readings import battery_message, to_reading
 from evpinn_ros.vehicle.files import load_vehicle
-
-
-class Moment(NamedTuple):
-    """Arguments of `Forecaster.answer` that are of one moment."""
-
-    charge: Uncertain
-    capacity: Uncertain
-    now_ns: int
-    battery: BatteryModel
-
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 
@@ -106,15 +95,20 @@ class EnergyNode(StatefulNode):
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
-        for topic in (topics.SPEED, topics.ODOMETRY, topics.BATTERY):
+        for topic in installed((*topics.SPEEDS, topics.BATTERY)):
             self.listen(topic, partial(self._on_reading, topic))
         self.listen(topics.MODEL, self._on_model)
         for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
             self.listen(topic, partial(self._on_air, topic))
         self.listen(topics.CONDITIONS, self._on_conditions)
-        for topic, read in ((topics.PLAN, self._path), (topics.SPEED_PROFILE, speed_profile_plan)):
-            self.listen(topic, partial(self._on_plan, read), raw=True)
-        if is_installed():
+        readers = {
+            topics.PLAN: self._path,
+            topics.SPEED_PROFILE: speed_profile_plan,
+            topics.TRAJECTORY: trajectory_plan,
+        }
+        for topic in installed(readers):
+            self.listen(topic, partial(self._on_plan, readers[topic]), raw=True)
+        if is_installed(PACKAGE):
             self.advertise(TYPED_FORECAST)
             self._serve_plans()
         self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
@@ -230,7 +224,7 @@ class EnergyNode(StatefulNode):
         try:
             header = request_header(new_message, data)
             answer = forecaster.answer(read(data), *moment, question(header))
-            messages = list(self._plan_messages(header, answer))
+            messages = list(self._plan_messages(header, answer, forecaster.basis))
         except (CdrError, PlanError) as error:
             self._refuse(header, str(error))
             return
@@ -250,7 +244,9 @@ class EnergyNode(StatefulNode):
         message.header = header
         return topics.FORECAST_STATUS, message
 
-    def _plan_messages(self, header: Any, answer: PlanAnswer) -> Iterator[tuple[Topic, Any]]:
+    def _plan_messages(
+        self, header: Any, answer: PlanAnswer, basis: Basis
+    ) -> Iterator[tuple[Topic, Any]]:
         """The answer to a plan; the header is echoed, so that the planner knows its plan."""
         result = answer.forecast
         times = result.time - result.time[0]
@@ -260,7 +256,8 @@ class EnergyNode(StatefulNode):
             names = ("energy", "power", "sigma")
             numbers = dict(zip(names, (each.tolist() for each in columns), strict=True))
             typed = new_message(TYPED_FORECAST.type_name, time=times.tolist(), **numbers)
-            typed.header = header
+            typed.header, typed.basis = header, basis.value
+            typed.conditions = list(answer.conditions)
             yield TYPED_FORECAST, typed
         if answer.charge.known:
             reading = BatteryReading(0, answer.voltage, math.nan, answer.charge.value)
@@ -275,27 +272,74 @@ class EnergyNode(StatefulNode):
         return Moment(charge, capacity, self.now_ns(), deepcopy(self.account.battery))
 
     def _serve_plans(self) -> None:
-        kind = message_class(f"{PACKAGE}/srv/{PLAN_SERVICE}")
-        # A call that waits for its answer keeps others of its group from being served.
-        group = MutuallyExclusiveCallbackGroup()
+        from rclpy.action import ActionServer, CancelResponse  # here: none without the package
+
+        # A call that waits for its answer keeps others of an exclusive group from being served.
+        group = ReentrantCallbackGroup()
+        kind = message_class(PLAN_SERVICE)
         self.create_service(kind, "~/estimate_plan", self._on_estimate, callback_group=group)
+        server = ActionServer(
+            self,
+            message_class(PLAN_ACTION),
+            "~/estimate_plans",
+            self._on_batch,
+            callback_group=group,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        self._made.append(server.destroy)
 
     async def _on_estimate(self, request: Any, response: Any) -> Any:
+        call, moment = PlanCall(request.plans, SERVICE, self._plans), self._moment()
+
+        def all_of_them(forecaster: Forecaster) -> None:
+            while not call.finished:
+                call.answer(forecaster, moment)
+
+        await self._at_the_desk(call, all_of_them)
+        return call.write(response)
+
+    async def _on_batch(self, goal: Any) -> Any:
+        """Answer a goal plan by plan, so that other plans are answered in between.
+
+        All are forecast with the car of the first: what is learned meanwhile would make
+        differences of them.
+        """
+        self.calls["~/estimate_plans"] += 1
+        kind = message_class(PLAN_ACTION)
+        call, moment = PlanCall(goal.request.plans, BATCH, self._plans), self._moment()
+        own: list[Forecaster] = []
+
+        def next_one(forecaster: Forecaster) -> None:
+            if not own:
+                own.append(copy(forecaster))
+            call.answer(own[0], moment)
+
+        while not (call.finished or goal.is_cancel_requested):
+            await self._at_the_desk(call, next_one)
+            goal.publish_feedback(kind.Feedback(done=len(call.results), newest=call.results[-1]))
+        if call.finished:
+            goal.succeed()
+        else:
+            goal.canceled()
+        return call.write(kind.Result())
+
+    async def _at_the_desk(self, call: PlanCall, job: Job) -> None:
+        """Have a job on a call done in the thread of the desk; its plans are refused if not."""
         if not self.active:
-            return refuse_plans(request, response, NOT_ACTIVE)
-        moment, done = self._moment(), Future(executor=self.executor)
+            call.refuse_all(NOT_ACTIVE)
+            return
+        done = Future(executor=self.executor)
 
-        def job(forecaster: Forecaster) -> None:
-            def answer(plan: Plan, asked: Question) -> PlanAnswer:
-                return forecaster.answer(plan, *moment, asked)
-
+        def and_tell(forecaster: Forecaster) -> None:
             try:
-                done.set_result(answer_plans(request, response, answer, self._plans))
+                job(forecaster)
             except Exception as error:
-                fault = f"internal fault: {type(error).__name__}"
-                done.set_result(refuse_plans(request, response, fault))
+                call.refuse_all(f"internal fault: {type(error).__name__}")
                 raise
+            finally:
+                done.set_result(None)
 
-        if not self._desk.ask(self.guarded(job, "estimate_plan")):
-            return refuse_plans(request, response, "too many plans are waiting")
-        return await done
+        if self._desk.ask(self.guarded(and_tell, "estimate_plan")):
+            await done
+        else:
+            call.refuse_all("too many plans are waiting")

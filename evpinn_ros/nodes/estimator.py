@@ -17,7 +17,7 @@ from evpinn_ros.estimation.worker import ThreadWorker
 from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.diagnosis import WELL, Condition, Health, Status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_phases, estimator_status
-from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.factory import installed, new_message
 from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics import Topic
@@ -60,7 +60,7 @@ class EstimatorNode(StatefulNode):
         self._stamps = StampWatch()
         start = self.go_on(self.estimator, topics.SPEED)
         self.advertise(*PUBLISHES)
-        for topic in LISTENS_TO:
+        for topic in installed(LISTENS_TO):
             self.listen(topic, partial(self._take, topic))
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.every(MODEL_PERIOD, self.publish_model)
@@ -79,7 +79,7 @@ class EstimatorNode(StatefulNode):
         return estimator_phases(self.estimator.status(), self._condition(WELL))
 
     def _condition(self, health: Health) -> Condition:
-        return self.condition(health, topics.SPEED, topics.ODOMETRY)
+        return self.condition(health, *topics.SPEEDS)
 
     def publish_model(self) -> None:
         """Tell what forecasts need of the car; latched, so a late listener has it at once."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 import importlib
+from importlib.util import find_spec
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -25,6 +26,18 @@ OVERRIDABLE = tuple(
     getattr(QoSPolicyKind, name) for name in ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY")
 )
 """Policies that parameters may override: all that `Qos` knows, and rclpy's own three."""
+
+
+@cache
+def is_installed(package: str) -> bool:
+    """True if a package of messages is there, and not merely its source in a checkout."""
+    found = find_spec(package)
+    return found is not None and found.origin is not None
+
+
+def installed(topics: Iterable[Topic]) -> list[Topic]:
+    """Topics whose messages are installed: those of Autoware may not be."""
+    return [topic for topic in topics if is_installed(topic.package)]
 
 
 @cache

@@ -9,6 +9,7 @@ from typing import Any
 from evpinn_ros.bags.foxglove import FoxgloveServer, is_loopback
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status, with_health
+from evpinn_ros.nodes.factory import installed
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.messages import Level
 
@@ -30,7 +31,8 @@ class FoxgloveNode(GuardedNode):
         """
         super().__init__("foxglove", **kwargs)
         self._count = 0
-        offered = {self.resolve_topic_name(topic.name): topic.type_name for topic in TOPICS}
+        known = installed(TOPICS)
+        offered = {self.resolve_topic_name(topic.name): topic.type_name for topic in known}
         self._server = FoxgloveServer(host, port, offered, origins=origins)
         self._text, self._level = f"serving {self._server.address}", Level.OK
         if not is_loopback(host):
@@ -39,7 +41,7 @@ class FoxgloveNode(GuardedNode):
             self.get_logger().warning(self._text)
         else:
             self.get_logger().info(self._text)
-        for topic in TOPICS:
+        for topic in known:
             self.listen(topic, partial(self._send, topic), raw=True)
 
     def statuses(self) -> list[Status]:

@@ -10,14 +10,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.nodes.typed import TYPED, TYPED_FORECAST
 from evpinn_ros.topics import NAMESPACE, TOPICS
 from evpinn_ros.vehicle.files import load_vehicle
 from launch import LaunchDescription
@@ -128,13 +129,27 @@ def describe(
         simulated: its `use_sim_time`.
     """
     arguments = (*own, *COMMON, simulated)
+    names = [each.name for each in arguments]
 
     def perform(context: Any) -> list[Any]:
         given = Given(context, arguments)
         recording = [recorder(given)] if given["record"] else []
-        return [*actions(given), *recording]
+        return [*_mistyped(context, names), *actions(given), *recording]
 
     return LaunchDescription([*arguments, OpaqueFunction(function=perform)])
+
+
+def _mistyped(context: Any, names: Sequence[str]) -> list[LogInfo]:
+    """A line for each argument that is none, but nearly: `launch` takes any without a word.
+
+    What is nowhere near may be an argument of the file that includes this one.
+    """
+    others = [name for name in context.launch_configurations if name not in names]
+    return [
+        LogInfo(msg=f"unknown argument '{name}'{near}")
+        for name in others
+        if (near := near_names(name, names))
+    ]
 
 
 def node(
@@ -169,5 +184,6 @@ def recorder(given: Given) -> ExecuteProcess:
     """`ros2 bag` recording every topic of this car."""
     command = ["ros2", "bag", "record", "--storage", "mcap", "--output", given["record"]]
     command += ["--use-sim-time"] if given.is_true("use_sim_time") else []
-    command += ["--topics", *(topic.under(given.namespace) for topic in TOPICS)]
+    recorded = [*TOPICS, *TYPED.values(), TYPED_FORECAST]
+    command += ["--topics", *(topic.under(given.namespace) for topic in recorded)]
     return ExecuteProcess(cmd=command, output="screen")

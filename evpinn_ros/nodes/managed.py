@@ -15,7 +15,9 @@ from rclpy.lifecycle import LifecycleNodeMixin, TransitionCallbackReturn
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.base import NOT_ACTIVE, GuardedNode
+from evpinn_ros.nodes.bond import bond_of
 from evpinn_ros.nodes.diagnosis import Status
+from evpinn_ros.nodes.parameters import unknown_parameters
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import TABLES, refuse_wrong
@@ -33,8 +35,11 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
             InputError: a parameter is wrong.
         """
         GuardedNode.__init__(self, name, **kwargs)
-        self._made.clear()  # what was made so far is there as long as the node
+        for problem in unknown_parameters(self, name):
+            self.log(Level.WARN, problem)
         self._table, self._waits_for = TABLES[name], UNCONFIGURED
+        self._bond = bond_of(self, self.every) if self.values["managed"] else None
+        self._made.clear()  # what was made so far is there as long as the node
         if self.values["managed"]:
             self.active = False
             LifecycleNodeMixin.__init__(self)
@@ -75,6 +80,8 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     def close(self) -> str | None:
         """End all, as the process does; gives what could not be kept and why."""
         problem = self.end() if self.active else None
+        if self._bond is not None:
+            self._bond.end()
         if self.configured:
             self.let_go()
         self.active = self.configured = False
@@ -130,10 +137,14 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     def _activate(self) -> None:
         self.begin()
         self.active = True
+        if self._bond is not None:
+            self._bond.begin()
 
     def _deactivate(self) -> None:
         if self.active:
             self.active = False
+            if self._bond is not None:
+                self._bond.end()
             if problem := self.end():
                 self.log(Level.WARN, problem)
 

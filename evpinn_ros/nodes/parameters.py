@@ -16,8 +16,14 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.topics.node_parameters import Parameter, Value, refuse_wrong
+from evpinn_ros.common.errors import InputError, near_names
+from evpinn_ros.topics.node_parameters import (
+    OF_EVERY_NODE,
+    TABLES,
+    Parameter,
+    Value,
+    refuse_wrong,
+)
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
@@ -42,6 +48,22 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
     node.add_on_set_parameters_callback(_refuser(node, table, values, fixed))
     node.add_post_set_parameters_callback(lambda changed: _apply(values, changed))
     return values
+
+
+def unknown_parameters(node: Node, name: str) -> list[str]:
+    """A line for each parameter that the node was given and no node here has; rclpy ignores it.
+
+    Args:
+        node: that was given them.
+        name: of its table.
+    """
+    known = {each.name for table in TABLES.values() for each in table}
+    own = [each.name for each in TABLES[name]]
+    return [
+        f"unknown parameter '{given}'{near_names(given, own)}"
+        for given in node._parameter_overrides
+        if given not in known and given.partition(".")[0] not in OF_EVERY_NODE
+    ]
 
 
 def overrides(values: Mapping[str, Value]) -> list[RosParameter]:

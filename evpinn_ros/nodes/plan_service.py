@@ -1,73 +1,128 @@
-"""The service `EstimatePlan` of `evpinn_msgs`: plans in, energies and their differences out."""
+"""Answers plans of `evpinn_msgs`: service `EstimatePlan` and action `EstimatePlans`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.forecaster import PlanAnswer, PlanLog
+from evpinn_ros.energy.battery_model import BatteryModel
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.forecaster import Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.typed import PLAN_RESULT
 
-MOST_PLANS = 100
-MOST_POINTS = 2_000_000
-"""Of all plans of a call together, some seconds of work."""
+UNKNOWN = dict.fromkeys(("energy", "energy_sigma", "end_charge", "end_charge_sigma"), math.nan)
 
 
-def answer_plans(
-    request: Any,
-    response: Any,
-    answer: Callable[[Plan, Question], PlanAnswer],
-    log: PlanLog,
-) -> Any:
-    """Fill the response; a plan that cannot be driven has its reason there, and NaN elsewhere.
+class Moment(NamedTuple):
+    """Arguments of `Forecaster.answer` that are of one moment."""
 
-    Args:
-        request: of the service; plans beyond `MOST_PLANS` or `MOST_POINTS` are refused.
-        response: of the service.
-        answer: forecasts a plan, and compares it with those of the same question before it.
-        log: counts the plans.
+    charge: Uncertain
+    capacity: Uncertain
+    now_ns: int
+    battery: BatteryModel
+
+
+class CallLimits(NamedTuple):
+    """Most plans of a call, and most points of all of them together."""
+
+    plans: int
+    points: int
+
+
+SERVICE = CallLimits(100, 2_000_000)
+"""Some seconds of work, of which the caller does not see how far it is."""
+BATCH = CallLimits(1000, 20_000_000)
+"""Of a goal of the action, which tells how far it is and can be cancelled."""
+
+
+class PlanCall:
+    """The plans of one call, answered one by one.
+
+    Attributes:
+        results: evpinn_msgs/PlanResult of each plan so far, in their order.
     """
-    count, points, together = len(request.plans), 0, object()
-    more, sigmas = np.full((2, count, count), math.nan)
-    found = np.full((4, count), math.nan)  # energy and charge at the end, each with its sigma
-    for index, asked in enumerate(request.plans):
+
+    def __init__(self, plans: Sequence[Any], limits: CallLimits, log: PlanLog) -> None:
+        """Begin with the first plan.
+
+        Args:
+            plans: evpinn_msgs/Plan.
+            limits: plans beyond are refused.
+            log: counts the plans.
+        """
+        self._plans, self._limits, self._log = plans, limits, log
+        self.results: list[Any] = []
+        self._points, self._together = 0, object()
+        # What plan i takes more than plan j, and its 1-sigma.
+        self._more, self._sigma = np.full((2, len(plans), len(plans)), math.nan)
+        self._basis = ""
+        self._conditions: tuple[str, ...] = ()
+
+    @property
+    def finished(self) -> bool:
+        """True once every plan has its result."""
+        return len(self.results) == len(self._plans)
+
+    def answer(self, forecaster: Forecaster, moment: Moment) -> None:
+        """Answer the next plan, or refuse it with its reason.
+
+        Args:
+            forecaster: compares it with those of this call that it has answered.
+            moment: battery and clock of the call.
+        """
+        index, self._basis = len(self.results), forecaster.basis.value
+        asked = self._plans[index]
+        result = new_message(PLAN_RESULT, name=asked.name, **UNKNOWN)
         try:
-            if index >= MOST_PLANS:
-                raise PlanError(f"more than {MOST_PLANS} plans")
-            points += len(asked.time)
-            if points > MOST_POINTS:
-                raise PlanError(f"more than {MOST_POINTS} points with the plans before it")
-            one = answer(_plan(asked), Question(str(index), together))
+            self._refuse_too_many(asked)
+            called = Question(str(index), self._together)
+            self._fill(result, index, forecaster.answer(_plan(asked), *moment, called))
         except PlanError as error:
-            response.refusals.append(str(error))
-            log.refuse(str(error))
-            continue
-        response.refusals.append("")
-        log.answer(one.charge)
-        found[:, index] = one.forecast.energy[-1], one.forecast.sigma[-1], *one.charge
-        more[index, index] = sigmas[index, index] = 0.0
-        for name, apart in one.differences.items():
+            result.refusal = str(error)
+            self._log.refuse(result.refusal)
+        self._set_differences(result, index)
+        self.results.append(result)
+
+    def refuse_all(self, reason: str) -> None:
+        """Give every plan that has no result this reason for it."""
+        for asked in self._plans[len(self.results) :]:
+            result = new_message(PLAN_RESULT, name=asked.name, refusal=reason, **UNKNOWN)
+            self.results.append(result)
+
+    def write(self, response: Any) -> Any:
+        """Fill the response of the service, or the result of the action, with what there is."""
+        for index, result in enumerate(self.results):
+            self._set_differences(result, index)
+        response.results, response.basis = self.results, self._basis
+        response.conditions = list(self._conditions)
+        return response
+
+    def _refuse_too_many(self, asked: Any) -> None:
+        if len(self.results) >= self._limits.plans:
+            raise PlanError(f"more than {self._limits.plans} plans")
+        self._points += len(asked.time)
+        if self._points > self._limits.points:
+            raise PlanError(f"more than {self._limits.points} points with the plans before it")
+
+    def _fill(self, result: Any, index: int, found: PlanAnswer) -> None:
+        self._log.answer(found.charge)
+        self._conditions = found.conditions
+        result.energy = float(found.forecast.energy[-1])
+        result.energy_sigma = float(found.forecast.sigma[-1])
+        result.end_charge, result.end_charge_sigma = map(float, found.charge)
+        self._more[index, index] = self._sigma[index, index] = 0.0
+        for name, apart in found.differences.items():
             other = int(name)
-            more[index, other], more[other, index] = apart.value, -apart.value
-            sigmas[index, other] = sigmas[other, index] = apart.sigma
-    response.energies, response.sigmas = found[:2].tolist()
-    response.end_charges, response.end_charge_sigmas = found[2:].tolist()
-    response.differences = more.ravel().tolist()
-    response.difference_sigmas = sigmas.ravel().tolist()
-    return response
+            self._more[index, other], self._more[other, index] = apart.value, -apart.value
+            self._sigma[index, other] = self._sigma[other, index] = apart.sigma
 
-
-def refuse_plans(request: Any, response: Any, reason: str) -> Any:
-    """Fill the response: no plan is answered, for one reason."""
-    count = len(request.plans)
-    response.refusals = [reason] * count
-    for name in ("energies", "sigmas", "end_charges", "end_charge_sigmas"):
-        setattr(response, name, [math.nan] * count)
-    response.differences = response.difference_sigmas = [math.nan] * count**2
-    return response
+    def _set_differences(self, result: Any, index: int) -> None:
+        result.more, result.more_sigma = self._more[index].tolist(), self._sigma[index].tolist()
 
 
 def _plan(asked: Any) -> Plan:

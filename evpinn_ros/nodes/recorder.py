@@ -17,6 +17,7 @@ from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status, with_health
+from evpinn_ros.nodes.factory import installed
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.messages import Level
 
@@ -57,7 +58,7 @@ class RecorderNode(GuardedNode):
         self._frames = deque() if frames is None else frames
         self._frames_topic = self.resolve_topic_name(FRAMES_TOPIC)
         self._writer = BagWriter(folder, live=True, split=split)
-        for topic in TOPICS:
+        for topic in installed(TOPICS):
             self.listen(topic, partial(self._write, topic), raw=True)
         self.every(FLUSH_PERIOD, self._flush)
 

@@ -7,7 +7,6 @@ A typed topic repeats a named vector under `typed/`: each quantity is a field, b
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 import math
 from typing import Any
 
@@ -16,7 +15,9 @@ from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import NewMessage
 
 PACKAGE = "evpinn_msgs"
-PLAN_SERVICE = "EstimatePlan"
+PLAN_SERVICE = f"{PACKAGE}/srv/EstimatePlan"
+PLAN_ACTION = f"{PACKAGE}/action/EstimatePlans"
+PLAN_RESULT = f"{PACKAGE}/msg/PlanResult"
 SIGMA, RATE = "_sigma", "_rate"
 
 
@@ -24,27 +25,26 @@ def typed(topic: Topic, name: str) -> Topic:
     """The typed topic beside one of the contract."""
     text = f"`{topic.name}` as `{PACKAGE}/{name}`"
     type_name = f"{PACKAGE}/msg/{name}"
-    return Topic(f"typed/{topic.name}", topic.source, text, topic.unit, type_name, topic.latched)
+    return Topic(
+        f"{topics.TYPED}/{topic.name}", topic.source, text, topic.unit, type_name, topic.latched
+    )
 
 
 TYPED = {
     topic: typed(topic, name)
     for topic, name in (
-        (topics.PARAMETERS, "Parameters"),
-        (topics.POWER_MEASURED, "Power"),
-        (topics.POWER_PREDICTED, "Power"),
-        (topics.POWER_SMOOTHED, "Power"),
-        (topics.ENERGY_STATE, "Energy"),
-        (topics.ENERGY_RANGE, "Range"),
+        (topics.PARAMETERS, "VehicleParameters"),
+        (topics.IDENTIFIABLE, "IdentifiableCombinations"),
+        (topics.POWER_MEASURED, "BatteryPower"),
+        (topics.POWER_PREDICTED, "BatteryPower"),
+        (topics.POWER_SMOOTHED, "BatteryPower"),
+        (topics.ENERGY_BREAKDOWN, "EnergyBreakdown"),
+        (topics.ENERGY_STATE, "BatteryEnergy"),
+        (topics.ENERGY_CONSUMPTION, "EnergyConsumption"),
+        (topics.ENERGY_RANGE, "RemainingRange"),
     )
 }
-TYPED_FORECAST = typed(topics.FORECAST, "Forecast")
-
-
-def is_installed() -> bool:
-    """True if `evpinn_msgs` is there, and not merely its source in the folder of a checkout."""
-    found = find_spec(PACKAGE)
-    return found is not None and found.origin is not None
+TYPED_FORECAST = typed(topics.FORECAST, "PlanForecast")
 
 
 def quantities(message: Any) -> list[str]:

@@ -30,8 +30,8 @@ def recorded_drive(bag: Path) -> Drive:
     parameters: Any = None
     combined: Any = None
     with BagReader(bag) as reader:
-        has_speed = any(topics.SPEED.matches(name) for name in reader.topics)
-        speed = topics.SPEED if has_speed else topics.ODOMETRY
+        names = {topic_of(name) for name in reader.topics}
+        speed = next((topic for topic in topics.SPEEDS if topic in names), topics.SPEED)
         for record in reader.records():
             topic = topic_of(record.topic)
             try:

@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 NAMESPACE = "/ev"
 QUEUE_DEPTH = 100
+TYPED = "typed"  # namespace of the same topics as messages of evpinn_msgs
+FROM_THE_CAR = ("the car", "can_bridge")
 
 SPEED_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+VELOCITY_REPORT_TYPE = "autoware_vehicle_msgs/msg/VelocityReport"
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
@@ -24,6 +27,7 @@ WIND_TYPE = "geometry_msgs/msg/Vector3Stamped"
 SCALAR_TYPE = "std_msgs/msg/Float64"
 PATH_TYPE = "nav_msgs/msg/Path"
 TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
+AUTOWARE_TRAJECTORY_TYPE = "autoware_planning_msgs/msg/Trajectory"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 
 
@@ -47,6 +51,7 @@ class Topic:
         unit: of the content; empty where it has several or none.
         type_name: `package/msg/Type`.
         latched: a late subscriber gets the last message.
+        depth: of its queues, unless it is latched.
     """
 
     name: str
@@ -55,6 +60,12 @@ class Topic:
     unit: str = ""
     type_name: str = NAMED_VECTOR_TYPE
     latched: bool = False
+    depth: int = QUEUE_DEPTH
+
+    @property
+    def package(self) -> str:
+        """The package of its type."""
+        return self.type_name.partition("/")[0]
 
     @property
     def publisher_qos(self) -> Qos:
@@ -62,7 +73,7 @@ class Topic:
 
         As deep as what subscribes: who gets no processor for some seconds shall miss nothing.
         """
-        depth = 1 if self.latched else QUEUE_DEPTH
+        depth = 1 if self.latched else self.depth
         return Qos(reliable=True, transient_local=self.latched, depth=depth)
 
     @property
@@ -72,9 +83,9 @@ class Topic:
         All else is reliable: a plan is asked for once and must not be lost. Queues are deep: a
         bag at ten times its rate, or a second without the processor, must not cost messages.
         """
-        if self in INPUTS:
-            return Qos(reliable=False, transient_local=False, depth=QUEUE_DEPTH)
-        depth = 1 if self.latched else QUEUE_DEPTH
+        if self.source in FROM_THE_CAR:
+            return Qos(reliable=False, transient_local=False, depth=self.depth)
+        depth = 1 if self.latched else self.depth
         return Qos(reliable=True, transient_local=self.latched, depth=depth)
 
     def under(self, namespace: str = NAMESPACE) -> str:
@@ -82,8 +93,10 @@ class Topic:
         return self.name if self.name.startswith("/") else f"{namespace.rstrip('/')}/{self.name}"
 
     def matches(self, full_name: str) -> bool:
-        """True if a full name is this topic, under any namespace."""
-        return full_name == self.name or full_name.endswith(f"/{self.name.lstrip('/')}")
+        """True if a full name is this topic, under any namespace; its typed twin is another."""
+        name = self.name.lstrip("/")
+        is_twin = full_name.endswith(f"/{TYPED}/{name}")
+        return full_name == self.name or (full_name.endswith(f"/{name}") and not is_twin)
 
 
 SPEED = Topic(
@@ -100,6 +113,16 @@ ODOMETRY = Topic(
     "m/s",
     type_name=ODOMETRY_TYPE,
 )
+VELOCITY_REPORT = Topic(
+    "vehicle/status/velocity_status",
+    "the car",
+    "optional, of Autoware: `longitudinal_velocity` as speed, until `vehicle/speed` or `odom` is "
+    "received",
+    "m/s",
+    type_name=VELOCITY_REPORT_TYPE,
+)
+SPEEDS = SPEED, ODOMETRY, VELOCITY_REPORT
+"""Topics of speed, of which the first that is received is used."""
 BATTERY = Topic(
     "battery/state",
     "can_bridge",
@@ -271,6 +294,14 @@ SPEED_PROFILE = Topic(
     "m, m/s",
     type_name=TRAJECTORY_TYPE,
 )
+TRAJECTORY = Topic(
+    "plan/trajectory",
+    "planner",
+    "optional, of Autoware: poses with `longitudinal_velocity_mps` and, where they rise, "
+    "`time_from_start`; z is elevation",
+    "m, m/s",
+    type_name=AUTOWARE_TRAJECTORY_TYPE,
+)
 CONDITIONS = Topic(
     "plan/conditions",
     "planner",
@@ -306,8 +337,8 @@ DIAGNOSTICS = Topic(
 )
 
 _DEFINED = (each if isinstance(each, tuple) else (each,) for each in tuple(globals().values()))
-TOPICS = tuple(one for each in _DEFINED for one in each if isinstance(one, Topic))
-INPUTS = tuple(topic for topic in TOPICS if topic.source in ("the car", "can_bridge"))
+TOPICS = tuple(dict.fromkeys(one for each in _DEFINED for one in each if isinstance(one, Topic)))
+INPUTS = tuple(topic for topic in TOPICS if topic.source in FROM_THE_CAR)
 
 
 def topic_of(full_name: str) -> Topic | None:

@@ -87,8 +87,8 @@ class CdrReader:
             alike = np.array(rows[1]) + stride * np.arange(count - 1)[:, None]
             end = before + stride * (count - 1)
             if end <= self._body.size and stride % WIDEST == 0:
-                found = np.stack([self.numbers(column, "u4") for column in alike.T[:lengths]])
-                if (found == found[:, :1]).all():
+                found = [self.numbers(column, "u4") for column in alike.T[:lengths]]
+                if all((each == each[0]).all() for each in found):
                     self._at = end
                     return np.concatenate((np.array(rows[:1]), alike))
         rows += [walk(self) for _ in range(count - len(rows))]

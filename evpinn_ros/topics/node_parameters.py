@@ -16,6 +16,12 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.vehicle.files import load_vehicle
 
+OF_EVERY_NODE = ("use_sim_time", "qos_overrides", "start_type_description_service")
+"""First words of parameters that rclpy gives every node."""
+
+FRAMES = "can_msgs"
+"""Interface of a bus that another node reads, and package of the messages it sends."""
+
 Value: TypeAlias = bool | int | float | str
 
 TYPE_NAMES: Mapping[type, str] = {
@@ -69,8 +75,8 @@ class Parameter:
 
 
 def _known_interface(name: str) -> None:
-    if name not in INTERFACES:
-        raise InputError(f"known are {', '.join(sorted(INTERFACES))}")
+    if name != FRAMES and name not in INTERFACES:
+        raise InputError(f"known are {', '.join(sorted({FRAMES, *INTERFACES}))}")
 
 
 VEHICLE = Parameter(
@@ -227,10 +233,15 @@ CAN_BRIDGE = (
     Parameter(
         "interface",
         "socketcan",
-        "Driver of the CAN adapter, as python-can calls it.",
+        "Driver of the CAN adapter, as python-can calls it; or can_msgs: frames of a topic, as "
+        "ros2_socketcan publishes them.",
         verify=_known_interface,
     ),
-    Parameter("channel", "can0", "Channel of the adapter: can0, /dev/ttyACM0..."),
+    Parameter(
+        "channel",
+        "can0",
+        "Channel of the adapter: can0, /dev/ttyACM0...; of can_msgs the topic: from_can_bus.",
+    ),
     Parameter("bitrate", 500_000, "Of the bus; 0 leaves it to the driver.", "bit/s", 0, 8_000_000),
     Parameter(
         "bus_options",

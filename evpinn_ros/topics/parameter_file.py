@@ -10,13 +10,12 @@ import yaml
 
 from evpinn_ros.common.errors import InputError, known_names
 from evpinn_ros.common.yaml_section import Section, compose, plain
-from evpinn_ros.topics.node_parameters import TABLES, Value, refuse_wrong
+from evpinn_ros.topics.node_parameters import OF_EVERY_NODE, TABLES, Value, refuse_wrong
 
 Item: TypeAlias = tuple[yaml.Node, yaml.Node]
 
 PARAMETERS_KEY = "ros__parameters"
 WILDCARDS = ("*", "**")
-OF_EVERY_NODE = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 
 def check_parameter_file(path: Path) -> None:

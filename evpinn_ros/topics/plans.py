@@ -156,6 +156,49 @@ def speed_profile_plan(data: bytes) -> Plan:
     return plan_from_speed_profile(time, distance, speed, elevation)
 
 
+def trajectory_plan(data: bytes) -> Plan:
+    """The plan in an autoware_planning_msgs/Trajectory.
+
+    Where its times do not rise, as of planners that leave them out, they are those of its speeds;
+    it then ends where it stops.
+
+    Raises:
+        PlanError: it cannot be driven, or backwards alone.
+        CdrError: the bytes are no trajectory.
+    """
+    reader = _after_header(data)
+    time, position, velocity = _points(reader, _walk_autoware_point, 0).T
+    x, y, z = (reader.numbers(position + 8 * axis, "f8") for axis in range(3))
+    speed = reader.numbers(velocity, "f4").astype(float)
+    with np.errstate(invalid="ignore", over="ignore"):  # the plan refuses what is not finite
+        legs = np.sqrt(sum(np.diff(axis) ** 2 for axis in (x, y, z)))
+    distance = np.concatenate(([0.0], np.cumsum(legs)))
+    seconds = _seconds(reader, time)
+    if not seconds.any():
+        seconds, count = _seconds_of_speeds(distance, speed)
+        distance, speed, z = distance[:count], speed[:count], z[:count]
+    new = np.concatenate(([True], (np.diff(seconds) > 0) | (np.diff(distance) > 0)))
+    return plan_from_speed_profile(seconds[new], distance[new], speed[new], z[new])
+
+
+def _seconds_of_speeds(distance: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, int]:
+    """Seconds at which each point is passed until the car stops, and how many points that are."""
+    stops = np.flatnonzero(speed[1:] == 0)
+    count = stops[0] + 2 if stops.size else len(speed)
+    length, twice_mean = np.diff(distance[:count]), speed[1:count] + speed[: count - 1]
+    if count == 2 and not twice_mean.any():
+        raise PlanError("it stands, and has no times")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        step = np.where(length > 0, 2.0 * length / twice_mean, 0.0)
+    return np.concatenate(([0.0], np.cumsum(step))), count
+
+
+def _walk_autoware_point(reader: CdrReader) -> tuple[int, ...]:
+    """Offsets of its time, of its position and of its speed."""
+    time, position = reader.take(8, 4), reader.take(7 * 8, 8)
+    return time, position, reader.take(6 * 4, 4)
+
+
 _FIELDS = {"positions": [0, 4], "velocities": [1, 5]}  # of `_walk_trajectory_point`
 
 

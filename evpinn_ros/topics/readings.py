@@ -262,6 +262,11 @@ def speed_reading(message: Any) -> SpeedReading:
     return SpeedReading(stamp_ns(message), speed, variance if known else math.nan)
 
 
+def velocity_report_reading(message: Any) -> SpeedReading:
+    """Speed of a VelocityReport, which has no variance."""
+    return SpeedReading(stamp_ns(message), usable(message.longitudinal_velocity))
+
+
 def battery_reading(message: Any) -> BatteryReading:
     """Voltage and current of a BatteryState, each NaN where not measured.
 
@@ -331,6 +336,7 @@ def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
 _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.SPEED_TYPE: speed_reading,
     topics.ODOMETRY_TYPE: speed_reading,  # its twist is in the frame of the car by definition
+    topics.VELOCITY_REPORT_TYPE: velocity_report_reading,
     topics.BATTERY_TYPE: battery_reading,
     topics.FIX_TYPE: altitude_reading,
     topics.TEMPERATURE_TYPE: temperature_reading,

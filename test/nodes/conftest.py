@@ -7,6 +7,9 @@ import fcntl
 from functools import partial
 import os
 from pathlib import Path
+import subprocess
+import sys
+import sysconfig
 import tempfile
 import time
 from typing import Any
@@ -178,6 +181,33 @@ def bench() -> Iterator[Bench]:
         bench.close()
     finally:
         rclpy.try_shutdown()
+
+
+@pytest.fixture
+def run_with_messages() -> Callable[[str], str]:
+    """Runs a script beside this where messages that are no wheels are installed; its output.
+
+    `make test` builds them where a compiler is; EVPINN_MSGS names another folder they are in.
+    """
+    prefix = Path(os.environ.get("EVPINN_MSGS", Path(sys.prefix, "msgs")))
+    package = Path(sysconfig.get_path("purelib", vars={"base": str(prefix)}))
+    if not (package / "can_msgs").is_dir():
+        pytest.skip("the messages are not built: `make test` does it where a compiler is")
+    environment = dict(os.environ)
+    for name, folder in (("PYTHONPATH", package), ("LD_LIBRARY_PATH", prefix / "lib")):
+        environment[name] = os.pathsep.join((str(folder), os.environ.get(name, "")))
+    environment["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
+
+    def run(script: str) -> str:
+        done = subprocess.run(
+            [sys.executable, Path(__file__).with_name(script)],
+            env=environment, capture_output=True, text=True, timeout=250,
+        )  # fmt: skip
+        print(done.stdout)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return run
 
 
 def _messages(name: str, seconds: float) -> Iterator[tuple[Topic, Any, Any]]:

@@ -4,7 +4,7 @@ from itertools import pairwise
 import math
 
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.msg import Log, Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 import yaml
@@ -48,6 +48,16 @@ def test_the_file_has_a_comment_above_every_parameter():
     for above, line in pairwise(lines):
         if line.startswith("    ") and not line.strip().startswith("#"):
             assert above.strip().startswith("#"), line
+
+
+def test_a_mistyped_parameter_is_reported_with_the_nearest_name(bench):
+    lines = []
+    bench.node.create_subscription(Log, "/rosout", lambda log: lines.append(log.msg), 1000)
+    given = {"nominal_sped": 1.0, "smoothing_lag": 0.3, "qos_overrides./x.publisher.depth": 1}
+    bench.start(EnergyNode, **given)
+    bench.pump(lambda: any("unknown parameter" in line for line in lines))
+    said = [line for line in lines if "unknown parameter" in line]
+    assert len(said) == 1 and "'nominal_sped'" in said[0] and "mean nominal_speed" in said[0]
 
 
 @pytest.mark.parametrize(("node", "parameter"), PARAMETERS, ids=lambda x: getattr(x, "name", x))

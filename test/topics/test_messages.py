@@ -377,6 +377,7 @@ def test_names_and_namespaces():
     assert topic_of("/diagnostics") is DIAGNOSTICS
     assert topic_of("/ev/vehicle/speeds") is None
     assert topic_of("/ev/my_vehicle/speed") is None
+    assert topic_of("/ev/typed/energy/state") is None  # another type, beside that of the contract
 
 
 def test_quality_of_service():

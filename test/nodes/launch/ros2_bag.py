@@ -69,9 +69,12 @@ def play(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
 
 
 def record(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
+    print("recording", *asked.topics)
     writer = BagWriter(asked.output, live=True, split=None)
     for name in asked.topics:
         topic = topic_of(name)
+        if topic is None or not factory.is_installed(topic.package):
+            continue  # as `ros2 bag`, which waits for who publishes it
         node.create_subscription(
             factory.message_class(topic.type_name),
             name,

@@ -95,6 +95,7 @@ def test_live_works_records_and_ends_well(ros2, bench, car, tmp_path):
     with ros2.running(*LAUNCH, "evpinn.launch.py", *given) as launch:
         bench.pump(lambda: len(powers) > 200, 90.0)
         assert launch.process.poll() is None
+    assert "/ev/typed/power/smoothed" in launch.output  # asked for, wherever it is published
     assert max(m.twist.twist.linear.x for m in speeds) > 5.0
     assert numbers(energies[-1])["predicted"] > 1e4
     with BagReader(drive) as bag:
@@ -122,6 +123,17 @@ def test_a_replay_plays_inputs_and_ends_with_the_bag(ros2, bench, monkeypatch):
         bench.pump(lambda: launch.process.poll() is not None, 90.0)
     assert len(measured) > 200 and len(powers) > 200, launch.output
     assert powers[0].header.stamp.sec > 10**9
+
+
+def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
+    ros2, bench, monkeypatch
+):
+    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "3")
+    given = (f"bag:={ROOT / 'bags/urban'}", "vehcle:=bmw_i3", "rate:=4", "keep:=true")
+    with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
+        bench.pump(lambda: "process has finished cleanly" in launch.output, 90.0)
+        assert ask(bench, "/ev/energy/reset").success and launch.process.poll() is None
+    assert "unknown argument 'vehcle'; did you mean vehicle" in launch.output
 
 
 @contextmanager

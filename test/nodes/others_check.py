@@ -1,0 +1,173 @@
+"""Runs where messages of other stacks are built: CAN frames, Autoware, and Nav2's bond."""
+
+from pathlib import Path
+import sys
+import time
+
+sys.path.insert(0, str(Path(__file__).parent))
+from bond.msg import Status
+import conftest
+import numpy as np
+import rclpy
+
+from evpinn_ros import topics
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.nodes.can_bridge import CanBridgeNode
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.nodes.frame_topic import frame_topic
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.topics.messages import Level, header, stamp_ns
+from evpinn_ros.topics.readings import battery_message, speed_message
+
+START = 1_700_000_000 * NANOSECONDS
+
+
+def stamp(tenth):
+    return START + tenth * NANOSECONDS // 10
+
+
+def frame(encoded, **flags):
+    data = np.frombuffer(encoded.data.ljust(8, b"\0"), np.uint8)
+    return new_message(
+        "can_msgs/msg/Frame", header=header(new_message, encoded.stamp_ns, "can"),
+        id=encoded.can_id, is_extended=encoded.extended, dlc=len(encoded.data), data=data, **flags,
+    )  # fmt: skip
+
+
+def can_frames(bench):
+    """A bus that ros2_socketcan reads is decoded with the stamps of its frames."""
+    node = bench.start(CanBridgeNode, interface="can_msgs", channel="from_can_bus")
+    level, text, _ = bench.diagnosis(node)["bus"]
+    assert level is Level.WARN and text == "no publisher of /ev/from_can_bus"
+    bench.listen(topics.SPEED, topics.BATTERY)
+    encoder, bus = Encoder(load_profile("tesla_model_3")), frame_topic("from_can_bus")
+    count, sent = 0, []
+    while not (bench.heard[topics.SPEED] and bench.heard[topics.BATTERY]):
+        count += 1
+        assert count < 3000
+        sent.append(time.time_ns())
+        battery = encoder.battery(BatteryReading(sent[-1], 350.0 + count % 5, -count % 50))
+        speed = encoder.speed(SpeedReading(sent[-1], count % 20 / 10))
+        for each in (battery, speed):
+            bench.deliver(node, bus, frame(each))
+    bench.deliver(node, bus, frame(speed, is_error=True))
+    bench.deliver(node, bus, frame(speed, is_rtr=True))
+    level, text, values = bench.diagnosis(node)["bus"]
+    assert level is Level.OK and text == "receiving" and values["bus"] == "open", (text, values)
+    assert values["bus.error_frames"] == values["bus.remote_frames"] == "1"
+    assert {stamp_ns(message) for message in bench.heard[topics.SPEED]} <= {*sent}
+    print(f"frames: decoded after {count} of each")
+
+
+def velocity(bench):
+    """Speed of Autoware is learned from, until a better topic of it is received."""
+    estimator, energy = bench.start(EstimatorNode), bench.start(EnergyNode)
+    bench.listen(topics.POWER_PREDICTED)
+    for tenth in range(60):
+        reading = BatteryReading(stamp(tenth), 350.0, -30.0)
+        bench.deliver(estimator, topics.BATTERY, battery_message(new_message, reading))
+        report = new_message(
+            topics.VELOCITY_REPORT_TYPE,
+            header=header(new_message, stamp(tenth), "base_link"),
+            longitudinal_velocity=10.0,
+        )
+        bench.deliver(estimator, topics.VELOCITY_REPORT, report)
+    bench.pump(lambda: energy.received[topics.VELOCITY_REPORT] == 60)
+    assert 5.5 < energy.account.summary().since_reset.distance / 10.0 < 6.0
+    bench.pump(lambda: len(bench.heard[topics.POWER_PREDICTED]) > 50)
+    message = speed_message(new_message, SpeedReading(stamp(61), 10.0))
+    bench.deliver(estimator, topics.SPEED, message)
+    bench.deliver(estimator, topics.VELOCITY_REPORT, report)
+    _, _, values = bench.diagnosis(estimator)["estimate"]
+    why = "bad.vehicle/status/velocity_status: vehicle/speed is received"
+    assert values[why] == "1"
+    print("velocity: learned from")
+
+
+def trajectory(speeds, times=None, step=10.0):
+    """A straight road that climbs by one in a hundred, with these speeds at its points."""
+    points = []
+    for index, speed in enumerate(speeds):
+        point = new_message(
+            "autoware_planning_msgs/msg/TrajectoryPoint", longitudinal_velocity_mps=float(speed)
+        )
+        point.pose.position.x, point.pose.position.z = step * index, 0.01 * step * index
+        if times is not None:
+            point.time_from_start.sec = times[index]
+        points.append(point)
+    head = header(new_message, START, "map")
+    return new_message(topics.AUTOWARE_TRAJECTORY_TYPE, header=head, points=points)
+
+
+def plans(bench):
+    """Trajectories with times and without cost the same; what stands for ever is refused."""
+    bench.listen(topics.FORECAST, topics.FORECAST_STATUS)
+    steady = [10.0] * 31
+    asked = (
+        trajectory(steady, times=[*range(31)]),
+        trajectory(steady),
+        trajectory([*steady, 5.0, 0.0, 0.0, 0.0]),
+        trajectory([0.0] * 5),
+    )
+    for number, message in enumerate(asked, 1):
+        bench.send(topics.TRAJECTORY, message)
+        bench.pump(lambda n=number: len(bench.heard[topics.FORECAST_STATUS]) == n)
+    with_times, without, stops = bench.heard[topics.FORECAST]
+    assert with_times.header.frame_id == "map" and with_times.header.stamp.sec == START // 10**9
+    for one, other in zip(with_times.points, without.points, strict=True):
+        assert abs(one.positions[0] - other.positions[0]) <= 1e-3 * abs(one.positions[0]) + 1.0
+    assert len(stops.points) == 33  # it ends where it stops
+    refused = bench.heard[topics.FORECAST_STATUS][-1].status[0]
+    assert "it stands, and has no times" in refused.message
+    print(f"plans: {with_times.points[-1].positions[0]:.0f} J")
+
+
+def bonds(bench):
+    """The heartbeat of an active node; its end is told, and follows that of the manager."""
+    node, heard = bench.start(EnergyNode, managed=True), []
+    bench.node.create_subscription(Status, "/ev/bond", heard.append, 100)
+    manager = bench.node.create_publisher(Status, "/ev/bond", 100)
+    bench.pump(lambda: manager.get_subscription_count() > 1)
+    node.trigger_configure()
+    assert not heard
+    node.trigger_activate()
+    bench.pump(lambda: len(heard) > 5)
+    assert {(m.id, m.active) for m in heard} == {("energy", True)}
+    assert len({m.instance_id for m in heard}) == 1
+    gaps = np.diff([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
+    assert max(gaps) < heard[0].heartbeat_timeout
+    node.trigger_deactivate()
+    bench.pump(lambda: not heard[-1].active)
+    first = heard[0].instance_id
+    node.trigger_activate()
+    bench.pump(lambda: heard[-1].active)
+    assert heard[-1].instance_id != first
+    manager.publish(Status(id="other", instance_id="manager", active=False))
+    manager.publish(Status(id="energy", instance_id="manager", active=True))
+    count = len(heard)
+    bench.pump(lambda: len(heard) > count + 4)
+    assert node.active and heard[-1].active
+    manager.publish(Status(id="energy", instance_id="manager", active=False))
+    own = heard[-1].instance_id
+    bench.pump(lambda: [m for m in heard if m.instance_id == own and not m.active])
+    print(f"bond: longest gap {max(gaps):.2f} s")
+
+
+def main():
+    for check in (can_frames, velocity_and_plans, bonds):
+        rclpy.init()
+        bench = conftest.Bench()
+        check(bench)
+        bench.close()
+        rclpy.try_shutdown()
+
+
+def velocity_and_plans(bench):
+    velocity(bench)
+    plans(bench)
+
+
+main()
