@@ -20,6 +20,8 @@ from evpinn_ros.replays.scoring import drive_scores
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.torch
+
 CAUSAL = [name for name in METHODS if name != "split"]  # which interpolates, and says so
 SERIES = ("smoothed", "newest")
 

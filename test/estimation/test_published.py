@@ -36,6 +36,7 @@ def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     assert not project(nothing, nothing @ change, equation).any()
 
 
+@pytest.mark.slow
 def test_an_efficiency_map_is_published_by_energy():
     """Ten minutes of mixed roads with cars of three models that have a map of losses."""
     found = list(compare(DriveKind.MIXED, VEHICLES, range(3), marks=(600,)))
@@ -61,6 +62,7 @@ def learned(vehicle, readings) -> LearnedCar:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.slow
 def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
     """10 Hz thinned to 1.2 s, each signal at a time of its own: within the sigma of both."""
     readings = simulate(DriveKind.URBAN, vehicle, 600.0, seed).readings
@@ -90,6 +92,7 @@ def test_faults_of_sensors_move_little(vehicle, drive, kind):
 
 
 @pytest.mark.parametrize(("name", "most"), [("nissan_leaf", 0.25), ("generic", 0.05)])
+@pytest.mark.slow
 def test_motor_torque_tells_the_mass_in_kilograms(name, most):
     """Of its prior share little is left, and the truth is within its interval."""
     model, shares = load_vehicle(name), {}
