@@ -69,6 +69,7 @@ FAULTS = (dropouts, jumps, reverse, slip, flipped, shuffled)
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
+@pytest.mark.slow
 def test_faults_of_a_window_end_in_nothing_that_is_not_finite(new_estimator, drive, fault):
     rng = np.random.default_rng(0)
     estimator = new_estimator()

@@ -24,6 +24,13 @@ def test_it_starts_at_the_priors(vehicle):
     assert [*mean, found.now.mean[5]] == pytest.approx(vehicle.initial, rel=1e-6)
 
 
+def test_mass_over_eta_is_that_ratio(vehicle):
+    equation = equation_of(vehicle)
+    value, sigma = mass_over_eta(initial_state(equation), equation, Driven.nowhere())
+    assert math.exp(value) == pytest.approx(vehicle.initial.mass / vehicle.initial.eta, rel=1e-6)
+    assert 0.0 < sigma < 1.0
+
+
 def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     """And what the driving does not determine stays as it was."""
     equation = equation_of(vehicle)
@@ -74,6 +81,7 @@ def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
 
 
 @pytest.mark.parametrize("kind", ["slip", "dropouts"])
+@pytest.mark.slow
 def test_faults_of_sensors_move_little(vehicle, drive, kind):
     """Bursts of wheel slip, and 30 % of all readings lost: within 2 sigma of the clean drive."""
     readings = drive(2, 240.0).readings

@@ -76,6 +76,7 @@ def rides(draw):
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
+@pytest.mark.slow
 def test_hybrid_takes_anything(new_estimator, readings):
     estimator = new_estimator()
     for reading in readings:

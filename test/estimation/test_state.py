@@ -141,6 +141,7 @@ def paths(value, prefix=()) -> list[tuple]:
 
 @given(st.data())
 @settings(max_examples=120, deadline=None)
+@pytest.mark.slow
 def test_whatever_a_state_holds(learned, new_of, drive, data):
     """One place of a good state is spoilt: refused as a whole, or good for finite predictions."""
     state = deepcopy(learned(Mode.HYBRID).export())
