@@ -141,6 +141,7 @@ setup(
             "types-PyYAML",
             'vss-tools; python_version >= "3.11"',
             "websockets",
+            "zizmor",
         ],
     },
     entry_points={

@@ -2,7 +2,7 @@
 
 Energy over the learned capacity and the voltage at the start held stand beside the state of the
 battery. `battery_rows` takes the measured power of a drive as the plan, so that no error of the
-car's model is in its figures; `benchmarks.energy_forecast` has the same for forecast energy.
+car's model is in its figures.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ import math
 from typing import Protocol
 
 from benchmarks.kalman import FAST, FiveStateFilter
-from benchmarks.regression import FIVE_TERMS, SEVEN_TERMS, BatchLeastSquares, RecursiveLeastSquares
 from evpinn_ros.estimation.learner import PowerPrediction
 from evpinn_ros.reproduction.published import PREDICTED
 from evpinn_ros.signals.sample import Sample
@@ -81,9 +80,6 @@ PEERS: Mapping[str, Callable[[Vehicle], OnlineMethod]] = {
     "prior": PriorOnly,
     "table5_recovery": lambda vehicle: PublishedParameters(vehicle, RegenForm.RECOVERY),
     "table5_printed": lambda vehicle: PublishedParameters(vehicle, RegenForm.PRINTED),
-    "rls5": lambda vehicle: RecursiveLeastSquares(vehicle, FIVE_TERMS),
-    "rls7": lambda vehicle: RecursiveLeastSquares(vehicle, SEVEN_TERMS),
-    "batch7": lambda vehicle: BatchLeastSquares(vehicle, SEVEN_TERMS),
     "ekf5": FiveStateFilter,
     "ekf5_fast": lambda vehicle: FiveStateFilter(vehicle, pace=FAST),
 }

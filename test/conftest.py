@@ -1,8 +1,12 @@
-"""A control unit on a real bus, this package as colcon installs it; what `--quick` leaves out."""
+"""What a test costs, and what tests share: a control unit on a real bus, an installed package."""
 
+from __future__ import annotations
+
+import ast
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 import fcntl
+from functools import cache
 from itertools import chain, zip_longest
 import os
 from pathlib import Path
@@ -11,40 +15,21 @@ import signal
 import subprocess
 import sys
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import can
 from hypothesis import settings
-import isotp
 import pytest
 
-from evpinn_ros.can.request import Address
+if TYPE_CHECKING:
+    import can
 
-NOT_QUICK = frozenset(
-    {
-        *("api", "benchmarks", "cli", "fleet", "nodes", "paper", "reproduction"),
-        *("bridges/test_mqtt.py", "bridges/test_vss.py"),
-        *("test_docs.py", "test_executables.py", "test_guides.py", "test_notebooks.py"),
-        *("test_packaging.py", "test_reproduction_page.py", "test_site.py"),
-        *("test_browser.py", "test_drive_page.py", "test_captures.py", "test_logs_fuzz.py"),
-        *("test_golden.py", "test_order.py", "test_replay.py", "test_output.py"),
-        *("test_drives.py", "test_estimator.py", "test_evidence.py", "test_faults.py"),
-        *("test_payload.py", "test_published.py", "test_state_schema.py"),
-        *("test_metric_table.py", "test_recorded.py", "test_rknn_training.py"),
-        *("test_robustness.py", "estimation/test_state.py", "estimation/test_stuck.py"),
-        *("test_codec_properties.py", "test_mcap_file.py"),
-        *("test_power_loss.py", "test_stream_properties.py", "test_any_format.py"),
-        *("test_pinn.py", "test_first_change.py"),
-        *("test_car_filter.py", "test_comparison.py", "test_grade_detector.py"),
-        *("test_inspection.py", "test_owner_text.py", "test_current_sign.py"),
-        *("test_bombs.py", "test_recover.py", "test_storage.py"),
-        "test_simulate.py",
-    }
-)
-"""Folders and files that start ROS, a browser, colcon or processes, load torch, or take long.
+    from evpinn_ros.can.request import Address
 
-Single tests of other files are marked `slow`.
-"""
+COSTS = frozenset({"ros", "browser", "build", "torch", "slow", "nightly"})
+"""Marks of what `--quick` leaves out (`pyproject.toml` says what each means)."""
+
+HEAVY = ("rclpy", "torch")
+"""Modules that no test without such a mark may load: each takes seconds."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what it runs in the background so, and each process that a test starts and
@@ -56,23 +41,60 @@ settings.register_profile("quick", settings.get_profile("ci"), max_examples=25)
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--quick", action="store_true", help="leave out NOT_QUICK of test/conftest.py"
+        "--quick", action="store_true", help="only tests without a mark of COSTS (conftest.py)"
     )
+
+
+@cache
+def costs_of(path: Path) -> frozenset[str]:
+    """Marks that a file, or the `conftest.py` of a folder, has for all of it: `pytestmark = ...`.
+
+    They are read from the text: importing it may be what costs.
+    """
+    path = path / "conftest.py" if path.is_dir() else path
+    if path.suffix != ".py" or not path.is_file():
+        return frozenset()
+    marks = [
+        node.value
+        for node in ast.parse(path.read_bytes()).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "pytestmark"
+    ]
+    nodes = (node for mark in marks for node in ast.walk(mark))
+    return COSTS & {node.attr for node in nodes if isinstance(node, ast.Attribute)}
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Whether `--quick` does not even import this; None lets others decide."""
-    names = {collection_path.name, f"{collection_path.parent.name}/{collection_path.name}"}
-    return True if config.getoption("quick") and names & NOT_QUICK else None
+    return True if config.getoption("quick") and costs_of(collection_path) else None
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """A folder's marks are those of its tests."""
+    for folder in item.path.parents[: len(item.path.relative_to(ROOT).parts) - 1]:
+        for name in costs_of(folder):
+            item.add_marker(name)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Fail a test of `--quick` that loads what it has no mark for."""
+    before = {*sys.modules}
+    yield
+    if item.config.getoption("quick"):
+        loaded = [name for name in HEAVY if name in sys.modules and name not in before]
+        assert not loaded, f"loads {loaded}: mark it (COSTS in test/conftest.py)"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Order files so that no core rests, and leave out those marked `slow` where `--quick` is.
+    """Order files so that no core rests, and leave out what costs where `--quick` is.
 
     Files that wait and files that compute take turns, each begun with the long ones.
     """
     if config.getoption("quick"):
-        items[:] = [item for item in items if item.get_closest_marker("slow") is None]
+        loaded = [name for name in HEAVY if name in sys.modules]
+        if loaded:
+            raise pytest.UsageError(f"collecting loads {loaded}: mark the file that imports it")
+        items[:] = [item for item in items if not any(item.get_closest_marker(c) for c in COSTS)]
 
     def place(path: Path, names: tuple[str, ...]) -> int:
         parts = path.relative_to(ROOT / "test").parts
@@ -191,6 +213,8 @@ class SimulatedUnit:
     """
 
     def __init__(self, bus: can.BusABC, address: Address, replies: Replies) -> None:
+        import isotp  # the tests of the core work without it
+
         self.asked: list[bytes] = []
         self._bus, self._replies = bus, replies
         mode = isotp.AddressingMode

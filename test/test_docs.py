@@ -8,6 +8,8 @@ import subprocess
 
 import pytest
 
+pytestmark = pytest.mark.build
+
 ROOT = Path(__file__).parents[1]
 PAGES = [  # all that git tracks; of an export, which it knows nothing of, the documents
     ROOT / name

@@ -9,6 +9,8 @@ import time
 
 import pytest
 
+pytestmark = pytest.mark.build
+
 ROOT = Path(__file__).resolve().parents[1]
 ESTIMATOR = ("-m", "evpinn_ros.executables", "estimator")
 RUN = ("-m", "evpinn_ros", "run", "--vehicle", "nissan_leaf", "--can-interface", "virtual")

@@ -22,6 +22,8 @@ import typer
 
 from evpinn_ros.cli.main import app
 
+pytestmark = pytest.mark.build
+
 ROOT = Path(__file__).parents[1]
 GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

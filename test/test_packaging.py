@@ -18,6 +18,8 @@ import yaml
 
 import evpinn_ros
 
+pytestmark = pytest.mark.build
+
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 DEPENDS = {tag.text for tag in MANIFEST.iter("exec_depend")}

@@ -10,6 +10,8 @@ import pytest
 
 import evpinn_ros
 
+pytestmark = pytest.mark.build
+
 pytest.importorskip("material", reason="the extra `site` is not installed")
 pytest.importorskip("mkdocstrings", reason="the extra `site` is not installed")
 

@@ -1,21 +1,18 @@
-"""`evpinn bench energy`: counting energy, forecasts of real drives, and how quick they are."""
+"""`evpinn bench energy`: counting energy, the battery at the end, and how quick forecasts are."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator
 from enum import Enum
 from importlib.util import find_spec
 import os
 from pathlib import Path
-import time
 from typing import Annotated, Any
 
 import typer
 
-from benchmarks.cli.integration import EPOCHS, battery, counting, integrators, show_battery
+from benchmarks.cli.integration import battery, counting
 from benchmarks.cli.output import figures_table, json_at_the_end, table_of
-from benchmarks.energy_forecast import ForecastBenchmark, PlannedForecast, forecast_totals
 from benchmarks.energy_library import (
     BATCH,
     POINTS,
@@ -25,12 +22,10 @@ from benchmarks.energy_library import (
     measure_throughput,
 )
 from benchmarks.fastsim_peer import fastsim_version
-from benchmarks.logs import Log, find_logs
-from evpinn_ros.cli.console import note, progress_bar, say, show
+from benchmarks.logs import find_logs
+from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
 TOGETHER = 12  # plans
@@ -41,9 +36,7 @@ JOULES_PER_WH = 3600.0
 class MeasuredPart(str, Enum):
     """Part that can be measured by itself."""
 
-    INTEGRATORS = "integrators"
     COUNTING = "counting"
-    FORECASTS = "forecasts"
     LIBRARY = "library"
     BATTERY = "battery"
     PLANS = "plans"
@@ -65,21 +58,17 @@ def energy(
         list[MeasuredPart],
         typer.Option("--part", help="Measure this alone; more than one may be given."),
     ] = [*MeasuredPart],  # noqa: B006
-    epochs: Annotated[
-        int, typer.Option(min=1, help="Seed of the networks that are compared as integrators.")
-    ] = EPOCHS,
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
     json_file: JsonOption = None,
 ) -> None:
-    """Count the energy of drives, forecast each before it is driven, time both.
+    """Count the energy of drives, and time forecasts.
 
-    The drives of a PATH are one car's, in order of names. Integrators: the networks of the paper
-    beside the trapezoid and Simpson's rule, on all samples and on fewer. Counting: the battery at
-    1 Hz with gaps, silent for ten minutes, silent all along; it takes as long as a fifth of all
-    drives. Forecasts: each drive is forecast from its own speed and elevation by what was learned
-    on those before, the first from the vehicle file. Battery: the end of each drive of known
-    power, by energy over capacity and by the battery's state, learned on the drives before. Cycles
-    are udds.csv, hwfet.csv and us06.csv.
+    The drives of a PATH are one car's, in order of names. Counting: the battery at 1 Hz with gaps,
+    silent for ten minutes, silent all along; it takes as long as a fifth of all drives. Battery:
+    the end of each drive of known power, by energy over capacity and by the battery's state,
+    learned on the drives before. Library and plans: speed of forecasts, in numpy and torch, beside
+    FASTSim, and over DDS. Cycles are udds.csv, hwfet.csv and us06.csv. How good forecasts are:
+    `evpinn bench plans`.
 
     Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
     """
@@ -87,14 +76,8 @@ def energy(
     cars = [find_logs(path, vehicle) for path in paths]
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
     with json_at_the_end(json_file, lambda: found):
-        if MeasuredPart.INTEGRATORS in parts:
-            found["integrators"] = integrators(cars, epochs)
         if MeasuredPart.COUNTING in parts:
             found["counting"] = counting(cars)
-        if MeasuredPart.FORECASTS in parts:
-            found["forecasts"] = []
-            for logs in cars:
-                found["forecasts"].append(_forecasts(logs))
         if MeasuredPart.BATTERY in parts:
             found["battery"] = [battery(logs) for logs in cars]
         if MeasuredPart.LIBRARY in parts:
@@ -114,52 +97,6 @@ def _library(cycles: Path | None) -> dict[str, Any]:
     return found
 
 
-def _forecasts(logs: Sequence[Log]) -> dict[str, Any]:
-    car = load_vehicle(logs[0].vehicle)
-    benchmark = ForecastBenchmark(car, time.thread_time)
-    found: dict[str, PlannedForecast] = {}
-    with progress_bar("drives", len(logs), unit="drives") as progress:
-        for number, log in enumerate(logs, start=1):
-            try:
-                source = open_source(log.path, car, log.can_profile)
-                found[str(log.path)] = benchmark.drive(source.readings())
-            except InputError as error:
-                note(f"evpinn: {log.path}: {error}")
-            progress(number)
-    _show_forecasts(car.name, found)
-    ends = {name: one.battery for name, one in found.items() if one.battery is not None}
-    if ends:
-        show_battery(f"{car.name}: error of the battery at the end of forecasts", ends)
-    totals = forecast_totals(list(found.values()))
-    if totals is not None:
-        median, mean, covered, counted = totals
-        say(
-            f"After the first: median error {median:.1f} % (goal 5 %), mean {mean:.1f} %, "
-            f"{covered} of {counted} in the 90 % band"
-        )
-    drives = {name: asdict(one) for name, one in found.items()}
-    return {"vehicle": car.key, "drives": drives, "totals": totals}
-
-
-def _show_forecasts(car: str, found: Mapping[str, PlannedForecast]) -> None:
-    rows = []
-    for name, one in found.items():
-        joules = (one.measured_j, one.forecast_j, one.sigma_j, one.combinations_j)
-        watt_hours = (each / JOULES_PER_WH for each in joules)
-        inside = "yes" if one.covered else "no"
-        rows.append((Path(name).name, *watt_hours, one.error_percent, inside))
-    columns = (
-        ("drive", "{0}"),
-        ("measured Wh", "{1:.0f}"),
-        ("forecast Wh", "{2:.0f}"),
-        ("1-sigma Wh", "{3:.0f}"),
-        ("error", "{5:+.1f} %"),
-        ("in band", "{6}"),
-        ("combinations", "{4:.0f}"),
-    )
-    show(table_of(f"{car}: energy of each drive, forecast before it was driven", rows, columns))
-
-
 def _show_throughput(found: ForecastThroughput) -> None:
     rows = [
         ("vehicle file, numpy", f"{found.vehicle_file_ms:.0f} ms", "100 ms"),
@@ -174,7 +111,7 @@ def _cycles(folder: Path) -> Any:
     """Beside FASTSim; None without it."""
     installed = fastsim_version()
     if installed is None:
-        note("fastsim is not installed: the comparison is left out (see bench/fastsim_peer.py)")
+        note("fastsim is not installed: no comparison (benchmarks/fastsim_peer.py says how)")
         return None
     rows = list(compare_cycles(folder, load_vehicle(CAR)))
     columns = (

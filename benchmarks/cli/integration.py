@@ -1,4 +1,4 @@
-"""The parts of `evpinn bench energy` that count energy: integrators, and the meter on board."""
+"""The parts of `evpinn bench energy` that count energy on board, and the battery at its end."""
 
 from __future__ import annotations
 
@@ -10,66 +10,9 @@ from typing import Any
 from benchmarks.battery_end import BatteryRow, battery_rows
 from benchmarks.cli.output import figures_table
 from benchmarks.energy_integration import integration_rows
-from benchmarks.integrators import (
-    SIMULATED,
-    IntegratorAgreement,
-    IntegratorRow,
-    UnbrokenPower,
-    agreement,
-    compare_integrators,
-    measured_power,
-    simulated_power,
-)
 from benchmarks.logs import Log
-from evpinn_ros.cli.console import note, say, show
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.cli.console import show
 from evpinn_ros.common.plain_table import PlainTable
-
-EPOCHS = 1000
-
-
-def integrators(cars: Sequence[Sequence[Log]], epochs: int) -> dict[str, Any]:
-    """Compare integrators on each car's logs and on simulated drives; gives the figures."""
-    rows: list[IntegratorRow] = []
-    agreements: list[IntegratorAgreement] = []
-    for logs in cars:
-        drives = _drives(logs)
-        agreements += [agreement(drive) for drive in drives]
-        if drives:
-            rows += _compared(logs[0].vehicle, drives, epochs)
-    rows += _compared(SIMULATED, simulated_power(), epochs)
-    if agreements:
-        worst = max(agreements, key=lambda each: abs(each.percent))
-        say(
-            f"RKNN, shipped, against the trapezoid on every sample, {len(agreements)} whole logs: "
-            f"{worst.percent:+.4f} % at worst, {worst.log} (goal 0.1 %)"
-        )
-    return {
-        "rows": [row._asdict() for row in rows],
-        "agreement": [each._asdict() for each in agreements],
-    }
-
-
-def _drives(logs: Sequence[Log]) -> list[UnbrokenPower]:
-    drives = []
-    for log in logs:
-        try:
-            drives.append(measured_power(log))
-        except InputError as error:
-            note(f"evpinn: {error}")
-    return drives
-
-
-def _compared(car: str, drives: Sequence[UnbrokenPower], epochs: int) -> list[IntegratorRow]:
-    """One car's figures, shown with methods down and samplings across."""
-    rows = list(compare_integrators(car, drives, epochs))
-    cells: dict[str, list[str]] = {}
-    for row in rows:
-        cells.setdefault(row.method, [row.method]).append(f"{row.median:.3f} / {row.worst:.3f}")
-    title = f"{car} ({len(drives)}): median / worst error, % of gross energy"
-    samplings = dict.fromkeys(row.sampling for row in rows)
-    show(PlainTable(title, ("method", *samplings), cells.values()))
-    return rows
 
 
 def battery(logs: Sequence[Log]) -> dict[str, Any]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from benchmarks.cli.output import json_at_the_end, table_of
-from benchmarks.floor import ASKED, floors
 from benchmarks.truth import (
     VEHICLES,
     LoadStep,
@@ -55,9 +53,6 @@ def truth(
         float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")
     ] = RMS_GRADE,
     altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
-    floor: Annotated[
-        bool, typer.Option("--floor", help="Also the floor: what an oracle could tell.")
-    ] = False,
     load: Annotated[
         bool, typer.Option("--load", help="Also change the load at a stop, by 150 kg.")
     ] = False,
@@ -75,8 +70,6 @@ def truth(
     road: dict[str, Any] = {"rms_grade": rms_grade, "altitude": altitude}
     with json_at_the_end(json_file, lambda: figures):
         _compare(figures, compare(kind, VEHICLES, seeds, from_priors=from_priors, **road), drives)
-        if floor:
-            _show_floor(figures, list(floors(kind, VEHICLES, seeds, **road)))
         if load:
             _show_loads(figures, list(load_steps(VEHICLES, seeds)))
         if hours:
@@ -108,13 +101,6 @@ def _unobservable(found: Sequence[TruthCheck]) -> str:
     shares = [one.prior_share for one in found if one.name == "c_d" and one.seconds == end]
     flagged = sum(share > UNOBSERVABLE_ABOVE for share in shares)
     return f"C_d flagged as unobservable: {flagged} of {len(shares)} drives"
-
-
-def _show_floor(figures: dict[str, Any], rows: Sequence[Mapping[str, float]]) -> None:
-    least = {name: float(np.median([row[name] for row in rows])) for name in ASKED}
-    figures["floor_median_percent"] = least
-    text = ", ".join(f"{name} {percent:.2f} %" for name, percent in least.items())
-    say(f"Floor of the median after 120 s: {text}")
 
 
 def _show_loads(figures: dict[str, Any], steps: Sequence[LoadStep]) -> None:

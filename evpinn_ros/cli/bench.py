@@ -19,7 +19,6 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     "training",
     "online",
-    "carried",
     "unseen",
     "ablation",
     "settings",

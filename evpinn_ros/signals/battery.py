@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.readings import NANOSECONDS, drawn_power
 from evpinn_ros.signals.track import SignalTrack
 
 BRIDGE_SHARE = 1.0 / 12.0  # variance of the integral of a Brownian bridge, per step^2 and rise^2
@@ -84,9 +84,9 @@ class BatteryTrack:
         return max(known) if len(known) == 2 else None
 
     def at(self, stamp_ns: int) -> float | None:
-        """Power drawn, W (eq. 11), at a moment; None where it was not measured."""
+        """Power drawn, W, at a moment; None where it was not measured."""
         voltage, current = self._voltage.at(stamp_ns), self._current.at(stamp_ns)
-        return None if voltage is None or current is None else -voltage * current
+        return None if voltage is None or current is None else drawn_power(voltage, current)
 
     def covers(self, start_ns: int, end_ns: int) -> bool:
         """True if power was measured from one moment to another without a gap."""

@@ -19,6 +19,11 @@ MAX_TORQUE = 20_000.0  # N m, more than the axle of any production car
 MAX_MOTOR_SPEED = 4_000.0  # rad/s, 38,000 rpm, faster than any traction motor turns
 
 
+def drawn_power(volts: float, amperes: float) -> float:
+    """Power drawn from the battery, W (eq. 11), of a current negative while it discharges, A."""
+    return -volts * amperes
+
+
 @dataclass(frozen=True, slots=True)
 class SpeedReading:
     """Forward speed, m/s (negative in reverse), and its variance, (m/s)^2, NaN if unknown."""
@@ -45,8 +50,8 @@ class BatteryReading:
 
     @property
     def power(self) -> float:
-        """Power drawn from the battery, W, positive while it discharges (eq. 11)."""
-        return -self.voltage * self.current
+        """Power drawn from the battery, W, positive while it discharges."""
+        return drawn_power(self.voltage, self.current)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,7 @@ from evpinn_ros.signals.readings import (
     MotorReading,
     Reading,
     SpeedReading,
+    drawn_power,
 )
 from evpinn_ros.signals.road import GradeSource, Road, RoadReading, why_impossible
 from evpinn_ros.signals.sample import (
@@ -151,7 +152,7 @@ class SampleStream:
         if not math.isnan(reading.voltage):
             return reading.power
         voltage = self._battery.latest_voltage(reading.stamp_ns)
-        return None if voltage is None else -voltage * reading.current
+        return None if voltage is None else drawn_power(voltage, reading.current)
 
     def add_reading(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""

@@ -36,11 +36,6 @@ def _cos(x: Any) -> Any:
     return x.cos() if hasattr(x, "cos") else np.cos(x)
 
 
-def measured_power(voltage: Any, current: Any) -> Any:
-    """Battery power from voltage, V, and discharge-positive current, A (eq. 11), in W."""
-    return voltage * current
-
-
 def drag_force(speed: Any, drag_area: Any, air_density: Any) -> Any:
     """Aerodynamic drag (eq. 12), N, against the motion; drag_area = A * C_d, m^2."""
     return 0.5 * air_density * drag_area * speed * abs(speed)

@@ -24,6 +24,8 @@ from evpinn_ros.estimation.states import State
 from evpinn_ros.replays.forecasts import known_model
 import evpinn_ros.replays.run  # from here on the room `replay` is an attribute of the package
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 URBAN, CAR = ROOT / "bags" / "urban", "tesla_model_3_lr"
 SPAN = {"duration": 90.0, "warm_up": 30.0, "withhold_battery_after": 60.0}

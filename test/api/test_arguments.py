@@ -10,6 +10,8 @@ import pytest
 
 import evpinn_ros as ev
 
+pytestmark = pytest.mark.slow
+
 WRONG = {
     "huge": 10**400,
     "frame": pd.DataFrame({"a": [1, 2]}),

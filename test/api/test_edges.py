@@ -6,6 +6,8 @@ import pytest
 
 import evpinn_ros as ev
 
+pytestmark = pytest.mark.slow
+
 EDGES = pd.DataFrame(
     {
         "length_m": [500.0, 500.0, 800.0, 600.0],

@@ -27,6 +27,8 @@ from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.reproduction import checkpoint
 
+pytestmark = pytest.mark.torch
+
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then data
 ZEROS = bytes(64 * FREE_BYTES)
 

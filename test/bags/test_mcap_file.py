@@ -15,6 +15,8 @@ from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 START = 1_700_000_000_000_000_000
 
 

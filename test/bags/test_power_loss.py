@@ -20,6 +20,8 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.state_file import read_state, write_state
 from evpinn_ros.topics.messages import scalar
 
+pytestmark = pytest.mark.slow
+
 MILLI = 1_000_000
 
 

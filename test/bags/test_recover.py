@@ -29,6 +29,8 @@ from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.topics.messages import scalar
 
+pytestmark = pytest.mark.slow
+
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000
 CHUNK_HEAD = 9 + 32 + 4 + 8  # bytes of a chunk before its packed records, with a name of 4

@@ -7,6 +7,8 @@ from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 URBAN = ROOT / "bags" / "urban"
 

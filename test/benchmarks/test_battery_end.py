@@ -5,6 +5,8 @@ import pytest
 from benchmarks.battery_end import battery_rows
 from benchmarks.logs import find_logs
 
+pytestmark = pytest.mark.slow
+
 FULL, RESISTANCE = 55.0 * 3600, 0.15  # A s, Ohm
 
 

@@ -5,11 +5,14 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
+import pytest
 
 from benchmarks.can_traffic import PROFILE, number_after, traffic, voltage
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_second_is_four_thousand_frames_some_of_them_ours():

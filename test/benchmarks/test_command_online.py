@@ -21,7 +21,7 @@ KEYS = SCORE | {
     *("now", "us_per_sample"),
 }
 URBAN = ROOT / "bags" / "urban"
-NAMES = ["null", "prior", "rls7"]
+NAMES = ["null", "prior", "ekf5_fast"]
 
 
 class Done(NamedTuple):
@@ -83,7 +83,7 @@ def test_json_keeps_its_keys(finished):
         assert set(score) == KEYS
         assert set(score["now"]) == SCORE
     rmse = {name: score["rmse_w"] for name, score in log["methods"].items()}
-    assert rmse["null"] < rmse["rls7"] < rmse["prior"]
+    assert rmse["null"] < rmse["ekf5_fast"] < rmse["prior"]
 
 
 def test_bad_logs_are_named_and_stop_nothing(finished):

@@ -7,6 +7,8 @@ import pytest
 from benchmarks.logs import Log, find_logs
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def folder(empty_files) -> Path:

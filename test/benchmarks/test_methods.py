@@ -50,4 +50,4 @@ def test_table_v_is_of_two_cars(vehicle):
 
 
 def test_only_what_was_chosen_runs(vehicle):
-    assert list(peers(["rls7", "null", "hybrid", "prior"], vehicle)) == ["rls7", "prior"]
+    assert list(peers(["ekf5", "null", "hybrid", "prior"], vehicle)) == ["ekf5", "prior"]

@@ -13,6 +13,8 @@ from benchmarks.rknn_training import (  # noqa: E402
 )
 from evpinn_ros.energy.rknn import load_rknn  # noqa: E402
 
+pytestmark = pytest.mark.torch
+
 
 def test_synthetic_steps_have_their_simpson_integral():
     steps = synthetic_steps(np.random.default_rng(1), traces=16)

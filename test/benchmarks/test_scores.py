@@ -52,7 +52,7 @@ def test_what_no_log_could_score_stays_unknown():
 
 
 def test_only_a_method_with_a_sigma_has_a_coverage(vehicle, readings):
-    names = ["null", "split", "rls5", "ekf5"]
+    names = ["null", "split", "prior", "ekf5"]
     benchmark = OnlineBenchmark(vehicle, names, time.thread_time)
     for reading in readings:
         benchmark.add_reading(reading)

@@ -9,6 +9,8 @@ from benchmarks import soak
 from benchmarks.soak import Hour, memory_growth, time_drift
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 
 def hours(*rows):
     return [Hour(1000, memory, took, 0.0) for memory, took in rows]

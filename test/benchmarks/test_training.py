@@ -12,6 +12,8 @@ from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.vehicle.files import Vehicle
 from test.reproduction.conftest import make_log, vehicle  # noqa: F401
 
+pytestmark = pytest.mark.torch
+
 
 class Halving:
     """A training whose validation loss halves with every epoch."""

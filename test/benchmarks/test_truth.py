@@ -1,15 +1,12 @@
-"""Simulated cars against their truth: the sums, the intervals and the floor of the data."""
+"""Simulated cars against their truth: the sums and the intervals."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from benchmarks.floor import ASKED, median_floor
-from benchmarks.truth import PROFILE, TruthCheck, compare, summaries
+from benchmarks.truth import TruthCheck, compare, summaries
 from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import RMS_GRADE, simulate
-from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -39,22 +36,3 @@ def test_intervals_of_cars_drawn_from_the_priors_are_true():
     covered = np.mean([one.covered for one in found])
     # 180 intervals, at least 20 of them independent: 1-sigma of the share is at most 5 %.
     assert covered >= 0.95 - 3 * 0.05
-
-
-@pytest.fixture(scope="module")
-def town():
-    vehicle = load_vehicle("tesla_model_3_lr")
-    return simulate(DriveKind.URBAN, vehicle, 120.0, 7, can_profile=PROFILE)
-
-
-def test_the_oracle_knows_more_of_a_road_that_it_knows(town):
-    hilly = median_floor(town, 120.0, RMS_GRADE)
-    barometer = median_floor(town, 120.0, RMS_GRADE, altitude=True)
-    known = median_floor(town, 120.0, 0.0)
-    assert all(known[name] < barometer[name] < hilly[name] for name in ASKED)
-    assert hilly["c_rr"] > 5.0 > 1.0 > hilly["mass_over_eta"]
-
-
-def test_the_oracle_knows_less_of_half_a_drive(town):
-    half, whole = (median_floor(town, seconds, RMS_GRADE) for seconds in (60.0, 120.0))
-    assert all(whole[name] < half[name] for name in ASKED)

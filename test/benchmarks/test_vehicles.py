@@ -12,6 +12,8 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.vehicle.certified import AIR_DENSITY, certified_cars
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.slow
+
 TAYCAN = "porsche_taycan_turbo_cross_turismo_2022"
 
 

@@ -29,6 +29,8 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.vehicle.files import load_vehicle
 from test.bridges.conftest import Broker, Client, wait_until
 
+pytestmark = pytest.mark.slow
+
 Make = Callable[..., tuple[MqttBridge, Connection]]
 Sets = Iterable[tuple[int, dict[str, str]]]
 EVERYTHING = ("evpinn/#", "homeassistant/#")

@@ -26,6 +26,8 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.slow
+
 OVERLAY = Path(__file__).resolve().parents[2] / "config" / "vss" / "evpinn.vspec"
 BATTERY = "Vehicle.Powertrain.TractionBattery"
 

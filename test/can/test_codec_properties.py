@@ -18,6 +18,8 @@ from evpinn_ros.cli.can_tables import as_json
 from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
 from test.can.conftest import PROFILES
 
+pytestmark = pytest.mark.slow
+
 WHOLE = sorted(key for key in PROFILES if {"speed", "battery"} <= PROFILES[key].messages.keys())
 
 

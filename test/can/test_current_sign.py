@@ -10,6 +10,8 @@ from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.slow
+
 SECOND = 10**9
 
 

@@ -10,6 +10,8 @@ from evpinn_ros.can.profile import MOTORS, load_profile
 from evpinn_ros.signals.readings import BatteryReading
 from test.can.conftest import ALL, PROFILES
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 
 

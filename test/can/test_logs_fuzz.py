@@ -13,6 +13,8 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 COUNT = 60
 FORMATS = [".log", ".log.gz", ".asc", ".asc.gz", ".blf", ".trc", ".csv"]
 

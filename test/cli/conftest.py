@@ -15,6 +15,8 @@ import pytest
 from evpinn_ros.cli.console import results
 from evpinn_ros.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -22,6 +22,8 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
 )
 
+pytestmark = pytest.mark.slow
+
 FOLDER = [HealthCheck.function_scoped_fixture]
 ROWS = drive(150, 2.5)
 

@@ -252,6 +252,7 @@ def test_a_state_of_charge_cannot_add_what_no_battery_can_give():
     assert counted.lifetime().net.value < 1e6
 
 
+@pytest.mark.slow
 def test_the_lifetime_never_falls_whatever_time_does():
     """Jumps under both policies, trips reset, restarts from what was saved last."""
     counted, random = account(), np.random.default_rng(3)
@@ -303,6 +304,7 @@ def test_what_is_published_never_falls_among_leaps(seed):
     assert fell > 0.0  # inside it does: what was predicted is put right
 
 
+@pytest.mark.slow
 def test_a_jump_of_time_joins_nothing():
     counted = drive(account(), range(600))
     counted.begin_after_jump()

@@ -94,6 +94,7 @@ def test_it_says_nothing_before_it_knows_enough():
     assert model.after(plan(1e4, 600.0), UNKNOWN) is None
 
 
+@pytest.mark.slow
 def test_without_a_capacity_in_the_vehicle_file_it_waits_for_one():
     model = BatteryModel(math.nan)
     drive(model.add_reading, 100)

@@ -98,6 +98,7 @@ def test_a_battery_that_returns_is_bridged_by_the_prediction():
     assert state.gaps == 1
 
 
+@pytest.mark.slow
 def test_sigma_grows_while_silent_and_does_not_shrink_when_the_battery_returns():
     """The lasting 6 % of the gross energy counts for the silence alone."""
     driven = drive(meter(), range(300), measured_sigma=10.0)
@@ -122,6 +123,7 @@ def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_i
     assert driven.last_dropout.unknown_s == pytest.approx(300.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_speed_that_is_silent_while_the_battery_speaks_costs_nothing():
     state = drive(meter(), range(900), blind=range(200, 500)).state
     assert (state.unknown_s, state.unmeasured_s) == (0.0, 0.0)
@@ -191,6 +193,7 @@ def slow_battery(to, ticks, every, lag=3):
     return to.state
 
 
+@pytest.mark.slow
 def test_between_two_words_of_a_slow_battery_the_prediction_tells_the_course():
     truth, coarse = EnergyIntegral(), EnergyIntegral()
     for tick in range(6001):
@@ -234,6 +237,7 @@ def test_short_dropouts_are_the_prediction_between_the_two_words_of_the_battery(
     assert state.unmeasured_s == pytest.approx(5.0) and state.unknown_s < 1.0
 
 
+@pytest.mark.slow
 def test_a_battery_as_frequent_as_the_prediction_is_counted_as_it_is():
     state = slow_battery(meter(), range(6001), every=1)
     assert state.consumed == state.measured.energy

@@ -39,6 +39,7 @@ def withheld():
     return model, car.after([replace(each, energy=np.nan) for each in taken]), taken
 
 
+@pytest.mark.slow
 def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
     """Energy and sigma: the same rows, the same posterior."""
     model, car, intervals = withheld()

@@ -122,6 +122,7 @@ def found() -> dict[int, np.ndarray]:
 
 
 @pytest.mark.parametrize("count", [6, 20])
+@pytest.mark.slow
 def test_dropouts_of_simulated_drives_stay_within_their_bands(found, count):
     held = np.mean(np.abs(found[count]) < NINETY)
     assert len(found[count]) > 30 and 0.8 < held < 0.99

@@ -18,6 +18,8 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.slow
+
 WARM_UP = 120.0  # s, as `evpinn replay` leaves out
 REAL = Path(__file__).parents[3] / "shared/data/tesla_model3/drive_first_757s.csv"
 GAUSSIAN_90 = 1.6449

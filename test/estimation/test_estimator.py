@@ -12,7 +12,7 @@ from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.physics import RegenForm
 
-MODES = list(Mode)
+MODES = [Mode.HYBRID, pytest.param(Mode.PAPER, marks=pytest.mark.torch)]
 CUT = 70.0  # s, in motion: from there on the battery is silent
 
 
@@ -88,6 +88,7 @@ def test_the_same_readings_give_the_same_bits(new_estimator, play, drive, mode):
     assert text(first) == text(second) and len(first) > 250
 
 
+@pytest.mark.torch
 def test_seeds_matter(new_estimator, play, drive):
     readings = up_to(drive(1, 240.0).readings, 8.0)
     first, second = (play(new_estimator(mode=Mode.PAPER, seed=s), readings) for s in (0, 1))
@@ -100,7 +101,7 @@ def test_seeds_matter(new_estimator, play, drive):
         (Mode.HYBRID, 1, 0),
         (Mode.HYBRID, 5, 0),
         (Mode.HYBRID, 5, 700_000_000),
-        (Mode.PAPER, 5, 700_000_000),
+        pytest.param(Mode.PAPER, 5, 700_000_000, marks=pytest.mark.torch),
     ],
 )
 def test_no_prediction_knows_the_battery_of_its_moment_or_later(
@@ -187,6 +188,7 @@ def probe_sigma(estimator) -> float:
     return estimator._bands[PowerKind.SMOOTHED].sigma(sample, prediction.sigma)
 
 
+@pytest.mark.slow
 def test_parameters_are_stale_after_five_minutes_of_silence(new_estimator, play, drive, cruise):
     estimator = new_estimator()
     readings = drive(1, 240.0).readings
@@ -265,6 +267,7 @@ def test_a_gap_is_not_joined(new_estimator, play, powers, cruise):
     assert max(p.power for p in found) < 25_000.0  # 15 m/s gained would be far more
 
 
+@pytest.mark.torch
 @pytest.mark.parametrize("form", list(RegenForm))
 def test_paper_mode_takes_every_form(new_estimator, play, powers, cruise, form):
     readings = cruise(0, 8)

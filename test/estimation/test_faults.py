@@ -69,6 +69,7 @@ FAULTS = (dropouts, jumps, reverse, slip, flipped, shuffled)
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
+@pytest.mark.slow
 def test_faults_of_a_window_end_in_nothing_that_is_not_finite(new_estimator, drive, fault):
     rng = np.random.default_rng(0)
     estimator = new_estimator()
@@ -93,7 +94,8 @@ def steady(begin_ns: int, seconds: int, speed: float, power: float):
 
 
 @pytest.mark.parametrize(
-    ("speed", "power", "seconds", "sigmas"), [(25.0, 15e3, 3 * 3600, 0.8), (0.0, 1e3, 1200, 0.05)]
+    ("speed", "power", "seconds", "sigmas"),
+    [pytest.param(25.0, 15e3, 3 * 3600, 0.8, marks=pytest.mark.slow), (0.0, 1e3, 1200, 0.05)],
 )
 def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, seconds, sigmas):
     """Three hours at one speed, which show how even the road is, and twenty minutes standing.
@@ -122,6 +124,7 @@ def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, sec
         assert estimate.std <= 3.0 * at_first[name].std, name  # a network may do it too
 
 
+@pytest.mark.slow
 def test_battery_readings_within_the_allowed_lateness_change_nothing(new_estimator, play, drive):
     """What arrives in another order is predicted and learned to the same bits."""
     readings = drive(3, 40.0).readings
@@ -145,6 +148,7 @@ def test_battery_readings_within_the_allowed_lateness_change_nothing(new_estimat
     assert predictions(delayed) == predictions(readings)
 
 
+@pytest.mark.slow
 def test_a_heavier_car_has_the_ratio_of_its_mass(vehicle):
     """The same drive with a tenth more in the car: m/eta tells the ratio, whatever eta is."""
     first = simulate(DriveKind.URBAN, vehicle, 900.0, 5, car={"mass": 1750.0})

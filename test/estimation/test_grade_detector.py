@@ -56,6 +56,7 @@ def test_a_right_grade_and_none_are_never_suspected(hills, sign):
     assert not hills.drive(1800, sign)
 
 
+@pytest.mark.slow
 def test_a_flipped_grade_is_found_within_ten_kilometres_and_mended(hills):
     hills.drive(660, -1.0)
     assert hills.car.grade.detected

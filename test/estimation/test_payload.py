@@ -71,6 +71,7 @@ def test_a_change_is_found_followed_and_outlives_a_restart(driver, delta):
     assert PayloadDetector.of(driver.payload.saved()).change == change
 
 
+@pytest.mark.slow
 def test_no_change_is_found_where_there_is_none(driver):
     for seed in (1, 2):
         driver.drive(0.0, seed, 240)

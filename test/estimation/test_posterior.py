@@ -205,3 +205,15 @@ def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town):
 def test_warmth_goes_from_one_to_nothing():
     assert Warmth.after(0.0) == (1.0, 1.0)
     assert max(Warmth.after(1e6)) < 1e-9
+
+
+def test_what_the_hypotheses_were_worth_is_forgotten(town):
+    """What one had over another before an interval is less after it, whatever it shows."""
+    state = learned(town[:5])
+    head_start = np.arange(len(BANK)) * 3.0
+    ahead = replace(state, evidence=state.evidence + head_start)
+    one, other = (
+        learn(each, EQUATION, passed(EQUATION, town[5], 30.0))[0] for each in (state, ahead)
+    )
+    left = np.diff(other.evidence - one.evidence)
+    assert left == pytest.approx(3.0 * (1.0 - 1.0 / posterior.EVIDENCE_KEPT), abs=1e-9)

@@ -24,6 +24,13 @@ def test_it_starts_at_the_priors(vehicle):
     assert [*mean, found.now.mean[5]] == pytest.approx(vehicle.initial, rel=1e-6)
 
 
+def test_mass_over_eta_is_that_ratio(vehicle):
+    equation = equation_of(vehicle)
+    value, sigma = mass_over_eta(initial_state(equation), equation, Driven.nowhere())
+    assert math.exp(value) == pytest.approx(vehicle.initial.mass / vehicle.initial.eta, rel=1e-6)
+    assert 0.0 < sigma < 1.0
+
+
 def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     """And what the driving does not determine stays as it was."""
     equation = equation_of(vehicle)
@@ -36,6 +43,7 @@ def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     assert not project(nothing, nothing @ change, equation).any()
 
 
+@pytest.mark.slow
 def test_an_efficiency_map_is_published_by_energy():
     """Ten minutes of mixed roads with cars of three models that have a map of losses."""
     found = list(compare(DriveKind.MIXED, VEHICLES, range(3), marks=(600,)))
@@ -61,6 +69,7 @@ def learned(vehicle, readings) -> LearnedCar:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.slow
 def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
     """10 Hz thinned to 1.2 s, each signal at a time of its own: within the sigma of both."""
     readings = simulate(DriveKind.URBAN, vehicle, 600.0, seed).readings
@@ -72,6 +81,7 @@ def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
 
 
 @pytest.mark.parametrize("kind", ["slip", "dropouts"])
+@pytest.mark.slow
 def test_faults_of_sensors_move_little(vehicle, drive, kind):
     """Bursts of wheel slip, and 30 % of all readings lost: within 2 sigma of the clean drive."""
     readings = drive(2, 240.0).readings
@@ -90,6 +100,7 @@ def test_faults_of_sensors_move_little(vehicle, drive, kind):
 
 
 @pytest.mark.parametrize(("name", "most"), [("nissan_leaf", 0.25), ("generic", 0.05)])
+@pytest.mark.slow
 def test_motor_torque_tells_the_mass_in_kilograms(name, most):
     """Of its prior share little is left, and the truth is within its interval."""
     model, shares = load_vehicle(name), {}

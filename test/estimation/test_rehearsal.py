@@ -32,6 +32,7 @@ def learned(intervals, energy, seconds=1200.0, seed=0):
     return car
 
 
+@pytest.mark.slow
 def test_energy_that_strays_for_minutes_widens_the_band_and_little_noise_narrows_it(intervals):
     rng = np.random.default_rng(0)
     strays = np.repeat(rng.normal(0.0, 2e4, 20), 35)  # for three minutes each, W times 6 s

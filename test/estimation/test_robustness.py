@@ -76,6 +76,7 @@ def rides(draw):
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
+@pytest.mark.slow
 def test_hybrid_takes_anything(new_estimator, readings):
     estimator = new_estimator()
     for reading in readings:
@@ -85,6 +86,7 @@ def test_hybrid_takes_anything(new_estimator, readings):
 
 
 @pytest.mark.parametrize("seed", range(2))
+@pytest.mark.torch
 def test_paper_takes_a_drive_full_of_nonsense(new_estimator, drive, seed):
     rng = np.random.default_rng(seed)
     readings = list(drive(1, 240.0).readings[: 20 * 30])

@@ -1,6 +1,7 @@
 """What was learned, saved and read again: in the estimator and on disk."""
 
 from copy import deepcopy
+from functools import cache
 import json
 import math
 import os
@@ -16,30 +17,32 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
-MODES = list(Mode)
+MODES = [Mode.HYBRID, pytest.param(Mode.PAPER, marks=pytest.mark.torch)]
 LEARNED_FOR = 25  # s
 
 
 @pytest.fixture(scope="module")
 def learned(drive, new_of):
-    """An estimator of each mode after LEARNED_FOR seconds."""
+    """An estimator of a mode after LEARNED_FOR seconds."""
     readings = drive(1, 240.0).readings
     cut = readings[0].stamp_ns + LEARNED_FOR * NANOSECONDS
-    found = {}
-    for mode in MODES:
+
+    @cache
+    def of(mode: Mode) -> OnlineEstimator:
         estimator = new_of(mode)
         for reading in readings:
             if reading.stamp_ns < cut:
                 for _ in estimator.add_reading(reading):
                     pass
-        found[mode] = estimator
-    return found
+        return estimator
+
+    return of
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_round_trip_through_a_file_is_exact(learned, new_estimator, tmp_path, mode):
     """What is saved is all that was learned, bit for bit."""
-    estimator, other = learned[mode], new_estimator(mode=mode)
+    estimator, other = learned(mode), new_estimator(mode=mode)
     write_state(tmp_path / "state.json", estimator.export())
     other.restore(read_state(tmp_path / "state.json"))
     assert other.export() == estimator.export()
@@ -47,6 +50,7 @@ def test_a_round_trip_through_a_file_is_exact(learned, new_estimator, tmp_path, 
     assert one == pytest.approx(two, rel=1e-12)  # the order in memory shows in the last bit
 
 
+@pytest.mark.slow
 def test_a_restart_goes_on_within_a_fifth_of_sigma(new_estimator, play, drive):
     """Six seconds later, beside one that was never stopped.
 
@@ -74,7 +78,7 @@ def text_of(estimator) -> str:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
-    good, estimator = learned[mode].export(), new_estimator(mode=mode)
+    good, estimator = learned(mode).export(), new_estimator(mode=mode)
     before = text_of(estimator)
     numbers = json.loads(json.dumps(good))
     first = "trim" if mode is Mode.HYBRID else "network"
@@ -110,7 +114,7 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
 
 def test_the_state_of_an_older_version_is_set_aside_in_one_line(learned, new_estimator):
     with pytest.raises(ValueError, match=r"^saved for version 7, .*not for version 10, [^\n]*$"):
-        new_estimator().restore({**learned[Mode.HYBRID].export(), "version": 7})
+        new_estimator().restore({**learned(Mode.HYBRID).export(), "version": 7})
 
 
 leaves = st.one_of(
@@ -137,9 +141,10 @@ def paths(value, prefix=()) -> list[tuple]:
 
 @given(st.data())
 @settings(max_examples=120, deadline=None)
+@pytest.mark.slow
 def test_whatever_a_state_holds(learned, new_of, drive, data):
     """One place of a good state is spoilt: refused as a whole, or good for finite predictions."""
-    state = deepcopy(learned[Mode.HYBRID].export())
+    state = deepcopy(learned(Mode.HYBRID).export())
     *path, last = data.draw(st.sampled_from(paths(state)))
     target = state
     for key in path:

@@ -16,6 +16,8 @@ from evpinn_ros.paper.learner import SavedPaper
 from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
+pytestmark = pytest.mark.torch
+
 WRONG = (1e300, -1e300, 10**400, math.nan, math.inf, "1", None, [], {}, [[1.0], [2.0, 3.0]], True)
 CHANGE = {"stamp_ns": 1_700_000_000 * NANOSECONDS, "delta_mass": 150.0, "std": 30.0}
 FOUND = {

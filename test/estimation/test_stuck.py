@@ -10,7 +10,6 @@ import time
 
 import pytest
 
-from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
@@ -53,6 +52,8 @@ def mass_over_eta(estimator):
 
 @pytest.fixture(scope="module")
 def readings() -> list[Reading]:
+    from evpinn_ros.drives.sources import open_source  # `make core` has not what reads a bag
+
     return list(open_source(URBAN, load_vehicle("tesla_model_3_lr")).readings())
 
 
@@ -73,6 +74,7 @@ def undisturbed(readings) -> Callable[[float], OnlineEstimator]:
     return lambda until: deepcopy(learned(until))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("begin", "value", "most"), [(60.0, None, 0.005), (75.0, None, 0.005), (60.0, 17.0, 0.02)]
 )
@@ -106,6 +108,7 @@ def test_a_speed_that_hangs_for_seconds_moves_next_to_nothing(
     assert any(gated.get(why) for why in (SPEED_STUCK, SPEED_REPEATS))
 
 
+@pytest.mark.slow
 def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(
     readings, monkeypatch
 ):

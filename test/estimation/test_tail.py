@@ -90,6 +90,7 @@ def test_after_a_gap_a_sample_stands_for_no_more_than_some_seconds():
     assert tail_of(late).between(0, 10**13, WARM).seconds <= 10.0 + MAX_STEP
 
 
+@pytest.mark.slow
 def test_of_hours_the_newest_are_kept_and_before_any_there_is_nothing():
     assert Tail(EQUATION).between(0, 10**18, WARM) is NOWHERE
     samples = town(3 * KEPT)

@@ -78,6 +78,7 @@ def test_at_standstill_it_says_nothing_and_learns_nothing():
     assert network.correct(sample(0.0, 15.0, 1.0)) == before
 
 
+@pytest.mark.slow
 def test_where_there_is_nothing_to_learn_it_is_silent():
     rng = np.random.default_rng(0)
     network = taught(lambda moment: 2000.0 * rng.standard_normal(), seconds=600.0)
@@ -99,6 +100,7 @@ def test_one_seed_gives_one_network_and_an_outlier_moves_it_little():
     assert 0.0 < after(1e7) < 3 * after(3e4)
 
 
+@pytest.mark.slow
 def test_a_wind_that_holds_is_kept_longer_than_noise_that_does_not():
     rng = np.random.default_rng(1)
     last = 0.0

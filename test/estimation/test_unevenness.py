@@ -65,6 +65,7 @@ def test_even_legs_keep_way_and_time_and_begin_and_end_standing():
     assert 0.3 * whole < found @ EQUATION.mean < whole  # even is cheaper, not free
 
 
+@pytest.mark.slow
 def test_what_is_expected_of_legs_makes_up_for_even_speed():
     """A dozen drives of one driver teach what another one, cut by the minute, takes."""
     found = Unevenness.none()
@@ -96,6 +97,7 @@ def test_it_vanishes_with_the_duration_of_a_leg():
     assert DURATIONS[0] == 10.0
 
 
+@pytest.mark.slow
 def test_a_driver_of_habit_narrows_the_scatter_and_a_moody_one_widens_it():
     rng = np.random.default_rng(0)
     calm = moody = Unevenness.none()

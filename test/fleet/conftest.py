@@ -11,6 +11,8 @@ from evpinn_ros.simulation.output import write
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 20.0
 
 

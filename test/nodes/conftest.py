@@ -28,6 +28,8 @@ from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
 from evpinn_ros.topics.messages import Level
 
+pytestmark = pytest.mark.ros
+
 
 def _own_domain() -> int:
     """A ROS domain that no other worker or run of the tests here has, until this process ends."""

@@ -5,6 +5,8 @@ import pytest
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from test.estimation.conftest import synthetic  # noqa: F401
 
+pytestmark = pytest.mark.torch
+
 
 @pytest.fixture(scope="session")
 def vehicle() -> Vehicle:

@@ -23,6 +23,8 @@ from evpinn_ros.report.curves import MOST_TICKS, ticks
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test.replays.test_replay import Recorded
 
+pytestmark = pytest.mark.slow
+
 LOAD = 3000.0  # W more in the second drive
 
 

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 golden = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("golden.py"))))
 
 

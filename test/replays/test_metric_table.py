@@ -5,12 +5,16 @@ from collections.abc import Iterator
 import re
 import time
 
+import pytest
+
 from docs.metric_table import METRICS
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import ReplayOptions, replay
+
+pytestmark = pytest.mark.slow
 
 ANY_NAME = {
     "parameters": "<name>",

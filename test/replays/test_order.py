@@ -4,6 +4,8 @@ from collections.abc import Iterable
 import random
 from typing import Any
 
+import pytest
+
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
@@ -14,6 +16,8 @@ from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.signals.stream import StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
 from test.replays.conftest import URBAN
+
+pytestmark = pytest.mark.slow
 
 SECONDS = 90.0  # of the bag
 MARGIN = 0.011  # s: stamps within a hundredth are of one moment

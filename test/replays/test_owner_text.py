@@ -20,6 +20,8 @@ from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.signals.readings import SpeedReading
 from test.replays.test_replay import Recorded
 
+pytestmark = pytest.mark.slow
+
 
 def replayed(vehicle, readings) -> Replayed:
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))

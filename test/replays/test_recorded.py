@@ -17,6 +17,8 @@ from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.output import write
 from evpinn_ros.simulation.simulate import simulate
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_bag_of_a_replay_gives_its_series_back(vehicle, tmp_path):
     write(simulate(DriveKind.URBAN, vehicle, 60.0, seed=11), tmp_path / "drive")

@@ -26,6 +26,8 @@ from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
 from evpinn_ros.topics import topic_of
 from evpinn_ros.topics.readings import to_reading
 
+pytestmark = pytest.mark.slow
+
 
 class Recorded(Source):
     """Readings in memory, as a source."""

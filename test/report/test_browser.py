@@ -14,6 +14,8 @@ from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
 from evpinn_ros.report.drive_page import write_drives
 
+pytestmark = pytest.mark.browser
+
 INKED = """Array.from(document.querySelectorAll('canvas'), canvas => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height)
     .getContext('2d', { willReadFrequently: true });

@@ -22,6 +22,8 @@ from evpinn_ros.report.html import BROWSER, UPLOT
 from evpinn_ros.report.thinning import LEVELS, NO_VALUE
 from evpinn_ros.signals.readings import DRIVE_START_NS
 
+pytestmark = pytest.mark.slow
+
 HEADINGS = [
     "Where the energy went",
     "The drive",

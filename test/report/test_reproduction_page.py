@@ -9,6 +9,8 @@ from evpinn_ros.reproduction.experiment import Experiment, Settings
 from evpinn_ros.reproduction.optimizers import OptimizerName
 from evpinn_ros.vehicle.files import load_vehicle
 
+pytestmark = pytest.mark.torch
+
 SHOWN = """Array.from(document.querySelectorAll('img'))
   .filter(image => image.offsetParent !== null && image.naturalWidth > 500)
   .map(image => image.className)"""

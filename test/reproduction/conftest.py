@@ -13,6 +13,8 @@ from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
+pytestmark = pytest.mark.torch
+
 TRUE = Parameters(eta=0.82, mu=0.74, mass=1950.0, c_rr=0.0088, c_d=0.24, p_aux=900.0)
 PERIOD = 0.1  # s
 

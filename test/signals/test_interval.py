@@ -118,6 +118,7 @@ def test_a_slow_or_late_barometer_gives_heights_all_the_same(
     assert slopes == pytest.approx([SLOPE] * len(groups), rel=0.05)
 
 
+@pytest.mark.slow
 def test_an_altitude_that_never_moves_is_no_height(new_stream, play, journey):
     """A phone without a fix logs one altitude, 0 as a rule; the road is not flat for that."""
     drive = [
@@ -128,6 +129,7 @@ def test_an_altitude_that_never_moves_is_no_height(new_stream, play, journey):
     assert found and not any(one.height_known for one in found)
 
 
+@pytest.mark.slow
 def test_the_leap_to_a_first_fix_is_no_hill(new_stream, play, journey, at):
     """The last of `0, 0, 0, 103` adds nothing, and what follows is measured."""
     drive = [
@@ -142,6 +144,7 @@ def test_the_leap_to_a_first_fix_is_no_hill(new_stream, play, journey, at):
     assert all(one.height_known for one in found if one.start_ns > at(90))
 
 
+@pytest.mark.slow
 def test_pitch_and_altitude_go_on_from_each_other_without_a_step(new_stream, play, journey, at):
     """The IMU falls silent in the middle; 100 m of altitude are no hill."""
     readings = journey(240.0)

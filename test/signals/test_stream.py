@@ -142,6 +142,7 @@ def test_a_battery_that_comes_late_is_waited_for(new_stream, play, ramp, battery
     assert len(of(events, MeasuredSample)) >= 13
 
 
+@pytest.mark.slow
 def test_moments_without_a_battery_are_given_up(new_stream, play, ramp, battery):
     stream = new_stream()
     play(stream, ramp(10.0, 0.0, 600.0, acceleration=0.01))

@@ -6,6 +6,7 @@ from typing import get_args
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+import pytest
 
 from evpinn_ros.signals.interval import DURATION, Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -23,6 +24,7 @@ COUNT = 250  # readings, 25 s
     st.integers(0, 99),
 )
 @settings(max_examples=30, deadline=None)
+@pytest.mark.slow
 def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
     delays, currents, phase
 ):
@@ -86,6 +88,7 @@ def nonsense(draw):
 
 @given(nonsense(), st.integers(0, 3))
 @settings(max_examples=120, deadline=None)
+@pytest.mark.slow
 def test_nonsense_makes_no_exception_and_nothing_that_is_not_finite(readings, smoothed_after):
     stream = SampleStream(StreamSettings(smoothing_lag=0.1 * smoothed_after), 1.2)
     for reading in readings:
@@ -121,6 +124,7 @@ def test_samples_of_a_kind_are_in_order(readings):
 
 @given(nonsense())
 @settings(max_examples=50, deadline=None)
+@pytest.mark.slow
 def test_after_any_nonsense_a_good_drive_is_heard(readings):
     """Four seconds of good speed and battery after anything, and samples come."""
     stream, guard = SampleStream(StreamSettings(), 1.2), StampGuard(SpeedReading)

@@ -22,6 +22,8 @@ from evpinn_ros.simulation.output import write
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
+pytestmark = pytest.mark.slow
+
 BAGS = share_directory() / "bags"
 app = typer.Typer()
 app.command()(command)

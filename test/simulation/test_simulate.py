@@ -19,6 +19,8 @@ from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable, combined_power
 from evpinn_ros.vehicle.physics import RegenForm
 
+pytestmark = pytest.mark.slow
+
 CAR = load_vehicle("tesla_model_3_lr")
 
 

@@ -22,7 +22,6 @@ from evpinn_ros.vehicle.physics import (
     drag_force,
     grade_force,
     inertia_force,
-    measured_power,
     motor_force,
     regenerated_power,
     regeneration_indicator,
@@ -59,10 +58,6 @@ def power(v, a, form, car=CAR, grade=0.0):
 def wheel(v, a, car, grade=0.0):
     """W = R + K."""
     return road_load_power(v, car, AREA, DENSITY, grade) + car.mass * v * a
-
-
-def test_measured_power_eq_11():
-    assert measured_power(350.0, 20.0) == 7000.0
 
 
 def test_forces_eq_12_to_15():

@@ -9,6 +9,8 @@ from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.parameters import Parameters
 
+pytestmark = pytest.mark.slow
+
 START_NS = 1_700_000_000 * NANOSECONDS
 TRUTH = Parameters(eta=0.9, mu=0.8, mass=1950.0, c_rr=0.011, c_d=0.25, p_aux=500.0)
 

@@ -1,0 +1,149 @@
+"""Does `make core` find a core that is broken? Plants one fault after the other in a copy.
+
+`make mutants` runs it, as the nightly workflow does. Each fault is a text that stands once in a
+file of the core, and what is put in its place. The tests that mirror the file run first, then
+all of `make core`: a fault is found when one of them fails. Prints a line per fault, and fails
+when one was not found or its text is no longer there.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+COPIED = (
+    "evpinn_ros",
+    "test",
+    "benchmarks",
+    "config",
+    "pyproject.toml",
+    "setup.py",
+    "package.xml",
+)
+ROOMS = ("signals", "estimation", "energy")
+
+
+class Fault(NamedTuple):
+    """One fault: what is wrong, in which module, and the text that becomes another."""
+
+    name: str
+    module: str
+    right: str
+    wrong: str
+
+
+FAULTS = (
+    Fault("sign of battery power", "signals/readings", "-volts * amperes", "volts * amperes"),
+    Fault("trapezoid twice as large", "signals/battery", "@ step) / 2", "@ step)"),
+    Fault("kinetic energy doubled", "signals/interval",
+          "np.diff(speed**2) / 2", "np.diff(speed**2)"),
+    Fault("uphill is downhill", "signals/interval", "np.diff(np.array(h", "-np.diff(np.array(h"),
+    Fault("Simpson's middle twice", "signals/kinematics", "4 * drag(middle)", "2 * drag(middle)"),
+    Fault("speed and its slope swapped", "signals/kinematics",
+          "float(coefficients[0]), float(coefficients[1])",
+          "float(coefficients[1]), float(coefficients[0])"),
+    Fault("drag doubled", "estimation/terms", "drag, rolling = 0.5 *", "drag, rolling = 1.0 *"),
+    Fault("braking gives all back", "estimation/terms",
+          "(1.0 - driving) * self.back", "(1.0 - driving)"),
+    Fault("correction away from the data", "estimation/gaussian",
+          "state.mean + gain", "state.mean - gain"),
+    Fault("certainty falls with data", "estimation/gaussian",
+          "state.covariance - change", "state.covariance + change"),
+    Fault("time adds no uncertainty", "estimation/gaussian",
+          "@ transition.T + noise", "@ transition.T"),
+    Fault("noise left out of an innovation", "estimation/gaussian",
+          'along) + noise, along', 'along), along'),
+    Fault("the wandering load never forgets", "estimation/posterior",
+          "xp.exp(-seconds / LOAD_TIME)", "xp.exp(-0.0 * seconds)"),
+    Fault("sums of load and climb swapped", "estimation/posterior",
+          "(energy, State.WANDERED), (climb, State.CLIMBED)",
+          "(energy, State.CLIMBED), (climb, State.WANDERED)"),
+    Fault("offsets of a drive are kept whole", "estimation/posterior",
+          "kept[OFFSETS] = keep", "kept[OFFSETS] = 1.0"),
+    Fault("evidence is never forgotten", "estimation/posterior",
+          "(1.0 - 1.0 / EVIDENCE_KEPT)", "1.0"),
+    Fault("the network in the terms of eq. 21", "estimation/network",
+          "explained @ outer)", "0.0 * explained @ outer)"),
+    Fault("eta and mass swapped", "estimation/published",
+          "direction[[MASS, ETA]] = 1.0, -1.0", "direction[[MASS, ETA]] = -1.0, 1.0"),
+    Fault("bands grow when all is inside", "estimation/calibration",
+          "float(missed) - (1.0", "-float(missed) + (1.0"),
+    Fault("the trim never forgets", "estimation/trim",
+          "keep = math.exp(-duration / MEMORY)", "keep = 1.0"),
+    Fault("energy of a step doubled", "energy/quadrature",
+          "self.power_next) / 2 * self.dt", "self.power_next) * self.dt"),
+    Fault("drawn and regenerated swapped", "energy/quadrature",
+          "max(self.energy, 0.0), max(-self.energy, 0.0)",
+          "max(-self.energy, 0.0), max(self.energy, 0.0)"),
+    Fault("half of a plan's power", "energy/forecast",
+          "np.diff(energy) / duration", "np.diff(energy) / duration / 2"),
+    Fault("charge rises as energy is drawn", "energy/charge",
+          "last.charge - taken", "last.charge + taken"),
+)  # fmt: skip
+
+
+def passes(copy: Path, *paths: str) -> bool:
+    """Whether the tests of these paths pass in a copy of the tree."""
+    options = ("-q", "-x", "--quick", "--hypothesis-profile=quick", "-p", "no:cacheprovider")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, *paths],
+        cwd=copy, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(copy)},
+    )  # fmt: skip
+    if done.returncode not in (0, 1):
+        raise SystemExit(done.stdout + done.stderr)
+    return done.returncode == 0
+
+
+def found(copy: Path, fault: Fault) -> bool:
+    """Whether a test fails while the fault stands in the copy."""
+    path = copy / "evpinn_ros" / f"{fault.module}.py"
+    sound = path.read_text("utf-8")
+    if sound.count(fault.right) != 1:
+        raise SystemExit(
+            f"{fault.module}: '{fault.right}' stands {sound.count(fault.right)} times"
+        )
+    path.write_text(sound.replace(fault.right, fault.wrong), "utf-8")
+    room, name = fault.module.split("/")
+    mirror = copy / "test" / room / f"test_{name}.py"
+    try:
+        near = mirror.exists() and not passes(copy, str(mirror))
+        return near or not passes(copy, *(f"test/{each}" for each in ROOMS))
+    finally:
+        path.write_text(sound, "utf-8")
+
+
+def main(wanted: list[str]) -> int:
+    """Plant the faults whose module or name holds one of these words, or all of them."""
+    missed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy"
+        for name in COPIED:
+            put = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+            copy.mkdir(exist_ok=True)
+            put(ROOT / name, copy / name)
+        if not passes(copy, *(f"test/{room}" for room in ROOMS)):
+            raise SystemExit("the tests of the core fail without any fault")
+        for fault in FAULTS:
+            if wanted and not any(word in f"{fault.module} {fault.name}" for word in wanted):
+                continue
+            begin = time.monotonic()
+            caught = found(copy, fault)
+            missed += not caught
+            verdict = "found" if caught else "MISSED"
+            print(
+                f"{verdict:7}{time.monotonic() - begin:5.0f} s  {fault.module}: {fault.name}",
+                flush=True,
+            )
+    print(f"{missed} faults missed" if missed else "every fault was found")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
