@@ -256,7 +256,7 @@ def _rule(section: Section) -> Rule:
 
 def _unit(section: Section, quantity: Measurand) -> Unit:
     column = QUANTITIES.get(COLUMNS.get(quantity, quantity.value))
-    units = {} if column is None else column.units
+    units: Mapping[str, Unit] = {} if column is None else column.units
     unit = units.get(section.text("unit").lower())
     if unit is None:
         known = ", ".join(units) or "none"
