@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
+import threading
 import time
 from typing import Any, NamedTuple
 
@@ -28,7 +29,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.vehicle.files import load_vehicle
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
-BEGUN = 8.0  # s until the bridge has subscribed, on a busy machine too
+BEGUN_S = 300.0  # longest wait until the bridge says that it is online, on a busy machine too
 DOCUMENTS = 10  # s of driving from one set of documents to the next
 
 
@@ -61,8 +62,11 @@ def live(seconds: int) -> LiveCost:
         raise InputError("no mosquitto here: apt-get install mosquitto, or --seconds 0")
     sent: list[float] = []
     came: dict[int, float] = {}
+    online = threading.Event()
 
     def answered(_client: Any, _user: Any, message: Any) -> None:
+        if message.topic == "evpinn/status" and message.payload == b"online":
+            online.set()
         if message.topic == "evpinn/1/power":
             came.setdefault(len(sent) - 1, time.perf_counter())
 
@@ -76,7 +80,8 @@ def live(seconds: int) -> LiveCost:
         stack.callback(client.loop_stop)
         client.loop_start()
         client.subscribe("evpinn/#", 1)
-        time.sleep(BEGUN)
+        if not online.wait(BEGUN_S):
+            raise InputError("the bridge did not begin")
         before, begin = _cpu_s(bridge.pid), time.perf_counter()
         for _, messages in as_teslamate(seconds=seconds):
             sent.append(time.perf_counter())

@@ -11,28 +11,24 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-import os
-from pathlib import Path
 from queue import Empty, Full, Queue
 import ssl
+import sys
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from evpinn_ros.common.errors import InputError, as_input_error, extra_needed
-from evpinn_ros.common.opener import read_whole
+from evpinn_ros.common.errors import as_input_error, extra_needed
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
 
 PORT, TLS_PORT = 1883, 8883
-MOST_SECRET = 65_536  # bytes
 IN_FLIGHT = 20  # messages
 MOST_WAITING = 10_000  # messages that came and are not yet processed; a minute of 160 a second
 LONGEST_PAYLOAD = 16_000  # bytes; a larger one is no value, and 10,000 of those are 160 MB
 RECONNECT_S = 1, 30  # first and longest wait, doubled each time
 KEEP_ALIVE_S = 30
 FAREWELL_S = 3.0  # for the last messages to go out
-USER_VARIABLE, PASSWORD_VARIABLE = "EVPINN_MQTT_USER", "EVPINN_MQTT_PASSWORD"
 ONLINE, OFFLINE = "online", "offline"
 REFUSALS = {"Bad user name or password", "Not authorized", "Client identifier not valid"}
 
@@ -69,31 +65,6 @@ class BrokerSettings:
         return f"{'mqtts' if self.tls else 'mqtt'}://{self.host}:{self.port}"
 
 
-def credentials(user: str | None, password_file: Path | None) -> tuple[str | None, str | None]:
-    """User and password, of options and the environment.
-
-    Raises:
-        InputError: the file cannot be read, or there is a password and no user.
-    """
-    user = user or os.environ.get(USER_VARIABLE) or None
-    password = os.environ.get(PASSWORD_VARIABLE) or None
-    if password_file is not None:
-        password = secret_of(password_file)
-    if password and not user:
-        raise InputError(f"a password without a user; add --user, or set {USER_VARIABLE}")
-    return user, password
-
-
-def secret_of(path: Path) -> str:
-    """The password or token in a file, without the end of its line.
-
-    Raises:
-        InputError: the file cannot be read, or is too large for that.
-    """
-    with as_input_error(path, ValueError):
-        return read_whole(path, MOST_SECRET, "a password or token").decode().strip("\r\n")
-
-
 class Message(NamedTuple):
     """A message that came, with the moment of its arrival, ns since 1970."""
 
@@ -110,7 +81,7 @@ class Connection:
         lost: messages that came and were dropped: too many waited, or one could not be read.
         connections: how often the broker took us.
         clock: of the moments at which messages come.
-        refused: reason of the broker, None while it takes us.
+        problem: why there is no connection, in words, as far as it is known.
     """
 
     def __init__(
@@ -137,7 +108,7 @@ class Connection:
         self.settings, self._subscriptions, self._status = settings, subscriptions, status_topic
         self.clock = clock
         self.lost = self.connections = 0
-        self.refused: str | None = None
+        self.problem: str | None = None
         self._arrived: Queue[Message] = Queue(MOST_WAITING)
         self._outbox: dict[str, tuple[str, bool]] = {}
         self._in_flight: deque[MQTTMessageInfo] = deque()
@@ -151,6 +122,7 @@ class Connection:
         client.reconnect_delay_set(*RECONNECT_S)
         client.max_inflight_messages_set(IN_FLIGHT)
         client.on_connect = self._on_connect
+        client.on_connect_fail = self._on_connect_fail
         client.on_message = self._on_message
         self._client: Client = client
 
@@ -158,6 +130,11 @@ class Connection:
     def connected(self) -> bool:
         """True while the broker takes messages."""
         return self._client.is_connected()
+
+    @property
+    def hopeless(self) -> bool:
+        """True where the broker never took us and refuses who we are, which no waiting mends."""
+        return not self.connections and self.problem in REFUSALS
 
     def start(self) -> None:
         """Connect in the background, again and again until it works."""
@@ -206,12 +183,17 @@ class Connection:
 
     def _on_connect(self, client: Client, _: Any, __: Any, reason: Any, ___: Any) -> None:
         if reason.is_failure:
-            self.refused = str(reason)
+            self.problem = str(reason)
             return
-        self.refused = None
+        self.problem = None
         client.subscribe([(topic, 1) for topic in self._subscriptions])
         client.publish(self._status, ONLINE, 1, retain=True)
         self.connections += 1
+
+    def _on_connect_fail(self, _: Client, __: Any) -> None:
+        # The client calls this where it handles the error, and tells no reason itself.
+        error = sys.exc_info()[1]
+        self.problem = error.strerror if isinstance(error, OSError) else None
 
     def _on_message(self, _: Any, __: Any, message: Any) -> None:
         if len(message.payload) > LONGEST_PAYLOAD:
@@ -222,24 +204,3 @@ class Connection:
             self._arrived.put_nowait(found)
         except (Full, UnicodeDecodeError):  # of a topic; it would end the thread of the client
             self.lost += 1
-
-
-def password_is_known(reason: str | None) -> bool:
-    """False where the broker refuses who we are, which no waiting mends."""
-    return reason not in REFUSALS
-
-
-def split_address(text: str, option: str, default: int) -> tuple[str, int]:
-    """Host and port of `HOST` or `HOST:PORT`; an address of IPv6 stands in brackets.
-
-    Raises:
-        InputError: it is none, or it holds a password, which `ps` would show.
-    """
-    if "@" in text or "/" in text:
-        raise InputError(f"{option} is HOST or HOST:PORT; no scheme, no user and no password")
-    host, separator, port = text.rpartition(":")
-    if not separator or text.endswith("]"):
-        host, port = text, str(default)
-    if not port.isdecimal() or not 0 < int(port) < 65536 or not host.strip("[]"):
-        raise InputError(f"{option}: '{text}' is not HOST or HOST:PORT")
-    return host.strip("[]"), int(port)

@@ -17,7 +17,7 @@ from evpinn_ros.replays.breakdown_text import breakdown_metrics
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.scoring import parameter_metrics
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
-from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
+from evpinn_ros.signals.time_jump import Jump, JumpPolicy, JumpRule
 from evpinn_ros.vehicle.files import Vehicle
 
 DRIVE_GAP_NS = 15 * 60 * NANOSECONDS
@@ -36,8 +36,9 @@ class BridgedCar:
     Attributes:
         name: of the car, in topics.
         vehicle: its file.
-        newest_ns: stamp of the last reading, None before the first.
-        readings: how many were taken.
+        newest_ns: stamp of the last reading that is not in doubt, None before the first. It
+            follows a clock that is set back.
+        readings: how many came.
     """
 
     def __init__(
@@ -69,12 +70,15 @@ class BridgedCar:
         began = False
         for reading in readings:
             self.readings += 1
-            self.newest_ns = reading.stamp_ns
-            if isinstance(reading, SpeedReading):
-                began |= self._begins(reading)
-            for output in self.chain.add_reading(reading):
-                if isinstance(output, PowerEstimate):
-                    self._power[output.kind] = output
+            # Only what passes the guard of time counts: one wild stamp ends no drive.
+            for item in self.chain.follow(reading):
+                if isinstance(item, SpeedReading):
+                    began |= self._begins(item)
+                if not isinstance(item, Jump):
+                    self.newest_ns = item.stamp_ns
+                for output in self.chain.take(item):
+                    if isinstance(output, PowerEstimate):
+                        self._power[output.kind] = output
         return began
 
     def _begins(self, reading: SpeedReading) -> bool:

@@ -21,10 +21,12 @@ import re
 from typing import NamedTuple
 
 from evpinn_ros.common.yaml_section import Section, compose
+from evpinn_ros.drives.quantities import QUANTITIES, Unit
 
 KMH = 1 / 3.6
 PERCENT = 0.01
 KILO = 1000.0
+MILLISECONDS = 1e11  # a larger number of seconds since 1970 is of milliseconds
 CAR_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -56,6 +58,8 @@ LASTING = {
     Measurand.ASLEEP,
 }
 """Quantities whose retained value may be used, once a live message shows that the car sends."""
+COLUMNS = {Measurand.ALTITUDE: "elevation", Measurand.TEMPERATURE: "ambient"}
+"""Names in `drives.quantities`, where they differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,7 @@ class Rule:
     Attributes:
         quantity: what the value is of.
         scale: to the unit of the quantity, with its sign.
+        offset: added then, as of degrees Fahrenheit.
         resolution: step of the numbers, in the unit of the quantity; NaN if unknown.
         words: texts and their values, where it is no number; others mean `otherwise`.
         otherwise: NaN if other words mean nothing.
@@ -75,13 +80,14 @@ class Rule:
     resolution: float = math.nan
     words: Mapping[str, float] | None = None
     otherwise: float = math.nan
+    offset: float = 0.0
 
     def value(self, text: object) -> float:
         """Value in the unit of the quantity, NaN where the text is none."""
         if self.words is not None:
             return self.words.get(str(text), self.otherwise)
         try:
-            found = float(str(text)) * self.scale
+            found = float(str(text)) * self.scale + self.offset
         except ValueError:
             return math.nan
         return found if math.isfinite(found) else math.nan
@@ -207,16 +213,17 @@ class PlainLayout(Layout):
 
 
 def _stamp_ns(seconds: object) -> int | None:
-    if not isinstance(seconds, int | float) or not 0 < seconds < 1e10:
+    if not isinstance(seconds, int | float) or not 0 < seconds < 1e13:
         return None
-    return round(seconds * 1e9)
+    return round(seconds * (1e9 if seconds < MILLISECONDS else 1e6))
 
 
 def read_mapping(path: Path) -> PlainLayout:
     """Read a mapping file.
 
-    Its key `topics` maps each topic, with `{car}` for one level, to `{quantity, scale}` or, where
-    the payload is JSON, to `fields: {name: {quantity, scale}}`; `stamp` names a field.
+    Its key `topics` maps each topic, with `{car}` for one level, to `{quantity, unit, scale}` or,
+    where the payload is JSON, to `fields: {name: {quantity, unit, scale}}`; `unit` is one of
+    `drives.quantities`, `scale` a factor beside it; `stamp` names a field, in s or ms.
 
     Raises:
         InputError: the file is wrong, with its line and the reason.
@@ -237,7 +244,19 @@ def read_mapping(path: Path) -> PlainLayout:
 
 
 def _rule(section: Section) -> Rule:
-    section.refuse_unknown(("quantity", "scale"))
+    section.refuse_unknown(("quantity", "scale", "unit"))
     quantity = Measurand(section.choice("quantity", [each.value for each in Measurand]))
     scale = section.number("scale", -1e9, 1e9) if section.has("scale") else 1.0
-    return Rule(quantity, scale)
+    unit = _unit(section, quantity) if section.has("unit") else Unit(1.0)
+    return Rule(quantity, scale * unit.factor, offset=unit.offset)
+
+
+def _unit(section: Section, quantity: Measurand) -> Unit:
+    column = QUANTITIES.get(COLUMNS.get(quantity, quantity.value))
+    units: Mapping[str, Unit] = {} if column is None else column.units
+    unit = units.get(section.text("unit").lower())
+    if unit is None:
+        known = ", ".join(units) or "none"
+        raise section.error_at("unit", f"units of {quantity.value}: {known}")
+    # The columns of `drives` hold a charge in percent.
+    return Unit(unit.factor * PERCENT) if quantity is Measurand.CHARGE else unit

@@ -24,7 +24,7 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.vehicle.files import Vehicle
 
-POWER_NS = NANOSECONDS  # between two messages of power
+POWER_NS = 9 * NANOSECONDS // 10  # between two of power: one a second, of a source that jitters
 DOCUMENTS_NS = 10 * NANOSECONDS  # between two of all others
 SAVE_NS = 60 * NANOSECONDS  # between two states, as the nodes do
 MOST_CARS = 16  # a topic is anybody's to invent; each car takes some ten MB

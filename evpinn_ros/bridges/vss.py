@@ -62,7 +62,7 @@ METRES = {
     f"{OURS}.RangeLower",
     f"{OURS}.RangeUpper",
 }  # whole ones; ours are km
-OLD_NS = 10 * NANOSECONDS  # a databroker gives its last values first, however old they are
+OLD_NS = 10 * NANOSECONDS  # of the values that a databroker gives first
 SEND_NS = NANOSECONDS  # between two sets of signals
 NOT_FOUND = 5  # of gRPC: the databroker has no such signal
 
@@ -100,15 +100,16 @@ class DatabrokerFeed:
         Raises:
             VSSClientError: the databroker went, or refuses.
         """
-        for updates in self._client.subscribe_current_values(INPUTS):
-            self._take(updates)
+        for number, updates in enumerate(self._client.subscribe_current_values(INPUTS)):
+            # It gives its last values first. The age of others says how clocks differ, no more.
+            self._take(updates, OLD_NS if number == 0 else None)
             newest_ns = self._car.newest_ns
             if newest_ns is not None and is_due(self._sent_ns, newest_ns, SEND_NS):
                 self._sent_ns = newest_ns
                 self.send()
             yield
 
-    def _take(self, updates: Mapping[str, Any]) -> None:
+    def _take(self, updates: Mapping[str, Any], oldest_ns: int | None) -> None:
         """Add what was measured at one moment together: voltage and current make one power."""
         now_ns = self._clock()
         moments: dict[int, list[Value]] = {}
@@ -118,7 +119,7 @@ class DatabrokerFeed:
                 continue
             moment = point.timestamp
             stamp_ns = now_ns if moment is None else round(moment.timestamp() * NANOSECONDS)
-            if now_ns - stamp_ns <= OLD_NS:
+            if oldest_ns is None or now_ns - stamp_ns <= oldest_ns:
                 moments.setdefault(stamp_ns, []).append(Value(INPUTS[name], value))
         for stamp_ns, values in sorted(moments.items()):
             parsed = Parsed(self._car.name, tuple(values), stamp_ns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 import signal
 import threading
@@ -12,7 +13,8 @@ import typer
 
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import ParamsOption, complete_vehicle
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import read_whole
 from evpinn_ros.common.stopping import at_stop, leave_terminal
 
 if TYPE_CHECKING:
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
     from evpinn_ros.bridges.layouts import Layout
     from evpinn_ros.bridges.mqtt import MqttBridge
     from evpinn_ros.estimation.estimator import EstimatorSettings
+
+
+MOST_SECRET = 65_536  # bytes
+USER_VARIABLE, PASSWORD_VARIABLE = "EVPINN_MQTT_USER", "EVPINN_MQTT_PASSWORD"
 
 
 def mqtt(
@@ -67,8 +73,6 @@ def mqtt(
         TLS_PORT,
         BrokerSettings,
         Connection,
-        credentials,
-        split_address,
     )
     from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
     from evpinn_ros.common.blas_threads import limit_blas_threads
@@ -97,8 +101,6 @@ def mqtt(
 
 
 def _serve(bridge: MqttBridge, connection: Connection) -> None:
-    from evpinn_ros.bridges.broker import password_is_known
-
     stop = threading.Event()
 
     def end(number: int, _: FrameType | None) -> None:
@@ -112,9 +114,10 @@ def _serve(bridge: MqttBridge, connection: Connection) -> None:
     try:
         while not stop.is_set():
             bridge.step()
-            if not connection.connections and not password_is_known(connection.refused):
-                raise InputError(f"{address}: refused: {connection.refused}")
-            now = "connected" if connection.connected else connection.refused or "not connected"
+            if connection.hopeless:
+                raise InputError(f"{address}: refused: {connection.problem}")
+            why = f": {connection.problem}" if connection.problem else ""
+            now = "connected" if connection.connected else f"not connected{why}"
             if now != shown:
                 note(f"evpinn: {address}: {now}")
                 shown = now
@@ -154,3 +157,44 @@ def _topic(option: str, text: str) -> str:
     if not text.strip("/") or {"+", "#", "\0"} & set(text) or text.startswith("$"):
         raise typer.BadParameter(f"{option}: '{text}' is no topic to publish on")
     return text.strip("/")
+
+
+def credentials(user: str | None, password_file: Path | None) -> tuple[str | None, str | None]:
+    """User and password, of options and the environment.
+
+    Raises:
+        InputError: the file cannot be read, or there is a password and no user.
+    """
+    user = user or os.environ.get(USER_VARIABLE) or None
+    password = os.environ.get(PASSWORD_VARIABLE) or None
+    if password_file is not None:
+        password = secret_of(password_file)
+    if password and not user:
+        raise InputError(f"a password without a user; add --user, or set {USER_VARIABLE}")
+    return user, password
+
+
+def secret_of(path: Path) -> str:
+    """The password or token in a file, without the end of its line.
+
+    Raises:
+        InputError: the file cannot be read, or is too large for that.
+    """
+    with as_input_error(path, ValueError):
+        return read_whole(path, MOST_SECRET, "a password or token").decode().strip("\r\n")
+
+
+def split_address(text: str, option: str, default: int) -> tuple[str, int]:
+    """Host and port of `HOST` or `HOST:PORT`; an address of IPv6 stands in brackets.
+
+    Raises:
+        InputError: it is none, or it holds a password, which `ps` would show.
+    """
+    if "@" in text or "/" in text:
+        raise InputError(f"{option} is HOST or HOST:PORT; no scheme, no user and no password")
+    host, separator, port = text.rpartition(":")
+    if not separator or text.endswith("]"):
+        host, port = text, str(default)
+    if not port.isdecimal() or not 0 < int(port) < 65536 or not host.strip("[]"):
+        raise InputError(f"{option}: '{text}' is not HOST or HOST:PORT")
+    return host.strip("[]"), int(port)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from evpinn_ros.cli.console import note
+from evpinn_ros.cli.mqtt import secret_of, split_address
 from evpinn_ros.cli.options import VehicleOption
 from evpinn_ros.common.errors import extra_needed
 from evpinn_ros.common.stopping import at_stop, leave_terminal
@@ -43,7 +44,6 @@ def vss(
     Example: evpinn vss --vehicle tesla_model_3_lr --databroker localhost:55555
     """
     # Imported here: other commands need neither the chain nor kuksa-client.
-    from evpinn_ros.bridges.broker import secret_of, split_address
     from evpinn_ros.bridges.car import BridgedCar
     from evpinn_ros.bridges.vss import DatabrokerFeed
     from evpinn_ros.common.blas_threads import limit_blas_threads

@@ -94,6 +94,16 @@ def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Pat
     assert (tmp_path / "1.json").exists(), "saved where a drive ends"
 
 
+def test_one_wild_stamp_ends_no_drive() -> None:
+    found, sets = car(), [*as_teslamate(seconds=60)]
+    send(found, teslamate(), sets[:30])
+    before = found.documents()["energy"]["trip_km"]
+    send(found, teslamate(), sets[30:31], shift_ns=24 * 3600 * SECOND)
+    send(found, teslamate(), sets[31:])
+    assert found.documents()["energy"]["trip_km"] > before > 0.0
+    assert found.newest_ns == sets[-1][0]
+
+
 def test_what_was_learned_outlives_the_process(tmp_path: Path) -> None:
     found = car(tmp_path / "1.json")
     send(found, teslamate(), as_teslamate())

@@ -83,12 +83,32 @@ def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path: Path) 
     assert layout.parse("garage/zoe/other", b"1") is None
 
 
+def test_a_mapping_file_names_units_of_any_country(tmp_path: Path) -> None:
+    path = tmp_path / "topics.yaml"
+    path.write_text(
+        "stamp: ms\ntopics:\n  a/speed: {quantity: speed, unit: mph}\n"
+        "  a/cold: {quantity: temperature, unit: °F}\n  a/soc: {quantity: charge, unit: '%'}\n"
+        "  a/kw: {quantity: power, unit: kW, scale: -1}\n"
+        "  a/ft: {fields: {up: {quantity: altitude, unit: ft}}}\n"
+    )
+    layout = read_mapping(path)
+    assert only(layout, "a/speed", "10")[2] == 4.4704
+    assert [only(layout, "a/cold", text)[2] for text in ("14", "212")] == [-10.0, 100.0]
+    assert only(layout, "a/soc", "85") == ("car", Measurand.CHARGE, 0.85)
+    assert only(layout, "a/kw", "-9") == ("car", Measurand.POWER, 9000.0)
+    assert only(layout, "a/ft", '{"up": 1000}')[2] == 304.8
+    stamped = layout.parse("a/ft", b'{"up": 1, "ms": 1700000000500}')
+    assert stamped.stamp_ns == 1_700_000_000_500_000_000
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
         ("topics: {a/+: {quantity: speed}}", ":1: a topic has no wildcard but one {car}"),
         ("topics: {a: {quantity: sped}}", "'sped' is not one of"),
-        ("topics: {a: {quantity: speed, unit: kmh}}", "unknown key 'unit'"),
+        ("topics: {a: {quantity: speed, units: kmh}}", "unknown key 'units'"),
+        ("topics: {a: {quantity: speed, unit: furlong}}", "units of speed: m/s, "),
+        ("topics: {a: {quantity: asleep, unit: s}}", "units of asleep: none"),
         ("stamp: t", "'topics' is missing"),
     ],
 )

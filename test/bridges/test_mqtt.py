@@ -16,14 +16,10 @@ import time
 import pytest
 
 from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
-from evpinn_ros.bridges.broker import (
-    BrokerSettings,
-    Connection,
-    credentials,
-    split_address,
-)
+from evpinn_ros.bridges.broker import BrokerSettings, Connection
 from evpinn_ros.bridges.layouts import ovms, read_mapping, teslamate
 from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
+from evpinn_ros.cli.mqtt import credentials, split_address
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.vehicle.files import load_vehicle
@@ -102,6 +98,19 @@ def test_a_drive_over_the_broker_has_its_energy(
     assert f"evpinn/{car}/power" not in late.newest(), "an old power is of no use"
     assert f"evpinn/{car}/parameters" in late.newest()
     for client in (reader, writer, late):
+        client.close()
+
+
+def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridged: Make) -> None:
+    clock = Clock()
+    bridge, _ = bridged(settings(teslamate()), clock)
+    reader, writer = broker.client(topics=("evpinn/1/power",)), broker.client()
+    begin_ns = clock.now_ns
+    sets = enumerate(messages for _, messages in as_teslamate(seconds=30))
+    early = ((begin_ns + i * 980_000_000, messages) for i, messages in sets)
+    play(early, writer, bridge, clock)
+    wait_until(lambda: (bridge.step(0.01) and False) or len(reader.came) >= 29)
+    for client in (reader, writer):
         client.close()
 
 
@@ -262,6 +271,45 @@ def test_the_right_password_from_a_file_is_in_no_list_of_processes(
     process.terminate()
     _, said = process.communicate(timeout=60)
     assert process.returncode == 0 and PASSWORD not in said
+
+
+def test_an_owner_is_told_why_there_is_no_connection(broker: Broker) -> None:
+    broker.kill()
+    process = command(broker)
+    said = next(line for line in process.stderr if ": not connected: " in line)
+    process.terminate()
+    process.communicate(timeout=60)
+    assert said.endswith(": not connected: Connection refused\n")
+
+
+def test_a_sender_whose_clock_is_set_back_goes_on_to_be_answered(
+    broker: Broker, bridged: Make, tmp_path: Path
+) -> None:
+    path = tmp_path / "topics.yaml"
+    path.write_text(
+        "stamp: t\ntopics:\n  my/{car}:\n    fields:\n"
+        "      v: {quantity: speed, unit: km/h}\n      p: {quantity: power, unit: kW}\n"
+    )
+    bridge, _ = bridged(settings(read_mapping(path)))
+    reader, writer = broker.client(topics=("evpinn/zoe/power",)), broker.client()
+    seconds = drive()[:60]
+    for i, s in enumerate(seconds):
+        ahead_s = 7200 if i < 30 else 0  # until the sender asks a time server
+        payload = {"t": s.stamp_ns / 1e6 + 1e3 * ahead_s, "v": s.speed, "p": s.power}
+        writer.publish("my/zoe", json.dumps(payload))
+        wait_until(lambda i=i: bridge.step(0.01) and bridge.cars["zoe"].readings == 2 * i + 2)
+    last_s = seconds[-1].stamp_ns / 1e9
+
+    def answered() -> bool:
+        bridge.step(0.01)
+        return json.loads(reader.newest()["evpinn/zoe/power"])["time"] == pytest.approx(last_s)
+
+    wait_until(answered)
+    assert len(reader.came) > 50, "once a second, before and after"
+    trip = bridge.cars["zoe"].documents()["energy"]["trip_kwh"]
+    assert trip == pytest.approx(energy(seconds), rel=0.1)
+    for client in (reader, writer):
+        client.close()
 
 
 def certificates(folder: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
-from evpinn_ros.bridges.broker import secret_of
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import load_profile
+from evpinn_ros.cli.mqtt import secret_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
 from evpinn_ros.drives.formats import is_drive_table
