@@ -342,6 +342,7 @@ def every_message(new: messages.NewMessage) -> list[tuple[str, Any]]:
     ]  # fmt: skip
 
 
+@pytest.mark.ros
 def test_the_same_builders_give_the_same_bytes_with_rclpy():
     serialization = pytest.importorskip("rclpy.serialization")
     for (name, ours), (_, theirs) in zip(
@@ -352,6 +353,7 @@ def test_the_same_builders_give_the_same_bytes_with_rclpy():
         assert encode(decode(name, raw)) == encode(ours), name
 
 
+@pytest.mark.ros
 def test_readers_take_rclpy_messages():
     pytest.importorskip("rclpy.serialization")
     for name, message in every_message(rclpy_message)[:7]:

@@ -12,7 +12,6 @@ from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import LONGEST, legs_of_trip, plan_from_speed_profile
 from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.nodes import factory
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.model import MOST_NUMBERS, model_message, read_model
 from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
@@ -22,7 +21,13 @@ MODEL = vehicle_model(CAR, 3).car
 PARTS = ("mean", "covariance", "noise", "load_variance", "growth", "trust", "seconds", "celsius")
 
 
-@pytest.mark.parametrize("new", [new_message, factory.new_message])
+def rclpy_message(type_name, /, **fields):
+    from evpinn_ros.nodes import factory  # rclpy takes a second to load
+
+    return factory.new_message(type_name, **fields)
+
+
+@pytest.mark.parametrize("new", [new_message, pytest.param(rclpy_message, marks=pytest.mark.ros)])
 def test_a_model_survives_the_message(new):
     message = model_message(new, "bmw_i3", MODEL)
     if new is new_message:

@@ -109,6 +109,7 @@ def test_the_other_order_of_bytes():
         assert request_header(new_message, data).stamp.nanosec == NOW % 10**9
 
 
+@pytest.mark.ros
 def test_what_rclpy_sends_is_read_and_what_is_sent_rclpy_reads():
     serialization = pytest.importorskip("rclpy.serialization")
     from evpinn_ros.nodes.factory import message_class
