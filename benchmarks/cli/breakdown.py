@@ -54,7 +54,9 @@ def breakdown(
     heights: Annotated[
         str, typer.Option(metavar="DATA", help="Recorded drives with heights taken out instead.")
     ] = "",
-    cars: Annotated[str, typer.Option(help="Cars of --heights, by comma.")] = ",".join(CARS),
+    cars: Annotated[
+        str, typer.Option(help="Cars of --heights, by comma; else all.", show_default=False)
+    ] = ",".join(CARS),
     json_file: JsonOption = None,
 ) -> None:
     """Compare each part of the breakdown with what it truly took, on simulated cars.

@@ -61,7 +61,7 @@ def inspect(
     elm327: Elm327Option = None,
     bitrate: Annotated[
         int | None,
-        typer.Option(min=1, help=f"Bit rate of the bus, bit/s; {BITRATE} if not given."),
+        typer.Option(min=1, help=f"Bit rate; {BITRATE} bit/s if not given."),
     ] = None,
     bus_option: Annotated[
         str, typer.Option("--bus-options", help="More for the driver, as 'name=value ...'.")

@@ -64,7 +64,7 @@ def replay(
     mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
     optimizer: Annotated[
         PaperOptimizer | None,
-        typer.Option(help="Optimizer of --mode paper."),
+        typer.Option(help="For --mode paper."),
     ] = None,
     params: ParamsOption = None,
     out: Annotated[
@@ -108,8 +108,8 @@ def replay(
     """Replay recorded drives, and score every prediction.
 
     Runs the nodes' cores without ROS: readings, samples, learning, power, energy. What one input
-    teaches is carried over to the next. A log that was parked or charged in between is split into
-    trips; of a folder, all that is readable is replayed.
+    teaches is carried over to the next. A log is split into trips where the car was parked or
+    charged; in a folder, every recording that can be read is replayed.
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """

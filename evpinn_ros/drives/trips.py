@@ -123,7 +123,8 @@ def trips_of(readings: Iterable[Reading]) -> Trips:
     for (_, begin), (end, _) in pairwise(breaks):
         far = float(np.interp(end, time, way) - np.interp(begin, time, way))
         if far >= LEAST_DISTANCE:
-            found.append(Trip(*(start_ns + each * NANOSECONDS for each in (begin, end)), far))
+            begin_ns, end_ns = (start_ns + each * NANOSECONDS for each in (begin, end))
+            found.append(Trip(begin_ns, end_ns, far))
     return Trips(tuple(found), charged)
 
 

@@ -37,8 +37,8 @@ def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
 
 
 def _mass_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
-    rows = drive.combinations.get("mass_over_eta", ())
-    if not len(rows):
+    rows = drive.combinations.get("mass_over_eta")
+    if rows is None or not len(rows):
         return
     _, value, std = rows[-1].tolist()
     expected, spread = (each.mass_over_eta for each in prior_identifiable(vehicle))
@@ -64,8 +64,8 @@ def _capacity_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
 
 def _rivals(drive: Drive) -> Iterator[str]:
     """Certified cars whose mass over eta is nearest to what was learned, the nearest first."""
-    rows = drive.combinations.get("mass_over_eta", ())
-    if not len(rows):
+    rows = drive.combinations.get("mass_over_eta")
+    if rows is None or not len(rows):
         return
     value = float(rows[-1, 1])
 
