@@ -56,7 +56,7 @@ def energy(
     cycles: Annotated[Path | None, typer.Option(help="Folder of drive cycles.")] = None,
     parts: Annotated[
         list[MeasuredPart],
-        typer.Option("--part", help="Measure this alone; more than one may be given."),
+        typer.Option("--part", show_default="all", help="Measure this alone; may be given again."),
     ] = [*MeasuredPart],  # noqa: B006
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
     json_file: JsonOption = None,
@@ -67,8 +67,8 @@ def energy(
     silent for ten minutes, silent all along; it takes as long as a fifth of all drives. Battery:
     the end of each drive of known power, by energy over capacity and by the battery's state,
     learned on the drives before. Library and plans: speed of forecasts, in numpy and torch, beside
-    FASTSim, and over DDS. Cycles are udds.csv, hwfet.csv and us06.csv. How good forecasts are:
-    `evpinn bench plans`.
+    FASTSim, and over DDS. Cycles are udds.csv, hwfet.csv and us06.csv. For how good forecasts
+    are, see `evpinn bench plans`.
 
     Example: evpinn bench energy $DATA/bmw_i3=bmw_i3 --cycles $DATA/drive_cycles
     """

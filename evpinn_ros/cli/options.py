@@ -45,12 +45,12 @@ CanProfileOption = Annotated[
 ]
 TrustProfileOption = Annotated[
     bool,
-    typer.Option("--trust-profile", help="Use the profile even if the traffic contradicts it."),
+    typer.Option("--trust-profile", help="Use the profile even if traffic contradicts it."),
 ]
 ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file.")]
 ColumnOption = Annotated[
     list[str] | None,
-    typer.Option(help="Which column is what: speed=NAME:km/h; details in evpinn convert."),
+    typer.Option(help="What a column holds: speed=NAME:km/h; more in evpinn convert."),
 ]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]
 Elm327Option = Annotated[

@@ -85,7 +85,7 @@ def replay(
     ] = WARM_UP,
     state: Annotated[
         Path | None,
-        typer.Option(help="File of what was learned: read at the start, written at the end."),
+        typer.Option(help="File of what was learned: read first, written at the end."),
     ] = None,
     rate: Annotated[
         float | None,

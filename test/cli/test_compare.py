@@ -11,7 +11,7 @@ CAR = ("--vehicle", "tesla_model_3_lr")
 def drives(evpinn, tmp_path_factory):
     folder = tmp_path_factory.mktemp("drives")
     for name, load in (("mild", 500), ("cold", 3500)):
-        given = ("--duration", 90, "--seed", 3, "--true", f"p_aux={load}")
+        given = ("--duration", 90, "--seed", 3, "--altitude", "--true", f"p_aux={load}")
         assert evpinn("simulate", name, *given, cwd=folder).returncode == 0
     return folder
 
