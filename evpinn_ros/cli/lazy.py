@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ast
 from importlib import import_module
+from importlib.abc import SourceLoader
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, ClassVar
 
 import typer
@@ -106,9 +106,9 @@ class LazyCommands(ReadableGroup):
 def _described(module: str, name: str) -> str:
     """First paragraph of a command's docstring, read from its source: to import it takes long."""
     spec = find_spec(module)
-    if spec is None or spec.origin is None:
+    if spec is None or not isinstance(spec.loader, SourceLoader):
         return ""
-    for node in ast.parse(Path(spec.origin).read_text(encoding="utf-8")).body:
+    for node in ast.parse(spec.loader.get_source(module) or "").body:
         if not isinstance(node, ast.FunctionDef):
             continue
         decorators = {ast.unparse(each) for each in node.decorator_list}

@@ -60,12 +60,12 @@ class TripSource(Source):
 
     @property
     def problem(self) -> str | None:
-        """Unreadable part of the log; told with its last trip, behind which it is."""
+        """Unreadable part of the log; it lies behind the last trip, which names it."""
         return self._log.problem if self._last else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on how the log was read; told with its last trip, when it was read whole."""
+        """Notes on how the log was read; the last trip has them, for then it was read whole."""
         return self._log.notes if self._last else ()
 
     def readings(self) -> Iterator[Reading]:

@@ -103,7 +103,7 @@ def edge_energies(
 
 
 def _directions(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """What is not known of the car, one sigma each, as far as these rows feel it; (SIZE, k)."""
+    """Unknown directions of the car that these rows feel, one sigma each, shape (SIZE, k)."""
     variance, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(variance, 0.0))
     felt = rows @ root

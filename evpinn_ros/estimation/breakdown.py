@@ -316,7 +316,7 @@ def _beside(energy: np.ndarray, totals: Totals, weight: float) -> np.ndarray:
 
 
 def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
-    """What a net climb of 1 sigma moves of each part, over the climb; shape (COUNT,), sum 0.
+    """Share of an unseen net climb that each part is off by, shape (COUNT,), sum 0.
 
     Args:
         energy: of the parts, J.

@@ -27,9 +27,11 @@ WORDS = {
 
 
 def dropped_text(dropped: Mapping[str, int]) -> str:
-    """What was lost, as a list; empty where nothing was."""
-    return ", ".join(
-        f"{count} {WORDS.get(reason, reason.replace('_', ' '))}"
-        for reason, count in dropped.items()
-        if count and reason not in NO_LOSS
-    )
+    """Readings that were lost, as a list; empty where none was."""
+    lost = ((count, reason) for reason, count in dropped.items() if reason not in NO_LOSS)
+    return ", ".join(f"{count} {_words(reason)}" for count, reason in lost if count)
+
+
+def _words(reason: str) -> str:
+    """A reason as people say it; one that is a sentence already stays."""
+    return WORDS.get(reason, reason if " " in reason else reason.replace("_", " "))

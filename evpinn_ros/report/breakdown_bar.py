@@ -15,7 +15,7 @@ from evpinn_ros.replays.breakdown_text import (
     breakdown_sentence,
     shown,
 )
-from evpinn_ros.report.intervals import Row, interval_rows
+from evpinn_ros.report.intervals import IntervalRow, interval_rows
 
 
 def breakdown_values(found: Mapping[str, Any], units: Units) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def breakdown_values(found: Mapping[str, Any], units: Units) -> dict[str, Any]:
     }
 
 
-def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> Row:
+def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> IntervalRow:
     """A part: kWh, its interval of 90 % in words, energy over distance."""
     kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
     value, low, high = (
@@ -44,4 +44,4 @@ def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> Row
     if rate is not None:
         shown_rate = rate * METRIC.rate_joules / units.rate_joules
         per_distance = f"; {shown_rate:.{1 if units is METRIC else 0}f} {units.rate}"
-    return Row(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half)
+    return IntervalRow(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half)

@@ -21,7 +21,7 @@ from evpinn_ros.replays.comparison_text import (
 from evpinn_ros.replays.over_distance import over_distance
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.intervals import Row, interval_rows
+from evpinn_ros.report.intervals import IntervalRow, interval_rows
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
 CURVES = {
@@ -100,7 +100,7 @@ def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
     rows.sort(key=lambda row: -abs(row[1].kwh))
     return interval_rows(
         [
-            Row(
+            IntervalRow(
                 name,
                 rate_text(each, difference.distance, True, units),
                 each.kwh,

@@ -17,7 +17,7 @@ from evpinn_ros.estimation.terms import Part
 from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.intervals import Row, interval_rows
+from evpinn_ros.report.intervals import IntervalRow, interval_rows
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
 UNEVEN = "speeding up and braking between the points"
@@ -120,7 +120,10 @@ def _parts(planned: PlannedEnergy, head_wind: float) -> list[dict[str, Any]]:
     ]
     rows.sort(key=lambda row: -row[1].value)
     return interval_rows(
-        [Row(name, _kwh(each), each.value, GAUSSIAN_QUANTILE * each.sigma) for name, each in rows]
+        [
+            IntervalRow(name, _kwh(each), each.value, GAUSSIAN_QUANTILE * each.sigma)
+            for name, each in rows
+        ]
     )
 
 

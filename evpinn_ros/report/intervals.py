@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 
-class Row(NamedTuple):
+class IntervalRow(NamedTuple):
     """A row: its name, what stands beside it, the amount and half of its interval."""
 
     name: str
@@ -15,7 +15,7 @@ class Row(NamedTuple):
     half: float
 
 
-def interval_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
     """The rows with the places of bar, interval and zero, in percent of the width.
 
     The width holds every interval and zero, so that nothing is cut off.

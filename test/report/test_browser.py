@@ -151,6 +151,8 @@ def stretch(browser) -> list[float]:
 
 def test_values_show_under_the_cursor(browser, page):
     browser.open(page, width=1100)
+    browser.run("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+    browser.run(SETTLED)
     for plot, words in (
         ("power", ("measured", "predicted", "to")),
         ("mass", ("truth", "prior", "%")),
@@ -162,7 +164,7 @@ def test_values_show_under_the_cursor(browser, page):
         browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
         browser.run(SETTLED)
         text = browser.run(f"document.querySelector(\"[data-plot='{plot}']\").innerText")
-        assert all(word in text for word in words), text
+        assert all(word in text for word in words), (plot, text)
         assert any(character.isdigit() for character in text)
     left, top, width, height = box(browser, "coverage")
     where = {"x": left + 2, "y": top + 0.5 * height}
