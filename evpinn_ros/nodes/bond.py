@@ -30,14 +30,17 @@ class Bond:
             every: calls back with a period in s.
         """
         self._node, self._kind = node, message_class(STATUS_TYPE)
-        self._own, self._alive = "", False
+        # Every identity that this end had: what it said last may come back after it began anew.
+        self._own: list[str] = []
+        self._alive = False
         self.publisher = node.create_publisher(self._kind, TOPIC, DEPTH)
         self.subscription = node.create_subscription(self._kind, TOPIC, self._take, DEPTH)
         every(PERIOD, self._beat)
 
     def begin(self) -> None:
         """Be alive, as a new one: the manager forms a bond anew at each activation."""
-        self._own, self._alive = str(uuid4()), True
+        self._own.append(str(uuid4()))
+        self._alive = True
 
     def end(self) -> None:
         """Say that this end goes, so that the manager misses no heartbeat."""
@@ -51,12 +54,12 @@ class Bond:
 
     def _take(self, message: Any) -> None:
         """Go with the other end, when it goes first."""
-        ours = message.id == self._node.get_name() and message.instance_id != self._own
+        ours = message.id == self._node.get_name() and message.instance_id not in self._own
         if ours and not message.active:
             self.end()
 
     def _say(self, *, active: bool) -> None:
-        message = self._kind(id=self._node.get_name(), instance_id=self._own, active=active)
+        message = self._kind(id=self._node.get_name(), instance_id=self._own[-1], active=active)
         message.heartbeat_period, message.heartbeat_timeout = PERIOD, TIMEOUT
         message.header.stamp = self._node.get_clock().now().to_msg()
         self.publisher.publish(message)

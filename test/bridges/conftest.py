@@ -69,9 +69,11 @@ class Client:
         self.client.on_message = lambda _, __, m: self.came.append(
             (m.topic, m.payload.decode(), m.retain)
         )
+        granted: list[int] = []
+        self.client.on_subscribe = lambda _, __, number, *___: granted.append(number)
         self.client.connect("127.0.0.1", port)
         self.client.loop_start()
-        wait_until(self.client.is_connected)
+        wait_until(lambda: self.client.is_connected() and len(granted) >= len(topics))
 
     def publish(self, topic: str, payload: str, *, retain: bool = True) -> None:
         self.client.publish(topic, payload, 1, retain).wait_for_publish(5.0)

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
@@ -22,6 +23,7 @@ from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
 from evpinn_ros.cli.mqtt import credentials, split_address
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings
+from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.vehicle.files import load_vehicle
 from test.bridges.conftest import Broker, Client, wait_until
 
@@ -109,9 +111,17 @@ def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridge
     sets = enumerate(messages for _, messages in as_teslamate(seconds=30))
     early = ((begin_ns + i * 980_000_000, messages) for i, messages in sets)
     play(early, writer, bridge, clock)
-    wait_until(lambda: (bridge.step(0.01) and False) or len(reader.came) >= 29)
+    last = (begin_ns + 28 * 980_000_000) / NANOSECONDS
+    wait_until(lambda: (bridge.step(0.01) and False) or _times(reader)[-1:] > [last])
+    assert np.diff(_times(reader)) == pytest.approx(0.98, abs=0.01)
+    assert len(reader.came) > 24  # power is predicted from the third speed on
     for client in (reader, writer):
         client.close()
+
+
+def _times(reader: Client) -> list[float]:
+    """Stamps of the answers that came, s."""
+    return [json.loads(payload)["time"] for _, payload, _ in reader.came]
 
 
 def test_two_cars_are_two(broker: Broker, bridged: Make) -> None:
