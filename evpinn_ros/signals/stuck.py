@@ -136,7 +136,7 @@ class _Repeats:
 
     @property
     def range(self) -> float:
-        """Of the other value in the present window, up to the last repetition of this one."""
+        """Range of the other value in this window, up to the last repetition of this one."""
         return self._range
 
     def add(self, stamp_ns: int, value: Hashable, long: float) -> None:

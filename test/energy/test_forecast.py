@@ -102,7 +102,7 @@ def test_against_fine_integration():
 
 @given(st.floats(1, 40), st.floats(0, 0.15))
 def test_hills_never_save_energy(speed, grade):
-    """Of the prior car: by which the equation tells driving from braking."""
+    """For the prior car, which decides in the equation where a car drives and where it brakes."""
     prior, _ = prior_identifiable(CAR)
     duration = 100.0
     climb = speed * duration * math.sin(grade)
