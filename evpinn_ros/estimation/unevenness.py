@@ -101,25 +101,19 @@ class Unevenness:
         """1-sigma of a trip's unevenness over what is expected of it."""
         return float(np.sqrt(self.squares / self.expected))
 
-    def of_legs(
-        self, equation: Equation, legs: Path, onto: np.ndarray | None = None
-    ) -> np.ndarray:
+    def of_legs(self, equation: Equation, legs: Path) -> np.ndarray:
         """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE).
 
         Args:
             equation: of the car.
             legs: n of them.
-            onto: combinations of the states, shape (SIZE, k); these of the rows instead, (n, k).
         """
+        return per_leg(legs, self.per_metre(equation))
+
+    def per_metre(self, equation: Equation) -> np.ndarray:
+        """The same per metre of legs at each node of speed and duration, shape (*SHAPE, SIZE)."""
         table = self.rows + PRIOR_METRES * _prior(equation)
-        table = table / (self.metres + PRIOR_METRES)[..., None]
-        if onto is not None:
-            table = table @ onto
-        way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
-        found = np.zeros((len(way), table.shape[-1]))
-        for speed, duration, share in _nodes(legs):
-            found += table[speed, duration] * (share * way)[:, None]
-        return found
+        return np.asarray(table / (self.metres + PRIOR_METRES)[..., None])
 
     def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
         """With one more drive.
@@ -163,6 +157,15 @@ class SavedUnevenness:
     rows: Numbers
     squares: Annotated[float, Range(0.0, 1e30)]
     expected: Annotated[float, Range(1.0, 1e30)]
+
+
+def per_leg(legs: Path, table: np.ndarray) -> np.ndarray:
+    """Numbers of n legs, (n, k), from such per metre at each node, shape (*SHAPE, k)."""
+    way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
+    found = np.zeros((len(way), table.shape[-1]))
+    for speed, duration, share in _nodes(legs):
+        found += table[speed, duration] * (share * way)[:, None]
+    return found
 
 
 def saved_unevenness(found: Unevenness) -> SavedUnevenness:
