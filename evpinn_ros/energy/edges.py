@@ -82,7 +82,7 @@ def edge_energies(
     car, count = model.car, len(legs.length)
     some = np.arange(count)[:: max(1, count // JUDGED)]
     rows = _projected(model, weather, head_wind, np.eye(SIZE))(legs, some)[:, :-1]
-    unknown = math.sqrt(car.trust) * _directions(rows, car.covariance)
+    unknown = math.sqrt(car.trust) * _directions(rows, model.covariance)
     onto = np.column_stack((car.mean, unknown))
     projected = _projected(model, weather, head_wind, onto)
     energy, uneven = np.empty(count), np.empty(count)

@@ -152,7 +152,7 @@ def forecast_plan(
     if _is_coarse(points):
         path = _path(points, weather.air_density, wind)
         steps, beyond = model.leg_rows(path, weather)
-        uneven = _accumulated(beyond @ model.car.mean, axis=-1)
+        uneven = _accumulated(np.abs(beyond @ model.car.mean), axis=-1)
     else:
         steps = model.rows(motion_of(points, wind), weather)
     rows = _accumulated(steps, axis=-2)
@@ -196,7 +196,7 @@ def plan_parts(
     rows[Part.STANDING, State.LOAD] = found.end.row[State.LOAD]
     rows[-1] = found.end.row - rows[WHOLE].sum(0)
     car = model.car
-    variance = car.trust * np.einsum("ij,jk,ik->i", rows, car.covariance, rows)
+    variance = car.trust * np.einsum("ij,jk,ik->i", rows, model.covariance, rows)
     variance[-1] += (car.unevenness.share * found.end.uneven) ** 2
     return Parts(rows @ car.mean, np.sqrt(np.maximum(variance, 0.0)))
 

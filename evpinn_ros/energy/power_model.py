@@ -40,6 +40,9 @@ from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
+CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is likely (e-208)
+LEAST_TRUST = 1e-3  # lower is none that was learned
+CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
 # Where the network is looked up for many trips, m/s and m/s^2; between them it is linear.
 GRID_SPEED, GRID_FORCE = np.arange(0.0, 101.0, 1.0), np.linspace(-4.0, 4.0, 33)
 
@@ -88,7 +91,7 @@ class PlanEnd(NamedTuple):
         distance: m.
         noise: variance of what no state explains, J^2.
         unseen: m of road whose height is not known.
-        uneven: energy expected of uneven speed, J.
+        uneven: size of the energy expected of uneven speed, J, leg by leg.
     """
 
     row: np.ndarray
@@ -205,11 +208,11 @@ class PowerModel:
             elapsed: s since the start.
             square: integral of speed squared, m^2/s.
             unseen: m of road whose height is not known.
-            uneven: energy expected of uneven speed, J.
+            uneven: size of the energy expected of uneven speed, J.
         """
         car, xp = self.car, namespace(rows)
         _, rows[..., State.LOAD], rest = wandered(elapsed)
-        mean, covariance = like(car.mean, rows), like(car.covariance, rows)
+        mean, covariance = like(car.mean, rows), like(self.covariance, rows)
         variance = ((rows @ covariance) * rows).sum(-1) + car.load_variance * rest
         variance = variance + self.noise(elapsed, square)
         variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
@@ -234,7 +237,7 @@ class PowerModel:
         _, alone, rest = wandered(abs(one.elapsed - other.elapsed))
         shorter = min(one.elapsed, other.elapsed)
         begun = -math.expm1(-2.0 * shorter / LOAD_TIME) * alone**2
-        variance = float(row @ car.covariance @ row) + car.load_variance * (begun + rest)
+        variance = float(row @ self.covariance @ row) + car.load_variance * (begun + rest)
         variance += one.noise + other.noise
         if abs(one.distance - other.distance) > SAME_LENGTH:
             variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
@@ -264,6 +267,19 @@ class PowerModel:
         mean[State.MASS] += payload / eta
         mean[State.ROLLING] += c_rr * payload / eta
         return PowerModel(replace(self.car, mean=mean))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the states, shape (SIZE, SIZE), with heating that strays from what is usual.
+
+        Before a drive nobody knows how much of what its temperature makes likely will be on; once
+        it has begun, its loads tell.
+        """
+        car, strays = self.car, np.zeros(SIZE)
+        if car.seconds > 0.0:
+            return car.covariance
+        strays[CLIMATE_LIKELY] = CLIMATE_SHARE * car.mean[CLIMATE_LIKELY]
+        return np.asarray(car.covariance + np.outer(strays, strays) / max(car.trust, LEAST_TRUST))
 
     @property
     def _now(self) -> Warmth:

@@ -83,7 +83,7 @@ class Unevenness:
         metres: driven in legs about each node of speed and duration, shape `SHAPE`.
         rows: sum of the differences by state, J per unit, shape (*SHAPE, SIZE).
         squares: sum of squared energy by which drives strayed from what was expected, J^2.
-        expected: the same of what was expected.
+        expected: the same of the sizes of what was expected of their legs.
     """
 
     metres: np.ndarray
@@ -139,12 +139,13 @@ class Unevenness:
         if np.abs(drive.distance).sum() < LEAST_DRIVE:
             return self
         legs = drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES))
-        expected = float(self.of_legs(equation, legs).sum(0) @ mean)
+        each = self.of_legs(equation, legs) @ mean
         found = float((driven.sum(0) - even_rows(equation, legs).sum(0)) @ mean)
+        # By their sizes, for what legs take and give back may cancel, but not its scatter.
         return replace(
             self,
-            squares=SPREAD_KEPT * self.squares + (found - expected) ** 2,
-            expected=SPREAD_KEPT * self.expected + expected**2,
+            squares=SPREAD_KEPT * self.squares + (found - float(each.sum())) ** 2,
+            expected=SPREAD_KEPT * self.expected + float(np.abs(each).sum()) ** 2,
         )
 
 
