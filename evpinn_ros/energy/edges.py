@@ -17,6 +17,7 @@ import numpy as np
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.estimation.posterior import standing
 from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.terms import WARM
 from evpinn_ros.estimation.unevenness import Path
@@ -90,7 +91,8 @@ def edge_energies(
         for begin in range(0, count, CHUNK)
     ]
     found, uneven = (np.concatenate(each) for each in zip(*parts, strict=True))
-    own = model.noise(legs.duration, legs.length**2 / legs.duration)
+    stood = standing(legs.duration, legs.length)
+    own = model.noise(legs.duration, stood, legs.length**2 / legs.duration)
     own += car.load_variance * legs.duration**2
     own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
     trust = math.sqrt(car.trust)
