@@ -153,7 +153,7 @@ def forecast_plan(
     if _is_coarse(points):
         path = _path(points, weather.air_density, wind)
         steps, beyond = model.leg_rows(path, weather)
-        uneven = _accumulated(beyond @ model.car.mean, axis=-1)
+        uneven = _accumulated(np.abs(beyond @ model.car.mean), axis=-1)
     else:
         steps = model.rows(motion_of(points, wind), weather)
     rows = _accumulated(steps, axis=-2)
@@ -197,7 +197,7 @@ def plan_parts(
     rows[Part.STANDING, State.LOAD] = found.end.row[State.LOAD]
     rows[-1] = found.end.row - rows[WHOLE].sum(0)
     car = model.car
-    variance = car.trust * np.einsum("ij,jk,ik->i", rows, car.covariance, rows)
+    variance = car.trust * np.einsum("ij,jk,ik->i", rows, model.covariance, rows)
     variance[-1] += (car.unevenness.share * found.end.uneven) ** 2
     return Parts(rows @ car.mean, np.sqrt(np.maximum(variance, 0.0)))
 
@@ -287,19 +287,19 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     duration = xp.diff(time)
     if not bool((duration > 0).all()):
         raise PlanError("time does not rise")
-    if not bool((xp.isfinite(speed) & (speed >= 0)).all()):
+    if not bool(((speed >= 0) & (speed < math.inf)).all()):
         raise PlanError("speed is negative or not finite")
-    duration = xp.broadcast_to(duration, (speed.shape[0], speed.shape[1] - 1))
-    start, end = speed[:, :-1], speed[:, 1:]
-    length = 0.5 * (start + end) * duration
+    duration = duration.reshape(-1, duration.shape[-1])  # of all trips, or one each
+    twice, square = speed[:, :-1] + speed[:, 1:], speed**2
+    length = twice * (0.5 * duration)
     climb = xp.zeros_like(length)
     if elevation is not None:
         climb = climb + xp.diff(elevation)
         if not bool(xp.isfinite(climb).all()):
             raise PlanError("elevation is not finite")
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
-    air = 0.25 * (start + end) * (start**2 + end**2) * duration
-    motion = Motion(duration, length, air, 0.5 * (end**2 - start**2), climb)
+    air = 0.5 * length * (square[:, :-1] + square[:, 1:])
+    motion = Motion(duration, length, air, 0.5 * xp.diff(square), climb)
     weather = Weather(density)
     numpy = xp is np  # a table serves many trips, and has no gradient
     rows = model.summed_rows(motion, weather) if numpy else model.rows(motion, weather).sum(-2)
