@@ -295,7 +295,7 @@ def parameter_metrics(final: ParameterSet | None) -> dict[str, dict[str, Any]]:
 
 
 def combination_metrics(found: ParameterSet) -> dict[str, dict[str, float]]:
-    """What the data alone determine: value and 1-sigma of each combination of parameters."""
+    """Combinations of parameters, which the data alone determine: value and 1-sigma."""
     sums, stds = found.identifiable, found.identifiable_std
     return {
         name: {"value": float(value), "std": float(std)}
