@@ -29,8 +29,7 @@ def choose_clock(
     The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
     `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
     """
-    columns = [column for column in found if column.quantity == "time"]
-    clocks = [clock for column in columns if (clock := _clock(column, survey, styles))]
+    clocks = _clocks(found, survey, styles)
     by_place = {clock.columns[0]: clock for clock in clocks}
     for date, time in permutations(clocks, 2):
         # A date in one column and the time of day in another; half a clock each.
@@ -44,6 +43,30 @@ def choose_clock(
         if not _is_day_alone(clock, survey)
     }
     return max(merits, key=lambda clock: merits[clock], default=None)
+
+
+def start_by_date(
+    clock: Clock, found: Sequence[Column], survey: Survey, styles: Mapping[int, Style]
+) -> tuple[int, Clock] | None:
+    """What to add to the times of a clock without a date, ns, by another column, and its clock.
+
+    None where no other column has the date and the time of day.
+    """
+    own = clock.running().add(clock.stamps(survey.cells))
+    for other in _clocks(found, survey, styles):
+        if not other.dated or _is_day_alone(other, survey):
+            continue
+        dates = other.stamps(survey.cells)
+        both = (own != NONE) & (dates != NONE)
+        if both.any():  # by the first row: some apps write the date in bursts, later and later
+            first = int(np.argmax(both))
+            return int(dates[first] - own[first]), other
+    return None
+
+
+def _clocks(found: Sequence[Column], survey: Survey, styles: Mapping[int, Style]) -> list[Clock]:
+    columns = [column for column in found if column.quantity == "time"]
+    return [clock for column in columns if (clock := _clock(column, survey, styles))]
 
 
 def _clock(column: Column, survey: Survey, styles: Mapping[int, Style]) -> Clock | None:

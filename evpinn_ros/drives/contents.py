@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -45,7 +45,7 @@ class Contents:
     kind: str  # `bag`, `CAN log` or `table`
     topics: tuple[TopicContents, ...] = ()  # of a bag
     columns: tuple[Column, ...] = ()  # of a table that are used
-    unused: tuple[str, ...] = ()  # names of those that are not
+    unused: Mapping[str, str] = field(default_factory=dict)  # those that are not, and why
     # what tells the day of a table, see `Source`; None of what has stamps
     dated: str | None = None
     zoned: bool = True  # whether its clock is UTC or names its zone

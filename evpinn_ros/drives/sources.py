@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag
@@ -43,14 +44,14 @@ class Source(ABC):
         path: where it lies.
         dropped: what was not used, by reason; complete once the readings are exhausted.
         rules: columns of a table that are used, in the order of the file.
-        ignored: names of those that are not.
+        ignored: names of those that are not, each with the reason.
         dated: what tells the day of a table: `log`, `name` of the file, "" for nothing; None of
             what has stamps.
         zoned: the clock is UTC or names its zone.
     """
 
     rules: tuple[Column, ...] = ()
-    ignored: tuple[str, ...] = ()
+    ignored: Mapping[str, str] = MappingProxyType({})
     dated: str | None = None
     zoned = True
 

@@ -42,6 +42,7 @@ STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 NET_CLIMB, HILL = 122.0, 1000.0
 CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
 CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
+MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
 # Between drives: efficiency changes by this much for each e-fold of power, and a constant one
 # has air, the part that grows with speed most, account for it.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
@@ -315,6 +316,22 @@ def _beside(energy: np.ndarray, totals: Totals, weight: float) -> np.ndarray:
     return own
 
 
+def climb_as_rolling(unseen: float) -> float:
+    """C_rr that an unseen net climb over so many m looks like, 1-sigma."""
+    if unseen <= 0.0:
+        return 0.0
+    return NET_CLIMB * _as_friction(unseen) * _reached(unseen) / unseen
+
+
+def _as_friction(unseen: float) -> float:
+    return min(MOST_AS_FRICTION, CLIMB_AS_FRICTION * unseen)
+
+
+def _reached(unseen: float) -> float:
+    """Share of `NET_CLIMB` that a road of so many m has."""
+    return math.sqrt(1.0 - math.exp(-unseen / HILL))
+
+
 def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
     """Share of an unseen net climb that each part is off by, shape (COUNT,), sum 0.
 
@@ -322,11 +339,11 @@ def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
         energy: of the parts, J.
         unseen: m without height.
     """
-    friction = min(MOST_AS_FRICTION, CLIMB_AS_FRICTION * unseen)
+    friction = _as_friction(unseen)
     air, tyres = np.maximum(energy[[Part.AIR, Part.TYRES]], 0.0) + 1.0
     found = np.zeros(COUNT)
     found[Part.SLOPE] = 1.0
     found[[Part.AIR, Part.TYRES]] = -friction * np.array([air, tyres]) / (air + tyres)
     found[[Part.BRAKES, Part.STANDING]] = -CLIMB_AS_BRAKES, -CLIMB_AS_STANDING
     found[Part.DRIVETRAIN] = -found[WHOLE].sum()
-    return found * math.sqrt(1.0 - math.exp(-unseen / HILL))
+    return found * _reached(unseen)
