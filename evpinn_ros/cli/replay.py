@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from evpinn_ros.cli.console import note
-from evpinn_ros.drives.column import Column
-from evpinn_ros.drives.sources import Source
+
+if TYPE_CHECKING:
+    from evpinn_ros.drives.column import Column
+    from evpinn_ros.drives.sources import Source
 
 
 def explain_columns(source: Source) -> None:
