@@ -87,7 +87,7 @@ def _start(found: Contents, begin_ns: int) -> str:
     if found.dated == "":
         return ", undated"
     day = ", the day by the file's name" if found.dated == "name" else ""
-    zone = " UTC" if found.zoned else ""
+    zone = " UTC" if found.zoned else ", local time"
     return f" from {moment(begin_ns)}{zone}{day}"
 
 

@@ -37,6 +37,7 @@ from evpinn_ros.drives.times import (
     RELATIVE_BELOW_S,
     Clock,
     date_of_name,
+    days_of_name,
     is_newest_first,
     start_of_comments,
 )
@@ -209,7 +210,8 @@ class TableDrive(Source):
 
     def _chosen_clock(self, found: Sequence[Column], survey: Survey) -> Clock:
         """The clock of the table; InputError when no column of time can be read."""
-        clock = choose_clock(found, survey, _styles(survey), self._head.names)
+        days = days_of_name(self.path.name)
+        clock = choose_clock(found, survey, _styles(survey), self._head.names, days)
         if clock is None:
             raise InputError(f"{self.path}: {_no_time(found, survey)}")
         return clock
@@ -344,7 +346,8 @@ class TableDrive(Source):
         first = int(known[0]) if known.size else NONE
         if clock.dated or first >= RELATIVE_BELOW_S * NANOSECONDS:
             return 0, "log"
-        if dated := start_by_date(clock, found, self._survey, self._styles):
+        days = days_of_name(self.path.name)
+        if dated := start_by_date(clock, found, self._survey, self._styles, days):
             self.zoned = dated[1].zoned
             return dated[0], "log"
         # A time of day, or seconds since midnight as Car Scanner's long form has them.
