@@ -18,6 +18,7 @@ from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.formats import suffix_of
 from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.readings import Rotation
 from evpinn_ros.vehicle.files import Vehicle
@@ -26,10 +27,12 @@ from evpinn_ros.vehicle.files import Vehicle
 class BagSource(Source):
     """A rosbag2 folder, a bare `.mcap` or `.db3`."""
 
-    def __init__(self, path: Path, mounting: Rotation | None = None) -> None:
+    def __init__(
+        self, path: Path, mounting: Rotation | None = None, terrain: Terrain | None = None
+    ) -> None:
         """Open the bag; InputError when it is none or has none of our topics."""
         super().__init__(path)
-        self._reader = BagReader(path)
+        self._reader, self._terrain = BagReader(path), terrain
         self._readings = BagReadings(self._reader, mounting=mounting)
         self.dropped = self._readings.dropped
 
@@ -51,7 +54,8 @@ class BagSource(Source):
     def readings(self) -> Iterator[Reading]:
         """The readings in order of log time."""
         with self._reader:
-            yield from self._readings
+            found = iter(self._readings)
+            yield from found if self._terrain is None else self._terrain.on(found)
 
 
 class CanLogSource(Source):
@@ -103,6 +107,7 @@ def open_bus_source(
     *,
     trust_profile: bool,
     mounting: Rotation | None,
+    terrain: Terrain | None,
 ) -> Source:
     """Open a bag or a CAN log; the arguments are those of `sources.open_source`.
 
@@ -114,7 +119,7 @@ def open_bus_source(
         # Recorded topics of ours; raw frames when asked by a profile, or if they are all there is.
         if can_profile is None or not holds_frames(path):
             try:
-                return BagSource(path, mounting)
+                return BagSource(path, mounting, terrain)
             except InputError:
                 if not holds_frames(path):
                     raise

@@ -24,6 +24,7 @@ from evpinn_ros.vehicle.files import Vehicle
 
 if TYPE_CHECKING:
     from evpinn_ros.drives.table_drive import TableDrive
+    from evpinn_ros.drives.terrain import Terrain
     from evpinn_ros.topics.readings import Rotation
 
 NOMINAL_VOLTAGE = 350.0  # V, of a car that is not known
@@ -85,6 +86,7 @@ def open_source(
     columns: Sequence[str] = (),
     mounting: Rotation | None = None,
     battery: bool = True,
+    terrain: Terrain | None = None,
 ) -> Source:
     """Open a recorded drive of any kind.
 
@@ -96,6 +98,7 @@ def open_source(
         columns: of a table that are given, see `evpinn_ros.drives.column.columns_by_name`.
         mounting: of the IMU in a bag, see `grade_reading`.
         battery: False for a table that needs no columns of a battery.
+        terrain: heights to take in place of those recorded, where the place is known.
 
     Raises:
         InputError: no such file, no kind known, or a CAN log without a profile.
@@ -103,12 +106,18 @@ def open_source(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
-        return open_drive(path, vehicle.nominal_voltage, columns, battery=battery)
+        voltage = vehicle.nominal_voltage
+        return open_drive(path, voltage, columns, battery=battery, terrain=terrain)
     # What reads buses takes half a second to import: who opens a table does not wait for it.
     from evpinn_ros.drives.bus_sources import open_bus_source
 
     return open_bus_source(
-        path, vehicle, can_profile, trust_profile=trust_profile, mounting=mounting
+        path,
+        vehicle,
+        can_profile,
+        trust_profile=trust_profile,
+        mounting=mounting,
+        terrain=terrain,
     )
 
 
@@ -118,11 +127,13 @@ def open_drive(
     columns: Sequence[str] = (),
     *,
     battery: bool = True,
+    terrain: Terrain | None = None,
 ) -> TableDrive:
     """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
 
     Power alone becomes current at `nominal_voltage`, V; `columns` are those given, see
-    `column.columns_by_name`; without `battery` none of its columns is needed.
+    `column.columns_by_name`; without `battery` none of its columns is needed; `terrain` has
+    heights of its places.
 
     Raises:
         InputError: it cannot be read, or holds no drive.
@@ -138,4 +149,4 @@ def open_drive(
         raise InputError(f"{path}: no table of a drive; known are {', '.join(TABLE_SUFFIXES)}")
     apart = CONVERTERS.get(suffix)
     table = TextTable(path) if apart is None else ConvertedTable(path, apart)
-    return TableDrive(table, path, nominal_voltage, columns, battery=battery)
+    return TableDrive(table, path, nominal_voltage, columns, battery=battery, terrain=terrain)

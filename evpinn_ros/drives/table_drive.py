@@ -18,7 +18,7 @@ from evpinn_ros.drives.contradictions import contradictions, power_beside
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
 from evpinn_ros.drives.long_form import LongTable
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
-from evpinn_ros.drives.quantities import QUANTITIES, Unit
+from evpinn_ros.drives.quantities import PLACES, QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, RowOrder, RowReadings
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.drives.survey import (
@@ -31,6 +31,7 @@ from evpinn_ros.drives.survey import (
     long_form,
     look_through,
 )
+from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.times import (
     LAST_TIME_NS,
     NONE,
@@ -73,18 +74,20 @@ class TableDrive(Source):
         chosen: Sequence[str] = (),
         *,
         battery: bool = True,
+        terrain: Terrain | None = None,
     ) -> None:
         """Look through the table.
 
         The path is for messages, and a date in its name. Power alone becomes current at
         `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`;
-        without `battery` none of its columns is needed.
+        without `battery` none of its columns is needed. Heights are those of the `terrain` at its
+        places, if given.
 
         Raises:
             InputError: empty, columns are missing, a choice is wrong or a unit is not known.
         """
         super().__init__(path)
-        self._table = table
+        self._table, self._terrain = table, terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
         self._no_speed = False  # zero throughout while the odometer goes on, so it is not used
@@ -265,11 +268,14 @@ class TableDrive(Source):
     def _values(self, batch: Batch, stamps: Stamps) -> Numbers:
         """SI values of the quantities that are used; cells without a time are counted."""
         self._count_times(batch, stamps)
-        return {
+        values = {
             rule.quantity: self._numbers(batch, rule)
             for rule in self.rules
             if rule.quantity not in ("time", "odometer")
         }
+        if self._terrain is not None and values.keys() >= set(PLACES):
+            values["elevation"] = _heights(self._terrain, *(values[each] for each in PLACES))
+        return values
 
     def _until_broken(self, broken: list[InputError]) -> Iterator[Row]:
         """Rows that are whole; the error that ends the file goes to `broken`."""
@@ -377,6 +383,23 @@ def _filled(
     others = columns_by_name(header, chosen, empty) if empty else found
     lost = {column.quantity for column in found} - {column.quantity for column in others}
     return found if lost & NEEDED else others
+
+
+def _heights(
+    terrain: Terrain, latitude: NDArray[np.float64], longitude: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Heights of the ground where the place is new, m; of a place in two rows at the second."""
+    new = np.isfinite(latitude) | np.isfinite(longitude)
+    place = [_held(each)[new] for each in (latitude, longitude)]
+    heights = np.full(latitude.shape, np.nan)
+    heights[new] = terrain.heights(*place)
+    return heights
+
+
+def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each value until the next."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))
+    return np.asarray(values[last])
 
 
 def _batches(rows: Iterator[Row]) -> Iterator[Batch]:

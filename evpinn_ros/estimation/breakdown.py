@@ -39,7 +39,8 @@ STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 # 1-sigma, once a drive is longer than `HILL`, m. By drives of an i3 and a Leaf whose heights were
 # taken out (`evpinn bench breakdown --heights`): what a climb took is booked elsewhere then, as
 # braking and losses of the drivetrain on a steep short drive, as tyres and air on a long one.
-NET_CLIMB, HILL = 122.0, 1000.0
+# The ends of a drive whose heights begin late are shorter: no road climbs more than `STEEP` there.
+NET_CLIMB, HILL, STEEP = 122.0, 1000.0, 0.05
 CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
 CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
 MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
@@ -309,7 +310,7 @@ def _beside(energy: np.ndarray, totals: Totals, weight: float) -> np.ndarray:
         own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
     if totals.unseen > 0.0:
         climbed = _unseen_climb(energy, totals.unseen)
-        own += (weight * NET_CLIMB) ** 2 * np.outer(climbed, climbed)
+        own += (weight * net_climb(totals.unseen)) ** 2 * np.outer(climbed, climbed)
     own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
     # (m v dv)^2 at both ends
     own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
@@ -320,16 +321,16 @@ def climb_as_rolling(unseen: float) -> float:
     """C_rr that an unseen net climb over so many m looks like, 1-sigma."""
     if unseen <= 0.0:
         return 0.0
-    return NET_CLIMB * _as_friction(unseen) * _reached(unseen) / unseen
+    return net_climb(unseen) * _as_friction(unseen) / unseen
 
 
 def _as_friction(unseen: float) -> float:
     return min(MOST_AS_FRICTION, CLIMB_AS_FRICTION * unseen)
 
 
-def _reached(unseen: float) -> float:
-    """Share of `NET_CLIMB` that a road of so many m has."""
-    return math.sqrt(1.0 - math.exp(-unseen / HILL))
+def net_climb(unseen: float) -> float:
+    """Net climb of so many m of road whose height is not known, m, 1-sigma."""
+    return min(STEEP * unseen, NET_CLIMB * math.sqrt(1.0 - math.exp(-unseen / HILL)))
 
 
 def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
@@ -346,4 +347,4 @@ def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
     found[[Part.AIR, Part.TYRES]] = -friction * np.array([air, tyres]) / (air + tyres)
     found[[Part.BRAKES, Part.STANDING]] = -CLIMB_AS_BRAKES, -CLIMB_AS_STANDING
     found[Part.DRIVETRAIN] = -found[WHOLE].sum()
-    return found * _reached(unseen)
+    return found
