@@ -11,11 +11,11 @@ from typing import Any
 
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from evpinn_ros.bags.convert import reported
 from evpinn_ros.bags.metadata import VERSION
 from evpinn_ros.bags.rosbags_file import READ_ERRORS
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.signals.progress import reported
 
 
 class Storage(str, Enum):

@@ -52,6 +52,13 @@ ColumnOption = Annotated[
     list[str] | None,
     typer.Option(help="What a column holds: speed=NAME:km/h; more in evpinn convert."),
 ]
+ElevationOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Take heights from the SRTM tiles in this folder (N48E011.hgt), by the log's places.",
+    ),
+]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]
 Elm327Option = Annotated[
     str | None,

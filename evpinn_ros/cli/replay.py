@@ -12,12 +12,13 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     CanProfileOption,
     ColumnOption,
+    ElevationOption,
     MetricsOption,
     ParamsOption,
     StartOption,
@@ -31,6 +32,7 @@ from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.drives.formats import TABLE_SUFFIXES, is_drive_table, suffix_of
 from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.trips import split
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
@@ -102,6 +104,7 @@ def replay(
         bool, typer.Option("--whole", help="Do not split a log into its trips.")
     ] = False,
     column: ColumnOption = None,
+    elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
 ) -> None:
@@ -127,7 +130,11 @@ def replay(
     elif state is not None and not state.exists():
         note(f"evpinn: {state} is not there yet: the car begins as its vehicle file says")
     open_input = partial(
-        car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()
+        car.open,
+        can_profile=can_profile,
+        trust_profile=trust_profile,
+        columns=column or (),
+        terrain=None if elevation is None else Terrain(elevation),
     )
     first, unreadable = _opened(open_input, inputs, whole)
     again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
