@@ -104,8 +104,7 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
             continue
         totals = tuple(driven.sum(0).tolist())
         if before and totals[1] >= LEAST_DISTANCE:
-            model = learned.state.model(learned.equation)
-            yield from forecasts(replace(model, unevenness=learned.unevenness), done, before)
+            yield from forecasts(learned.model(), done, before)
         learned = learned.after(intervals)
         before.append((totals[0], totals[1], totals[2]))
 

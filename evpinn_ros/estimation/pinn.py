@@ -25,6 +25,7 @@ from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeDetector
+from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import Journey
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
@@ -60,6 +61,7 @@ class SavedPinn:
 
     car: SavedState
     unevenness: SavedUnevenness
+    hills: Hills
     driven: Driven
     payload: SavedPayload
     grade: GradeDetector
@@ -183,8 +185,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """The car as forecasts take it; after a restart they are of another drive."""
         car = self._car
         if self._last_ns is None and car.state.intervals:
-            car = car.begin_drive()
-            return replace(car.state.model(self._equation), unevenness=car.unevenness)
+            return car.begin_drive().model()
         return self._model
 
     def evidence(self) -> Evidence:
@@ -218,6 +219,7 @@ class PinnLearner(Saveable[SavedPinn]):
         return SavedPinn(
             car=saved_state(self._car.state),
             unevenness=saved_unevenness(self._car.uneven()),
+            hills=self._car.hilly(),
             driven=self._car.driven,
             payload=self._car.payload.saved(),
             grade=self._car.grade,
@@ -234,6 +236,7 @@ class PinnLearner(Saveable[SavedPinn]):
             LearnedCar.new(self._equation),
             state=state,
             unevenness=unevenness_of(saved.unevenness, self._equation),
+            hills=saved.hills,
             driven=saved.driven,
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=PayloadDetector.of(saved.payload),
@@ -246,8 +249,7 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def _use(self, car: LearnedCar) -> None:
         """Use this car from now on."""
-        model = car.state.model(self._equation)
-        self._car, self._model = car, replace(model, unevenness=car.unevenness)
+        self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         self._powers.clear()
 
