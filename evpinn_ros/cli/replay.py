@@ -30,10 +30,10 @@ from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.drives.formats import TABLE_SUFFIXES, is_drive_table, suffix_of
+from evpinn_ros.drives.formats import TABLE_SUFFIXES, suffix_of
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.drives.terrain import Terrain
-from evpinn_ros.drives.trips import split
+from evpinn_ros.drives.trips import joined, split
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
@@ -101,7 +101,7 @@ def replay(
         int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
     ] = 1,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Do not split a log into its trips.")
+        bool, typer.Option("--whole", help="Take each file as one drive: split and join none.")
     ] = False,
     column: ColumnOption = None,
     elevation: ElevationOption = None,
@@ -168,15 +168,23 @@ def _opened(
     Raises:
         InputError: none can be read.
     """
+    logs: list[Source] = []
     found: list[Source] = []
     unreadable: list[str] = []
     for path in chain.from_iterable(map(_files, inputs)):
         try:
-            log = open_input(path)
-            explain_columns(log)
-            if whole or not is_drive_table(path):
-                found.append(log)
-                continue
+            logs.append(open_input(path))
+            explain_columns(logs[-1])
+        except InputError as error:
+            unreadable.append(str(error))
+    drives = logs if whole else joined(logs)
+    if len(drives) < len(logs):
+        note(f"{len(logs)} files are {len(drives)} logs: some continue the file before")
+    for log in drives:
+        if whole or not log.rules:  # which a table has
+            found.append(log)
+            continue
+        try:
             trips, charged = split(log)
         except InputError as error:
             unreadable.append(str(error))
@@ -184,7 +192,7 @@ def _opened(
         found += trips
         if len(trips) > 1:
             kwh = f"; charged while parked: {charged / JOULES_PER_KWH:.1f} kWh" if charged else ""
-            note(f"{path}: {len(trips)} trips{kwh}")
+            note(f"{log.path}: {len(trips)} trips{kwh}")
     if not found:
         raise InputError("; ".join(unreadable) or "no recording in this folder")
     return found, unreadable

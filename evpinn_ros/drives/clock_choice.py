@@ -58,7 +58,7 @@ def start_by_date(
     styles: Mapping[int, Style],
     days: Collection[int] = (),
 ) -> tuple[int, Clock] | None:
-    """What to add to the times of a clock without a date, ns, by another column, and its clock.
+    """Stamp of time 0 of a clock without a date, ns, by another column, and the clock of that.
 
     None where no other column has the date and the time of day.
     """

@@ -342,7 +342,7 @@ class TableDrive(Source):
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
     def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
-        """What was looked at of a column, in the file's unit."""
+        """The cells of a column that were looked at, in the file's unit."""
         cells, style = self._survey.cells[column.place], self._styles[column.place]
         return Signal(times, to_floats(cells, style))
 
