@@ -267,10 +267,10 @@ class PowerModel:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the states, shape (SIZE, SIZE), with heating that strays from what is usual.
+        """Covariance of the states, shape (SIZE, SIZE), with heating that strays from the usual.
 
-        Before a drive nobody knows how much of what its temperature makes likely will be on; once
-        it has begun, its loads tell.
+        Before a drive it is unknown how much of what its temperature makes likely will be on; once
+        it has begun, its loads show it.
         """
         car, strays = self.car, np.zeros(SIZE)
         if car.seconds > 0.0:

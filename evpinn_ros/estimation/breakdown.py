@@ -212,7 +212,7 @@ class Breakdowns:
         )
 
     def joined(self, owners: Sequence[int]) -> Breakdowns:
-        """The same where some belong together, as those before and after a long stop.
+        """Breakdowns of which some belong together, as those before and after a long stop.
 
         Args:
             owners: number of the whole that each belongs to; all from 0 on.
@@ -250,7 +250,7 @@ class DriveParts:
         return DriveParts(self.rows + own, self.totals.plus(interval))
 
     def ended(self, state: CarState) -> EndedDrive:
-        """The same as a function of the states of the car alone."""
+        """Parts as functions of the states of the car alone."""
         mean, covariance = state.mixture()
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))
         within = np.ix_(LASTING, LASTING)
