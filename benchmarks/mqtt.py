@@ -21,7 +21,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from benchmarks.published_topics import VEHICLE, as_teslamate
 from evpinn_ros.bridges.car import BridgedCar
-from evpinn_ros.bridges.layouts import teslamate
+from evpinn_ros.bridges.layouts import read_layout
 from evpinn_ros.bridges.snapshot import Snapshots
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings
@@ -101,7 +101,10 @@ def day(hours: float) -> Iterator[DayCost]:
     """A drive again and again through layout, moments, chain and documents; eight rows."""
     vehicle = load_vehicle(VEHICLE)
     car = BridgedCar("1", vehicle, EstimatorSettings())
-    snapshots, layout = Snapshots(vehicle.nominal_voltage, on_change=True), teslamate()
+    snapshots, layout = (
+        Snapshots(vehicle.nominal_voltage, on_change=True),
+        read_layout("teslamate"),
+    )
     sets = [*as_teslamate()]
     length_ns = sets[-1][0] - sets[0][0] + NANOSECONDS
     turns = max(1, round(hours * 3600 * NANOSECONDS / length_ns))

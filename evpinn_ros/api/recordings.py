@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from evpinn_ros.api.result import Result
 from evpinn_ros.common.arguments import (
@@ -16,6 +16,7 @@ from evpinn_ros.common.arguments import (
     sequence_of,
     text_of,
 )
+from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.replays.car import CarReplay, mode_of
 from evpinn_ros.replays.run import WARM_UP, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
@@ -38,6 +39,7 @@ def replay(
     can_profile: str | None = None,
     trust_profile: bool = False,
     columns: Sequence[str] = (),
+    elevation: str | os.PathLike[str] | None = None,
 ) -> Result:
     """Replay a recorded drive through the chain, as `evpinn replay` does: to the bit.
 
@@ -47,7 +49,8 @@ def replay(
         >>> result.power[["measured_w", "smoothed_w"]].plot()  # doctest: +SKIP
 
     Args:
-        drive: bag, CAN log or table; or a pandas DataFrame, whose columns are those of a table.
+        drive: bag, CAN log or table; or a pandas DataFrame, whose columns are those of a table. An
+            index that has a name, or holds dates, is one of them.
         vehicle: name, file, or what `load_vehicle` gave.
         mode: `hybrid` or `paper`; that of `params`, else hybrid, if not given.
         params: parameter file of the nodes.
@@ -60,6 +63,8 @@ def replay(
         can_profile: of a CAN log, the vehicle's own if not given.
         trust_profile: use it even if the traffic contradicts it.
         columns: of a table, as `speed=NAME` or `speed=NAME:km/h`.
+        elevation: folder of SRTM tiles (`N48E011.hgt`), whose heights at the places of the drive
+            are taken.
 
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
@@ -82,9 +87,12 @@ def replay(
     if can_profile is not None:
         text_of("can_profile", can_profile)
     columns = [text_of("columns", each) for each in sequence_of("columns", columns)]
+    terrain = None if elevation is None else Terrain(path_of("elevation", elevation))
     with TemporaryDirectory() as folder:
         path = _path_of(drive, Path(folder))
-        source = car.open(path, can_profile, trust_profile=trust_profile, columns=columns)
+        source = car.open(
+            path, can_profile, trust_profile=trust_profile, columns=columns, terrain=terrain
+        )
         found = car.replay(source)
     if written is not None:
         car.write_state(written)
@@ -96,6 +104,7 @@ def _path_of(drive: str | os.PathLike[str] | DataFrame, folder: Path) -> Path:
     """Path of a drive; a DataFrame is written as a table into the folder first."""
     if not hasattr(drive, "to_csv"):
         return path_of("drive", drive)
-    path = folder / "drive.csv"
-    drive.to_csv(path, index=False)
+    path, table = folder / "drive.csv", cast("DataFrame", drive)
+    named = table.index.name is not None or table.index.dtype.kind not in "iu"
+    table.to_csv(path, index=named, index_label=table.index.name or "time")
     return path

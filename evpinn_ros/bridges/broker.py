@@ -37,16 +37,9 @@ REFUSALS = {"Bad user name or password", "Not authorized", "Client identifier no
 class BrokerSettings:
     """Address of a broker and proof of who asks; the password is in no text of it.
 
-    Attributes:
-        host: name or address.
-        port: of TCP.
-        user: None without.
-        password: None without.
-        tls: whether to encrypt.
-        ca: path of the authorities to trust, else those of the system.
-        certificate: path of the client's own, None without.
-        key: path of its key, None if in the same file.
-        client_id: as the broker knows this process; two of the same id throw each other out.
+    `ca` is the path of the authorities to trust, else they are those of the system; `certificate`
+    and `key` are paths of the client's own, the key None if in the same file. Two processes with
+    one `client_id` throw each other out.
     """
 
     host: str

@@ -7,15 +7,15 @@ from pathlib import Path
 import time
 from typing import Any
 
-from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.saved_state import StateFile
+from evpinn_ros.replays.account_metrics import account_metrics
 from evpinn_ros.replays.breakdown_text import breakdown_metrics
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.replays.scoring import parameter_metrics
+from evpinn_ros.replays.scoring import combination_metrics, parameter_metrics
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, JumpRule
 from evpinn_ros.vehicle.files import Vehicle
@@ -23,7 +23,6 @@ from evpinn_ros.vehicle.files import Vehicle
 DRIVE_GAP_NS = 15 * 60 * NANOSECONDS
 """A drive ends where the car sends no speed, or stands, for so long."""
 STANDS = 0.1  # m/s
-KWH_PER_100KM = JOULES_PER_KWH / 1e5  # J/m
 HELD = JumpRule(policy=JumpPolicy.HOLD)
 """A clock of a broker's host that is set back must not undo what was learned."""
 
@@ -115,45 +114,14 @@ class BridgedCar:
 
     def documents(self) -> Mapping[str, Document]:
         """All other documents, by the last part of their topic."""
-        found = self.chain.account.summary()
-        trip, life, remaining = found.since_reset, found.lifetime, found.remaining
-        estimator = self.chain.estimator
+        estimator, account = self.chain.estimator, account_metrics(self.chain.account.summary())
         parameters = estimator.parameters()
+        combinations = {"combinations": combination_metrics(parameters)}
         return {
-            "energy": {
-                "time": _seconds(self.newest_ns),
-                "trip_kwh": trip.net.value / JOULES_PER_KWH,
-                "trip_sigma_kwh": trip.net.sigma / JOULES_PER_KWH,
-                "trip_km": trip.distance / 1e3,
-                "drawn_kwh": life.drawn / JOULES_PER_KWH,
-                "regenerated_kwh": life.regenerated / JOULES_PER_KWH,
-                "unmeasured_s": trip.unmeasured_s,
-            },
-            "consumption": {
-                name: value / KWH_PER_100KM for name, value in found.consumption.items()
-            },
-            "range": {
-                "charge_percent": 100.0 * found.charge.value,
-                "charge_projected": found.projected,
-                "usable_kwh": found.usable.value / JOULES_PER_KWH,
-                "capacity_kwh": found.capacity.value / JOULES_PER_KWH,
-                "range_km": remaining and remaining.distance / 1e3,
-                "lower_km": remaining and remaining.lower / 1e3,
-                "upper_km": remaining and remaining.upper / 1e3,
-            },
+            **account,
+            "energy": {"time": _seconds(self.newest_ns), **account["energy"]},
             "breakdown": breakdown_metrics(estimator.breakdown(), self._settings.mode.value),
-            "parameters": {
-                **parameter_metrics(parameters),
-                "combinations": {
-                    name: {"value": float(value), "std": float(std)}
-                    for name, value, std in zip(
-                        parameters.identifiable._fields,
-                        parameters.identifiable,
-                        parameters.identifiable_std,
-                        strict=True,
-                    )
-                },
-            },
+            "parameters": {**parameter_metrics(parameters), **combinations},
         }
 
     def health(self) -> Document:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+import math
 from pathlib import Path
 import time
 
@@ -117,18 +118,17 @@ class MqttBridge:
     def step(self, wait: float = WAIT_S) -> bool:
         """Take a message if one comes within `wait`, s, and do what is due; True if one came."""
         now_ns = self._clock()
-        dues = [seen.snapshots.due_ns for seen in self._seen.values()]
-        soonest = min((due for due in dues if due is not None), default=None)
-        if soonest is not None:
-            wait = min(wait, max(soonest - now_ns, 0) / NANOSECONDS)
-        message = self._connection.next_message(wait)
-        self._after_connecting()
+        due_ns = min((seen.snapshots.due_ns for seen in self._seen.values()), default=math.inf)
+        message = self._connection.next_message(min(wait, max(due_ns - now_ns, 0) / NANOSECONDS))
+        if self._connections != self._connection.connections:
+            self._connections = self._connection.connections
+            self._begin_again()
         if message is not None:
             self._take(message)
         now_ns = self._clock()
         for each in self._seen.values():
             self._feed(each, each.snapshots.flush(now_ns))
-            self._publish(each, now_ns)
+            self._publish_due(each, now_ns)
         if is_due(self._saved_ns, now_ns, SAVE_NS):
             self.save()
             self._saved_ns = now_ns
@@ -150,25 +150,20 @@ class MqttBridge:
             pass
         for seen in self._seen.values():
             self._feed(seen, seen.snapshots.flush(self._clock() + NANOSECONDS))
-            self._publish_documents(seen)
+            self._publish(seen, self._documents(seen.car))
         self.save()
 
-    def _after_connecting(self) -> None:
+    def _begin_again(self) -> None:
         """Hold nothing of before a connection, and repeat what its broker may have lost."""
-        if self._connections == self._connection.connections:
-            return
-        self._connections = self._connection.connections
         for seen in self._seen.values():
             seen.snapshots.forget()
-            seen.published.clear()
-            self._discover(seen.car)
+            self._announce(seen)
 
     def _take(self, message: Message) -> None:
         if message.topic == self.settings.birth_topic:
             if message.payload == ONLINE.encode() and not message.retained:
                 for each in self._seen.values():
-                    self._discover(each.car)
-                    each.published.clear()
+                    self._announce(each)
             return
         parsed = self.settings.layout.parse(message.topic, message.payload)
         seen = None if parsed is None else self._car(parsed.car)
@@ -187,53 +182,49 @@ class MqttBridge:
                 why = "no vehicle is given for it" if vehicle is None else "too many cars"
                 self._note(f"car '{name}' is ignored: {why}")
             return None
-        folder = self.settings.state
-        state = None if folder is None else folder / f"{name}.json"
+        state = self.settings.state and self.settings.state / f"{name}.json"
         car = BridgedCar(name, vehicle, self.settings.estimator, state)
         self._note(f"car '{name}': {vehicle.name}" + (f"; {car.problem}" if car.problem else ""))
         snapshots = Snapshots(vehicle.nominal_voltage, on_change=self.settings.layout.on_change)
         found = self._seen[name] = _Seen(car, snapshots)
-        self._discover(car)
+        self._announce(found)
         return found
 
     def _feed(self, seen: _Seen, readings: list[Reading]) -> None:
         if readings and seen.car.add_readings(readings):
             seen.documents_ns = 0
 
-    def _publish(self, seen: _Seen, now_ns: int) -> None:
+    def _publish_due(self, seen: _Seen, now_ns: int) -> None:
         """Publish what is due: by the car's own stamps, for they are what goes on in a replay."""
         newest_ns = seen.car.newest_ns
         if newest_ns is not None and is_due(seen.power_ns, newest_ns, POWER_NS):
             seen.power_ns = newest_ns
-            self._publish_document(seen, "power", seen.car.power(), retain=False)
+            self._publish(seen, {"power": seen.car.power()}, retain=False)
         if is_due(seen.documents_ns, now_ns, DOCUMENTS_NS):
             seen.documents_ns = now_ns
-            self._publish_documents(seen)
+            self._publish(seen, self._documents(seen.car))
 
-    def _publish_documents(self, seen: _Seen) -> None:
-        documents = seen.car.documents()
-        health = {
-            **seen.car.health(),
-            "messages_lost": self._connection.lost,
-            "messages_waiting": self._connection.waiting,
-        }
-        for name, document in {**documents, "health": health}.items():
-            self._publish_document(seen, name, document, retain=True)
+    def _documents(self, car: BridgedCar) -> Mapping[str, Document]:
+        waiting = {"messages_waiting": self._connection.waiting}
+        health = {**car.health(), "messages_lost": self._connection.lost, **waiting}
+        return {**car.documents(), "health": health}
 
-    def _publish_document(
-        self, seen: _Seen, name: str, document: Document, *, retain: bool
+    def _publish(
+        self, seen: _Seen, documents: Mapping[str, Document], *, retain: bool = True
     ) -> None:
-        topic = f"{self.settings.base}/{seen.car.name}"
-        texts = {s.topic: s.text(document) for s in SENSORS if s.document == name}
-        for below, text in {name: json_text(document), **texts}.items():
-            if not retain or seen.published.get(below) != text:
-                seen.published[below] = text
-                self._connection.publish(f"{topic}/{below}", text, retain=retain)
+        """Publish documents and their numbers, of what is retained only what changed."""
+        base = f"{self.settings.base}/{seen.car.name}"
+        for name, document in documents.items():
+            texts = {each.topic: each.text(document) for each in SENSORS if each.document == name}
+            for below, text in {name: json_text(document), **texts}.items():
+                if not retain or seen.published.get(below) != text:
+                    seen.published[below] = text
+                    self._connection.publish(f"{base}/{below}", text, retain=retain)
 
-    def _discover(self, car: BridgedCar) -> None:
-        if not self.settings.discovery:
-            return
-        base = f"{self.settings.base}/{car.name}"
-        about = (self.settings.status_topic, car.name, car.vehicle.name)
-        for topic, content in discovery(self.settings.discovery, base, *about):
+    def _announce(self, seen: _Seen) -> None:
+        """Publish the discovery of a car, and all of its documents anew when they are due."""
+        seen.published.clear()
+        given, car = self.settings, seen.car
+        about = (f"{given.base}/{car.name}", given.status_topic, car.name, car.vehicle.name)
+        for topic, content in discovery(given.discovery, *about):
             self._connection.publish(topic, json_text(content), retain=True)

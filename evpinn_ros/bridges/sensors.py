@@ -2,44 +2,42 @@
 
 Sources: home-assistant.io, "MQTT" (discovery topic, `origin`, birth message) and "MQTT sensor";
 developers.home-assistant.io, "Sensor entity" (which units and state classes a device class takes).
-Home Assistant 2024.3 itself took all of them (docs/guides/home_assistant.md has its picture).
+Home Assistant 2024.3.3 itself took all of them (docs/guides/home_assistant.md has its picture).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+import math
 from typing import Any
 
 from evpinn_ros import __version__
 from evpinn_ros.replays.breakdown_text import MEANINGS
 
-MEASUREMENT, TOTAL, INCREASING = "measurement", "total", "total_increasing"
+MEASUREMENT, INCREASING = "measurement", "total_increasing"
+
+
+def number_at(document: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
+    """Number at the end of a path of keys in a document; None where there is none."""
+    found: Any = document
+    for key in path:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found if isinstance(found, int | float) and math.isfinite(found) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """One number of a document that has a topic of its own.
+    """One number of a document that has a topic of its own, as Home Assistant shows it."""
 
-    Attributes:
-        document: `power`, `energy`, ...
-        path: keys to the number in the document.
-        name: for people.
-        unit: as Home Assistant writes it; None where it has none.
-        device_class: of Home Assistant; None where none fits.
-        state_class: of Home Assistant; None where no statistics make sense.
-        digits: behind the point.
-        diagnostic: whether it is about the car and not about its drives.
-    """
-
-    document: str
-    path: tuple[str, ...]
-    name: str
-    unit: str | None
-    device_class: str | None
-    state_class: str | None = MEASUREMENT
-    digits: int = 1
-    diagnostic: bool = False
+    document: str  # `power`, `energy`, ...
+    path: tuple[str, ...]  # keys to the number in the document
+    name: str  # for people
+    unit: str | None  # as Home Assistant writes it; None where it has none
+    device_class: str | None  # of Home Assistant; None where none fits
+    state_class: str | None = MEASUREMENT  # likewise; None where no statistics make sense
+    digits: int = 1  # behind the point
+    diagnostic: bool = False  # whether it is about the car and not about its drives
 
     @property
     def topic(self) -> str:
@@ -48,12 +46,8 @@ class Sensor:
 
     def text(self, document: Mapping[str, Any]) -> str:
         """The number as a payload; "None", which Home Assistant shows as unknown, without one."""
-        found: Any = document
-        for key in self.path:
-            found = found.get(key) if isinstance(found, Mapping) else None
-        if not isinstance(found, int | float) or found != found:
-            return "None"
-        return f"{found:.{self.digits}f}"
+        found = number_at(document, self.path)
+        return "None" if found is None else f"{found:.{self.digits}f}"
 
 
 SENSORS = (
@@ -87,33 +81,35 @@ def discovery(
     """Topic and content of each discovery message of a car.
 
     Args:
-        prefix: of Home Assistant's discovery, `homeassistant`.
+        prefix: of Home Assistant's discovery, `homeassistant`; empty gives none.
         base: topic of the car.
         status_topic: of birth and last will.
         car: its name in topics.
         model: its name for people.
     """
     device = f"evpinn_{car}"
-    for sensor in SENSORS:
+    of_all = {
+        "availability_topic": status_topic,
+        "device": {
+            "identifiers": [device],
+            "name": f"EV-PINN {car}",
+            "model": model,
+            "manufacturer": "evpinn_ros",
+            "sw_version": __version__,
+        },
+        "origin": {"name": "evpinn_ros", "sw_version": __version__},
+    }
+    for sensor in SENSORS if prefix else ():
         key = "_".join((sensor.document, *sensor.path))
-        content: dict[str, Any] = {
+        content = {
             "name": sensor.name,
             "unique_id": f"{device}_{key}",
             "state_topic": f"{base}/{sensor.topic}",
-            "availability_topic": status_topic,
             "unit_of_measurement": sensor.unit,
             "device_class": sensor.device_class,
             "state_class": sensor.state_class,
             "suggested_display_precision": sensor.digits,
             "entity_category": "diagnostic" if sensor.diagnostic else None,
-            "device": {
-                "identifiers": [device],
-                "name": f"EV-PINN {car}",
-                "model": model,
-                "manufacturer": "evpinn_ros",
-                "sw_version": __version__,
-            },
-            "origin": {"name": "evpinn_ros", "sw_version": __version__},
         }
         known = {name: value for name, value in content.items() if value is not None}
-        yield f"{prefix}/sensor/{device}/{key}/config", known
+        yield f"{prefix}/sensor/{device}/{key}/config", known | of_all

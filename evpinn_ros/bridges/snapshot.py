@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection
 import math
 
-from evpinn_ros.bridges.layouts import LASTING, Measurand, Parsed, Rule
+from evpinn_ros.bridges.layouts import LASTING, Measurand, Parsed, Value
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -44,13 +44,13 @@ class Snapshots:
             on_change: whether values hold until they change (see the module's text).
         """
         self._nominal_voltage, self._on_change = nominal_voltage, on_change
-        self._held: dict[Measurand, tuple[Rule, float]] = {}
+        self._held: dict[Measurand, Value] = {}
         self._burst_ns: int | None = None
 
     @property
-    def due_ns(self) -> int | None:
-        """Moment from which on `flush` gives readings, None while nothing waits."""
-        return None if self._burst_ns is None else self._burst_ns + BURST_NS
+    def due_ns(self) -> float:
+        """Moment from which on `flush` gives readings, infinite while nothing waits."""
+        return math.inf if self._burst_ns is None else self._burst_ns + BURST_NS
 
     def forget(self) -> None:
         """Hold nothing that could have changed unseen: the connection was lost."""
@@ -89,12 +89,10 @@ class Snapshots:
         return self._readings(stamp_ns)
 
     def _hold(self, parsed: Parsed, wanted: Collection[Measurand] = tuple(Measurand)) -> None:
-        for rule, value in parsed.values:
-            if rule.quantity in wanted:
-                self._held[rule.quantity] = rule, value
+        self._held |= {each: value for each, value in parsed.values.items() if each in wanted}
 
     def _value(self, quantity: Measurand) -> float:
-        return self._held[quantity][1] if quantity in self._held else NAN
+        return self._held.get(quantity, Value()).value
 
     def _readings(self, stamp_ns: int) -> list[Reading]:
         if self._value(Measurand.ASLEEP) == 1.0:
@@ -121,12 +119,11 @@ class Snapshots:
         return [] if math.isnan(charge) else [BatteryReading(stamp_ns, NAN, NAN, charge)]
 
     def _speed(self, stamp_ns: int) -> SpeedReading | None:
-        if Measurand.SPEED not in self._held and self._value(Measurand.STANDING) != 1.0:
-            return None
         if self._value(Measurand.STANDING) == 1.0:  # TeslaMate sends no speed of a parked car
             return SpeedReading(stamp_ns, 0.0)
-        rule, speed = self._held[Measurand.SPEED]
-        return SpeedReading(stamp_ns, speed, VARIANCE_OF_A_STEP * rule.resolution**2)
+        speed, step = self._held.get(Measurand.SPEED, Value())
+        known = not math.isnan(speed)
+        return SpeedReading(stamp_ns, speed, VARIANCE_OF_A_STEP * step**2) if known else None
 
     def _battery(self, stamp_ns: int) -> BatteryReading | None:
         volt, current = self._value(Measurand.VOLTAGE), self._value(Measurand.CURRENT)
@@ -135,8 +132,7 @@ class Snapshots:
         if math.isnan(current) and not math.isnan(power):
             volt = volt if volt > 0.0 else self._nominal_voltage
             current = -power / volt
-            rule, _ = self._held[Measurand.POWER]
-            power_std = math.sqrt(VARIANCE_OF_A_STEP) * rule.resolution
+            power_std = math.sqrt(VARIANCE_OF_A_STEP) * self._held[Measurand.POWER].step
         if all(map(math.isnan, (volt, current, charge))):
             return None
         return BatteryReading(stamp_ns, volt, current, charge, power_std)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.bridges.car import BridgedCar
 from evpinn_ros.bridges.layouts import KMH, PERCENT, Measurand, Parsed, Rule, Value
+from evpinn_ros.bridges.sensors import number_at
 from evpinn_ros.bridges.snapshot import Snapshots, is_due
 from evpinn_ros.replays.breakdown_text import MEANINGS
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -57,11 +58,7 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
     },
 }
 """Keys in the documents of a car, of each signal that is written."""
-METRES = {
-    f"{BATTERY}.Range",
-    f"{OURS}.RangeLower",
-    f"{OURS}.RangeUpper",
-}  # whole ones; ours are km
+METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # whole ones; ours: km
 OLD_NS = 10 * NANOSECONDS  # of the values that a databroker gives first
 SEND_NS = NANOSECONDS  # between two sets of signals
 NOT_FOUND = 5  # of gRPC: the databroker has no such signal
@@ -70,11 +67,9 @@ NOT_FOUND = 5  # of gRPC: the databroker has no such signal
 def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
     """Signals of a car that are known now, by their names in VSS."""
     documents = {**car.documents(), "power": car.power()}
-    for name, keys in OUTPUTS.items():
-        found: Any = documents
-        for key in keys:
-            found = found.get(key) if isinstance(found, Mapping) else None
-        if isinstance(found, int | float) and math.isfinite(found):
+    for name, path in OUTPUTS.items():
+        found = number_at(documents, path)
+        if found is not None:
             yield name, round(1e3 * found) if name in METRES else float(found)
 
 
@@ -112,17 +107,17 @@ class DatabrokerFeed:
     def _take(self, updates: Mapping[str, Any], oldest_ns: int | None) -> None:
         """Add what was measured at one moment together: voltage and current make one power."""
         now_ns = self._clock()
-        moments: dict[int, list[Value]] = {}
+        moments: dict[int, dict[Measurand, Value]] = {}
         for name, point in updates.items():
-            value = math.nan if point is None else INPUTS[name].value(point.value)
-            if math.isnan(value):
+            value = Value() if point is None else INPUTS[name].value(point.value)
+            if math.isnan(value.value):
                 continue
             moment = point.timestamp
             stamp_ns = now_ns if moment is None else round(moment.timestamp() * NANOSECONDS)
             if oldest_ns is None or now_ns - stamp_ns <= oldest_ns:
-                moments.setdefault(stamp_ns, []).append(Value(INPUTS[name], value))
+                moments.setdefault(stamp_ns, {})[INPUTS[name].quantity] = value
         for stamp_ns, values in sorted(moments.items()):
-            parsed = Parsed(self._car.name, tuple(values), stamp_ns)
+            parsed = Parsed(self._car.name, values, stamp_ns)
             self._car.add_readings(self._snapshots.add(parsed, now_ns, retained=False))
 
     def send(self) -> None:

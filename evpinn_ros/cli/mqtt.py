@@ -19,7 +19,6 @@ from evpinn_ros.common.stopping import at_stop, leave_terminal
 
 if TYPE_CHECKING:
     from evpinn_ros.bridges.broker import Connection
-    from evpinn_ros.bridges.layouts import Layout
     from evpinn_ros.bridges.mqtt import MqttBridge
     from evpinn_ros.estimation.estimator import EstimatorSettings
 
@@ -40,7 +39,9 @@ def mqtt(
     source: Annotated[
         str, typer.Option(help="teslamate, ovms, or a mapping file of topics.")
     ] = "teslamate",
-    namespace: Annotated[str, typer.Option(help="TeslaMate's MQTT_NAMESPACE.")] = "",
+    namespace: Annotated[
+        str, typer.Option(help="MQTT_NAMESPACE of TeslaMate, topic.prefix of OVMS.")
+    ] = "",
     broker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = "localhost",
     user: Annotated[str | None, typer.Option(help="Else EVPINN_MQTT_USER.")] = None,
     password_file: Annotated[
@@ -74,6 +75,7 @@ def mqtt(
         BrokerSettings,
         Connection,
     )
+    from evpinn_ros.bridges.layouts import read_layout
     from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
     from evpinn_ros.common.blas_threads import limit_blas_threads
     from evpinn_ros.vehicle.files import load_vehicle
@@ -84,7 +86,7 @@ def mqtt(
         raise typer.BadParameter("--ca, --cert and --key need --tls")
     limit_blas_threads()
     given = BridgeSettings(
-        _layout(source, namespace),
+        read_layout(source, namespace),
         {name: load_vehicle(of) for name, of in map(_pair, car or ())},
         load_vehicle(vehicle) if vehicle is not None else None,
         _estimator(params),
@@ -134,16 +136,6 @@ def _estimator(params: Path | None) -> EstimatorSettings:
     values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
     given = {} if params is None else read_parameter_file(params, "estimator")
     return estimator_settings({**values, **given})
-
-
-def _layout(source: str, namespace: str) -> Layout:
-    from evpinn_ros.bridges.layouts import ovms, read_mapping, teslamate
-
-    if namespace and source != "teslamate":
-        raise typer.BadParameter("--namespace is TeslaMate's")
-    if source == "teslamate":
-        return teslamate(namespace)
-    return ovms() if source == "ovms" else read_mapping(Path(source))
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -14,6 +14,7 @@ from evpinn_ros.common.opener import open_file
 
 MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
 LONGEST_NUMBER = 400  # characters: more than any float has before its point
+MOST_NODES = 60_000  # a second for 20 000; metadata of 1 MB with 1000 topics has 40 000
 MAX_DEPTH = 20  # of lists and mappings in each other; our files need 4, bags' metadata 7
 
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
@@ -76,13 +77,13 @@ def plain(node: yaml.Node) -> Any:
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Refuses what makes much of little: aliases, nesting without end, numbers of base 60.
+    """Refuses what makes much of little: aliases, nesting without end, `[[],[],...`, base 60.
 
     `1:30` is text here, as in YAML 1.2; YAML 1.1 makes a number of it, in a time that grows with
     the square of its length.
     """
 
-    depth = 0
+    depth = nodes = 0
     yaml_implicit_resolvers = {  # noqa: RUF012
         first: [(tag, _NUMBERS.get(tag, form)) for tag, form in rules]
         for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -101,8 +102,10 @@ class _PlainLoader(yaml.SafeLoader):
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
             raise _refusal("aliases (*name) are not read; write it out", event)
-        if self.depth == MAX_DEPTH:
-            raise _refusal("nested too deeply", event)
+        self.nodes += 1
+        if self.depth == MAX_DEPTH or self.nodes > MOST_NODES:
+            deep = self.depth == MAX_DEPTH
+            raise _refusal("nested too deeply" if deep else f"over {MOST_NODES} values", event)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1

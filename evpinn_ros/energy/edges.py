@@ -17,6 +17,7 @@ import numpy as np
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.estimation.posterior import standing
 from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.unevenness import Path, per_leg
 
@@ -91,7 +92,8 @@ def edge_energies(
         part = slice(begin, begin + CHUNK)
         found = projected(legs, part)
         energy[part], directions[part], uneven[part] = found[:, 0], found[:, 1:-1], found[:, -1]
-    own = model.noise(legs.duration, legs.length**2 / legs.duration)
+    stood = standing(legs.duration, legs.length)
+    own = model.noise(legs.duration, stood, legs.length**2 / legs.duration)
     own += car.load_variance * legs.duration**2
     own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
     return Edges(

@@ -20,6 +20,7 @@ from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Legs, Plan, PlanError, points_of
 from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
+from evpinn_ros.estimation.posterior import standing
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.unevenness import Path
@@ -157,18 +158,18 @@ def forecast_plan(
         steps = model.rows(motion_of(points, wind), weather)
     rows = _accumulated(steps, axis=-2)
     elapsed = points.time - points.time[..., :1]
-    square = _accumulated(length**2 / duration, axis=-1)
+    stood, square = standing(duration, length), length**2 / duration
+    noise = model.noise(elapsed, *(_accumulated(each, axis=-1) for each in (stood, square)))
     unseen = _accumulated(unknown, axis=-1)
-    energy, sigma = model.predicted(rows, elapsed, square, unseen, uneven)
+    energy, sigma = model.predicted(rows, elapsed, noise, unseen, uneven)
     power = np.diff(energy) / duration
     power = np.concatenate((power, power[..., -1:]), axis=-1)
     if not np.isfinite(energy + power + sigma).all():
         raise PlanError("by the model of the car its energy is not finite")
     end = UNKNOWN_END
     if energy.ndim == 1:
-        noise = float(model.noise(elapsed[-1], square[-1]))
-        sums = (float(each[-1]) for each in (elapsed, along))
-        end = PlanEnd._make((rows[-1], *sums, noise, float(unseen[-1]), float(uneven[-1])))
+        sums = (float(each[-1]) for each in (elapsed, along, noise, unseen, uneven))
+        end = PlanEnd(rows[-1], *sums)
     return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
 
 
@@ -274,7 +275,7 @@ def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> U
 
 
 def battery_along(result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
-    """The same at each point, shape (2, n): NaN where unknown, and below 0 it is empty."""
+    """Charge at each point and its 1-sigma, 0..1, shape (2, n); NaN unknown, below 0 empty."""
     share = result.energy / capacity.value
     parts = charge.sigma, result.sigma / capacity.value, share * capacity.sigma / capacity.value
     return np.stack([charge.value - share, np.sqrt(sum(part**2 for part in parts))])
@@ -303,8 +304,10 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     numpy = xp is np  # a table serves many trips, and has no gradient
     rows = model.summed_rows(motion, weather) if numpy else model.rows(motion, weather).sum(-2)
     unseen = length.sum(-1) * (elevation is None)
-    square = (length**2 / duration).sum(-1)
-    return Energies(*model.predicted(rows, duration.sum(-1), square, unseen))
+    steps = duration, standing(duration, length), length**2 / duration
+    elapsed, stood, square = (each.sum(-1) for each in steps)
+    noise = model.noise(elapsed, stood, square)
+    return Energies(*model.predicted(rows, elapsed, noise, unseen))
 
 
 def _rows(array: Any, rows: slice) -> Any:

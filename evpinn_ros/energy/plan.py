@@ -78,7 +78,7 @@ class Plan:
         _refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
 
     def quicker(self, factor: float) -> Plan:
-        """The same road with all speeds times a factor; where it stands it does so as long.
+        """Plan along this road with all speeds times a factor; it stands as long as before.
 
         Raises:
             PlanError: that is too fast.
@@ -133,7 +133,7 @@ class Legs:
             _refuse(wrong, f"{name} is not between 0 and {MAX_SPEED:g} m/s", "leg")
 
     def quicker(self, factor: float) -> Legs:
-        """The same road with all speeds times a factor; stops last as long.
+        """Legs of this road with all speeds times a factor; stops last as long.
 
         Raises:
             PlanError: that is too fast.

@@ -16,12 +16,10 @@ import numpy as np
 
 from evpinn_ros.common.arrays import like, namespace, within
 from evpinn_ros.estimation.posterior import (
-    FORCE_NOISE,
     LOAD_TIME,
-    NOISE_TIME,
-    STANDING_NOISE,
     CarModel,
     initial_state,
+    unexplained,
     wandered,
 )
 from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State
@@ -199,14 +197,14 @@ class PowerModel:
         return of_steps
 
     def predicted(
-        self, rows: Any, elapsed: Any, square: Any, unseen: Any, uneven: Any = 0.0
+        self, rows: Any, elapsed: Any, noise: Any, unseen: Any, uneven: Any = 0.0
     ) -> tuple[Any, Any]:
         """Energy, J, and its 1-sigma, J, of journeys of any shape (...).
 
         Args:
             rows: summed, shape (..., SIZE); changed here.
             elapsed: s since the start.
-            square: integral of speed squared, m^2/s.
+            noise: variance of what no state explains, J^2.
             unseen: m of road whose height is not known.
             uneven: size of the energy expected of uneven speed, J.
         """
@@ -214,16 +212,15 @@ class PowerModel:
         _, rows[..., State.LOAD], rest = wandered(elapsed)
         mean, covariance = like(car.mean, rows), like(self.covariance, rows)
         variance = ((rows @ covariance) * rows).sum(-1) + car.load_variance * rest
-        variance = variance + self.noise(elapsed, square)
+        variance = variance + noise
         variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
         variance = variance + (car.unevenness.share * uneven) ** 2  # which is judged by itself
         return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
 
-    def noise(self, elapsed: Any, square: Any) -> Any:
-        """Variance of energy that no state explains, J^2; arguments as in `predicted`."""
-        standing, moving = self.car.noise[0], self.car.noise[1]
-        own = standing * STANDING_NOISE**2 * elapsed + moving * FORCE_NOISE**2 * square
-        return NOISE_TIME * own
+    def noise(self, elapsed: Any, stood: Any, square: Any) -> Any:
+        """Variance of energy that no state explains, J^2; arguments as `unexplained` has them."""
+        still, moving = unexplained(elapsed, stood, square)
+        return self.car.noise[0] * still + self.car.noise[1] * moving
 
     def difference(self, one: PlanEnd, other: PlanEnd) -> tuple[float, float]:
         """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
@@ -270,10 +267,10 @@ class PowerModel:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the states, shape (SIZE, SIZE), with heating that strays from what is usual.
+        """Covariance of the states, shape (SIZE, SIZE), with heating that strays from the usual.
 
-        Before a drive nobody knows how much of what its temperature makes likely will be on; once
-        it has begun, its loads tell.
+        Before a drive it is unknown how much of what its temperature makes likely will be on; once
+        it has begun, its loads show it.
         """
         car, strays = self.car, np.zeros(SIZE)
         if car.seconds > 0.0:

@@ -111,7 +111,7 @@ class Unevenness:
         return per_leg(legs, self.per_metre(equation))
 
     def per_metre(self, equation: Equation) -> np.ndarray:
-        """The same per metre of legs at each node of speed and duration, shape (*SHAPE, SIZE)."""
+        """Expected rows per metre at each node of speed and duration, shape (*SHAPE, SIZE)."""
         table = self.rows + PRIOR_METRES * _prior(equation)
         return np.asarray(table / (self.metres + PRIOR_METRES)[..., None])
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 import csv
 from dataclasses import dataclass
-from io import TextIOWrapper
+from io import StringIO
 import os
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.opener import read_whole
 from evpinn_ros.common.yaml_section import compose
 from evpinn_ros.drives.formats import recordings
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 COLUMNS = ("drive", "car", "vehicle")
 YAML = (".yaml", ".yml")
+MOST_BYTES = 10_000_000  # of a CSV: 100 000 drives
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +150,12 @@ def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
     path = base / pattern
     found = [path]
     if not path.exists():
+        if pattern.count("**") > 1:  # each more is a walk of all folders below each folder
+            raise InputError(f"{where or pattern}: more than one ** in a pattern")
+        # A folder in which the manifest lies is none, whatever it is named.
+        base = Path(path.anchor) if Path(pattern).is_absolute() else base
         with as_input_error(where or pattern, ValueError):
-            found = list(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
+            found = list(base.glob(pattern.removeprefix(path.anchor)))
     if not found:
         raise InputError(f"{where or path}: {pattern}: nothing there")
     return [each.resolve() for each in found]
@@ -172,11 +177,9 @@ def _yaml_lines(path: Path) -> Iterator[_Line]:
 
 
 def _csv_lines(path: Path) -> Iterator[_Line]:
-    with (
-        as_input_error(path, UnicodeDecodeError, csv.Error),
-        TextIOWrapper(open_file(path), "utf-8-sig", newline="") as file,
-    ):
-        rows = csv.DictReader(file)
+    with as_input_error(path, UnicodeDecodeError, csv.Error):
+        text = read_whole(path, MOST_BYTES, "a manifest").decode("utf-8-sig")
+        rows = csv.DictReader(StringIO(text, newline=""))
         if set(rows.fieldnames or ()) != set(COLUMNS):
             raise InputError(f"{path}:1: the columns must be {', '.join(COLUMNS)}")
         for row in rows:

@@ -7,7 +7,13 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units
-from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
+from evpinn_ros.estimation.breakdown import (
+    MOSTLY_UNSEEN,
+    REGAINED,
+    UNEXPLAINED,
+    Amount,
+    Breakdown,
+)
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.terms import WHOLE, Part
@@ -45,7 +51,6 @@ WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can b
 # little in sum, and each part of it is a multiple of that.
 GAVE_BACK = 1.1  # of what was measured
 CONTRADICTED = 3.0  # sigmas of what is unexplained that are worth a warning
-MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
 PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
 NOTHING = "the battery was measured over no interval that could be learned from"
 

@@ -91,6 +91,7 @@ class Drive:
         parameters: for each name time, value, 1-sigma and prior share, shape (n, 4).
         final: the last parameters, None if there never were any.
         start_ns: stamp of the first reading.
+        zoned: whether its times are UTC; else they are local ones.
         altitude: time and m, shape (n, 2).
         position: time, latitude and longitude, degrees, shape (n, 3).
         charge: time and state of charge, 0..1, shape (n, 2).
@@ -112,6 +113,7 @@ class Drive:
     parameters: Mapping[str, np.ndarray]
     final: ParameterSet | None
     start_ns: int = 0
+    zoned: bool = True
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))

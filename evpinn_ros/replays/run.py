@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 import math
 from pathlib import Path
@@ -107,7 +107,7 @@ def replay(
                 _record(writer, item, outputs, history.moment(item.stamp_ns), chain)
             )
     wall = time.perf_counter() - started
-    drive = history.drive(chain.estimator.model())
+    drive = replace(history.drive(chain.estimator.model()), zoned=source.zoned)
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:
         why = next((text for text in source.notes if "speed" in text), "")

@@ -294,6 +294,15 @@ def parameter_metrics(final: ParameterSet | None) -> dict[str, dict[str, Any]]:
     }
 
 
+def combination_metrics(found: ParameterSet) -> dict[str, dict[str, float]]:
+    """Combinations of parameters, which the data alone determine: value and 1-sigma."""
+    sums, stds = found.identifiable, found.identifiable_std
+    return {
+        name: {"value": float(value), "std": float(std)}
+        for name, value, std in zip(sums._fields, sums, stds, strict=True)
+    }
+
+
 def _updates(status: EstimatorStatus) -> dict[str, Any]:
     times = 1000.0 * np.array(status.durations)
     return {

@@ -117,8 +117,7 @@ def write_drives(
         drives=[values for values, _ in found],
         index_columns=("drive", "began", *drives_columns(units)[1:]),
         index=[
-            (row[0], _date(each.drive.start_ns), *row[1:])
-            for row, each in zip(rows, drives, strict=True)
+            (row[0], _date(each.drive), *row[1:]) for row, each in zip(rows, drives, strict=True)
         ],
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,
@@ -143,7 +142,7 @@ def _drive(
     minutes = drive_maps.driven_minutes(moments)
     values = {
         "name": name,
-        "about": f"{reported.vehicle.name}, {_date(drive.start_ns)}",
+        "about": f"{reported.vehicle.name}, {_date(drive)}",
         "doubt": vehicle_doubt(reported.vehicle, drive),
         "record": _record(found),
         "breakdown": breakdown_values(found["breakdown"], units),
@@ -239,9 +238,12 @@ def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
     yield "-" if covered is None else f"{100 * covered:.1f} %", "of power in its 90 % band"
 
 
-def _date(stamp_ns: int) -> str:
+def _date(drive: Drive) -> str:
+    """Date and time at which a drive began, by the clock of its log."""
+    stamp_ns, zone = drive.start_ns, " UTC" if drive.zoned else ", local time"
     if not 0 <= stamp_ns <= LAST_STAMP:
         return "at an impossible time"
     if stamp_ns < FIRST_STAMP or 0 <= stamp_ns - DRIVE_START_NS < DAY:
         return "undated"
-    return (EPOCH + timedelta(seconds=stamp_ns // NANOSECONDS)).strftime("%Y-%m-%d %H:%M:%S UTC")
+    begin = EPOCH + timedelta(seconds=stamp_ns // NANOSECONDS)
+    return f"{begin:%Y-%m-%d %H:%M:%S}{zone}"

@@ -103,7 +103,7 @@ class Vehicle:
 
     @property
     def correlation(self) -> np.ndarray:
-        """Of all parameters, in the order of `PARAMETER_NAMES`, shape (6, 6)."""
+        """Correlation of all parameters, in the order of `PARAMETER_NAMES`, shape (6, 6)."""
         return _matrix(self.correlations)
 
     def power(
@@ -249,7 +249,7 @@ def _priors(section: Section) -> dict[str, Prior]:
 
 
 def _correlations(section: Section) -> dict[tuple[str, str], float]:
-    """Of pairs: under the one that comes first in `PARAMETER_NAMES`, the other and a number."""
+    """Correlations of pairs, under the one that comes first in `PARAMETER_NAMES`."""
     section.refuse_unknown(("source", *PARAMETER_NAMES))
     section.text("source")
     given = {name: section.section(name) for name in PARAMETER_NAMES if section.has(name)}

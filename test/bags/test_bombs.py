@@ -17,6 +17,7 @@ import zstandard
 from evpinn_ros.bags import mcap_file, mcap_summary, salvage
 from evpinn_ros.bags.limits import most_messages
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
+from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.can.log_readers import LARGEST_OBJECT
@@ -24,6 +25,7 @@ from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
+from evpinn_ros.common.yaml_section import load_plain
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.reproduction import checkpoint
 
@@ -300,3 +302,11 @@ def test_a_training_that_unpacks_to_too_much(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "MOST_BYTES", 1 << 20)
     with pytest.raises(InputError, match="too large"):
         checkpoint.load_checkpoint(path, "x")
+
+
+def test_metadata_of_many_values_is_refused_early(tmp_path):
+    """1 MB of empty lists took 15 s and 345 MB."""
+    path = tmp_path / "metadata.yaml"
+    path.write_text(f"{INFORMATION}: [{'[],' * (MOST_METADATA // 4)}[]]\n")
+    with pytest.raises(InputError, match=r"metadata\.yaml:1: not YAML: over \d+ values"):
+        load_plain(path, "metadata", MOST_METADATA)

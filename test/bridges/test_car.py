@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from evpinn_ros.bridges.car import BridgedCar
-from evpinn_ros.bridges.layouts import Layout, ovms, teslamate
+from evpinn_ros.bridges.layouts import Layout, read_layout
 from evpinn_ros.bridges.sensors import SENSORS
 from evpinn_ros.bridges.snapshot import Snapshots
 from evpinn_ros.estimation.estimator import EstimatorSettings
@@ -32,7 +32,7 @@ def send(to: BridgedCar, layout: Layout, sets: object, shift_ns: int = 0) -> Non
 @pytest.fixture(scope="module")
 def tesla() -> BridgedCar:
     found = car()
-    send(found, teslamate(), as_teslamate())
+    send(found, read_layout("teslamate"), as_teslamate())
     return found
 
 
@@ -44,7 +44,7 @@ def test_teslamate_gives_the_energy_of_its_rounded_power(tesla: BridgedCar) -> N
 
 def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(tesla: BridgedCar) -> None:
     exact = car()
-    send(exact, ovms(), as_ovms())
+    send(exact, read_layout("ovms"), as_ovms())
     coarse, fine = tesla.documents()["energy"], exact.documents()["energy"]
     error = abs(coarse["trip_kwh"] - energy(drive()))
     assert coarse["trip_sigma_kwh"] > 1.5 * fine["trip_sigma_kwh"]
@@ -53,7 +53,7 @@ def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(tesla: BridgedCa
 
 def test_ovms_gives_the_energy_that_was_drawn() -> None:
     found = car()
-    send(found, ovms(), as_ovms())
+    send(found, read_layout("ovms"), as_ovms())
     assert found.documents()["energy"]["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
 
 
@@ -63,7 +63,7 @@ def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar) -> None:
     The load of a standing car is one number that is rounded, so it is less sure.
     """
     exact = car()
-    send(exact, ovms(), as_ovms())
+    send(exact, read_layout("ovms"), as_ovms())
     for name, coarse in tesla.documents()["parameters"]["combinations"].items():
         fine = exact.documents()["parameters"]["combinations"][name]
         before = car().documents()["parameters"]["combinations"][name]
@@ -85,9 +85,9 @@ def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:
 
 def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Path) -> None:
     found = car(tmp_path / "1.json")
-    send(found, teslamate(), as_teslamate())
+    send(found, read_layout("teslamate"), as_teslamate())
     first = found.documents()["energy"]
-    send(found, teslamate(), as_teslamate(), shift_ns=3600 * SECOND)
+    send(found, read_layout("teslamate"), as_teslamate(), shift_ns=3600 * SECOND)
     second = found.documents()["energy"]
     assert second["trip_kwh"] == pytest.approx(first["trip_kwh"], rel=0.05)
     assert second["drawn_kwh"] == pytest.approx(2 * first["drawn_kwh"], rel=0.05)
@@ -96,17 +96,17 @@ def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Pat
 
 def test_one_wild_stamp_ends_no_drive() -> None:
     found, sets = car(), [*as_teslamate(seconds=60)]
-    send(found, teslamate(), sets[:30])
+    send(found, read_layout("teslamate"), sets[:30])
     before = found.documents()["energy"]["trip_km"]
-    send(found, teslamate(), sets[30:31], shift_ns=24 * 3600 * SECOND)
-    send(found, teslamate(), sets[31:])
+    send(found, read_layout("teslamate"), sets[30:31], shift_ns=24 * 3600 * SECOND)
+    send(found, read_layout("teslamate"), sets[31:])
     assert found.documents()["energy"]["trip_km"] > before > 0.0
     assert found.newest_ns == sets[-1][0]
 
 
 def test_what_was_learned_outlives_the_process(tmp_path: Path) -> None:
     found = car(tmp_path / "1.json")
-    send(found, teslamate(), as_teslamate())
+    send(found, read_layout("teslamate"), as_teslamate())
     found.save()
     again = car(tmp_path / "1.json")
     before, after = found.documents(), again.documents()
@@ -124,7 +124,7 @@ def test_a_state_of_another_car_is_set_aside_and_said(tmp_path: Path) -> None:
     found = car(path)
     assert "not used" in found.problem
     assert found.health()["problem"] == found.problem
-    send(found, teslamate(), as_teslamate(seconds=30))
+    send(found, read_layout("teslamate"), as_teslamate(seconds=30))
     found.save()
     assert (tmp_path / "1.json.refused").read_text() == '{"version": 1}'
 

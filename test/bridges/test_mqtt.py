@@ -18,7 +18,7 @@ import pytest
 
 from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from evpinn_ros.bridges.broker import BrokerSettings, Connection
-from evpinn_ros.bridges.layouts import ovms, read_mapping, teslamate
+from evpinn_ros.bridges.layouts import read_layout
 from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
 from evpinn_ros.cli.mqtt import credentials, split_address
 from evpinn_ros.common.errors import InputError
@@ -71,14 +71,14 @@ def finish(bridge: MqttBridge, connection: Connection) -> None:
 
 @pytest.mark.parametrize(
     ("layout", "sets", "car", "digits", "error"),
-    [(teslamate, as_teslamate, "1", 0, 1e-6), (ovms, as_ovms, "CAR", None, 1e-4)],
+    [("teslamate", as_teslamate, "1", 0, 1e-6), ("ovms", as_ovms, "CAR", None, 1e-4)],
     ids=["teslamate", "ovms"],
 )
 def test_a_drive_over_the_broker_has_its_energy(
-    broker: Broker, bridged: Make, layout, sets, car: str, digits: int | None, error: float
+    broker: Broker, bridged: Make, layout: str, sets, car: str, digits: int | None, error: float
 ) -> None:
     clock = Clock()
-    bridge, connection = bridged(settings(layout()), clock)
+    bridge, connection = bridged(settings(read_layout(layout)), clock)
     reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
     play(sets(), writer, bridge, clock)
     finish(bridge, connection)
@@ -105,7 +105,7 @@ def test_a_drive_over_the_broker_has_its_energy(
 
 def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridged: Make) -> None:
     clock = Clock()
-    bridge, _ = bridged(settings(teslamate()), clock)
+    bridge, _ = bridged(settings(read_layout("teslamate")), clock)
     reader, writer = broker.client(topics=("evpinn/1/power",)), broker.client()
     begin_ns = clock.now_ns
     sets = enumerate(messages for _, messages in as_teslamate(seconds=30))
@@ -126,7 +126,9 @@ def _times(reader: Client) -> list[float]:
 
 def test_two_cars_are_two(broker: Broker, bridged: Make) -> None:
     clock = Clock()
-    bridge, _ = bridged(settings(teslamate(), vehicles={"2": load_vehicle("bmw_i3")}), clock)
+    bridge, _ = bridged(
+        settings(read_layout("teslamate"), vehicles={"2": load_vehicle("bmw_i3")}), clock
+    )
     writer = broker.client()
     both = zip(as_teslamate("1", seconds=60), as_teslamate("2", seconds=30), strict=False)
     play(((s, {**a, **b}) for (s, a), (_, b) in both), writer, bridge, clock)
@@ -138,7 +140,9 @@ def test_two_cars_are_two(broker: Broker, bridged: Make) -> None:
 
 
 def test_cars_without_a_vehicle_are_ignored(broker: Broker, bridged: Make) -> None:
-    bridge, _ = bridged(settings(teslamate(), vehicles={"1": load_vehicle(VEHICLE)}, other=None))
+    bridge, _ = bridged(
+        settings(read_layout("teslamate"), vehicles={"1": load_vehicle(VEHICLE)}, other=None)
+    )
     writer = broker.client()
     for car in ("1", "7"):
         writer.publish(f"teslamate/cars/{car}/speed", "36")
@@ -151,7 +155,7 @@ def test_retained_old_values_at_the_start_are_not_now(broker: Broker, bridged: M
     writer = broker.client()
     for name, value in (("speed", "90"), ("power", "25"), ("usable_battery_level", "55")):
         writer.publish(f"teslamate/cars/1/{name}", value, retain=True)
-    bridge, _ = bridged(settings(teslamate()))
+    bridge, _ = bridged(settings(read_layout("teslamate")))
     wait_until(lambda: (bridge.step(0.01) and False) or "1" in bridge.cars)
     for _ in range(30):
         bridge.step(0.02)
@@ -167,7 +171,7 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
     broker: Broker, bridged: Make
 ) -> None:
     clock = Clock()
-    bridge, connection = bridged(settings(teslamate()), clock)
+    bridge, connection = bridged(settings(read_layout("teslamate")), clock)
     writer = broker.client()
     halves = list(as_teslamate(seconds=120))
     play(halves[:60], writer, bridge, clock)
@@ -203,7 +207,7 @@ def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path:
 
 
 def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) -> None:
-    bridge, connection = bridged(settings(teslamate()))
+    bridge, connection = bridged(settings(read_layout("teslamate")))
     reader, writer = broker.client(topics=("homeassistant/sensor/#",)), broker.client()
     writer.publish("teslamate/cars/1/speed", "36")
     wait_until(lambda: (bridge.step(0.01) and False) or len(reader.came) >= 28)
@@ -217,7 +221,7 @@ def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) 
 
 
 def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make) -> None:
-    _, connection = bridged(settings(teslamate()))
+    _, connection = bridged(settings(read_layout("teslamate")))
     reader = broker.client(topics=("slow/#",))
     wait_until(lambda: not connection.waiting)
     broker.process.send_signal(signal.SIGSTOP)
@@ -300,7 +304,7 @@ def test_a_sender_whose_clock_is_set_back_goes_on_to_be_answered(
         "stamp: t\ntopics:\n  my/{car}:\n    fields:\n"
         "      v: {quantity: speed, unit: km/h}\n      p: {quantity: power, unit: kW}\n"
     )
-    bridge, _ = bridged(settings(read_mapping(path)))
+    bridge, _ = bridged(settings(read_layout(str(path))))
     reader, writer = broker.client(topics=("evpinn/zoe/power",)), broker.client()
     seconds = drive()[:60]
     for i, s in enumerate(seconds):
@@ -400,7 +404,7 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     assert reader.newest()["evpinn/status"] == "offline"
     assert {p.name for p in state.iterdir()} == {"zoe.json"}
     assert json.loads((state / "zoe.json").read_text()).keys() == {"learned", "energy"}
-    layout = read_mapping(tmp_path / "topics.yaml")
+    layout = read_layout(str(tmp_path / "topics.yaml"))
     assert layout.subscriptions == ("my/+",)
     for client in (reader, writer):
         client.close()

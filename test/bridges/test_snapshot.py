@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from evpinn_ros.bridges.layouts import Measurand, Parsed, Rule, Value, ovms, teslamate
+from evpinn_ros.bridges.layouts import Measurand, Parsed, Value, read_layout
 from evpinn_ros.bridges.snapshot import BURST_NS, Snapshots, is_due
 from evpinn_ros.signals.readings import (
     BatteryReading,
@@ -21,7 +21,7 @@ class Tesla:
     """Snapshots of a Tesla whose topics come at moments of our choice."""
 
     def __init__(self) -> None:
-        self.snapshots, self.layout = Snapshots(360.0, on_change=True), teslamate()
+        self.snapshots, self.layout = Snapshots(360.0, on_change=True), read_layout("teslamate")
 
     def send(self, at_s: float, retained: bool = False, **values: object) -> list[Reading]:
         found: list[Reading] = []
@@ -102,7 +102,7 @@ def test_a_retained_state_keeps_a_charging_car_asleep(tesla: Tesla) -> None:
 def test_ovms_gives_voltage_and_current_as_they_are() -> None:
     snapshots, base = Snapshots(360.0, on_change=True), "ovms/me/CAR/metric/v"
     for name, value in (("p/speed", "36"), ("b/voltage", "400"), ("b/current", "25")):
-        parsed = ovms().parse(f"{base}/{name}", value.encode())
+        parsed = read_layout("ovms").parse(f"{base}/{name}", value.encode())
         snapshots.add(parsed, SECOND, retained=False)
     battery, _ = snapshots.flush(2 * SECOND)
     assert (battery.voltage, battery.current, battery.power) == (400.0, -25.0, 10_000.0)
@@ -118,7 +118,7 @@ def test_a_stamp_of_a_day_that_has_not_come_is_that_of_arrival(ahead_s: float, u
     """One of the year 2283 would be the newest for ever, and more ns than 64 bits hold."""
     now_ns = 1_790_000_000 * SECOND
     stamp_ns = now_ns + round(ahead_s * SECOND)
-    parsed = Parsed("zoe", (Value(Rule(Measurand.SPEED), 10.0),), stamp_ns)
+    parsed = Parsed("zoe", {Measurand.SPEED: Value(10.0)}, stamp_ns)
     (speed,) = Snapshots(360.0, on_change=False).add(parsed, now_ns, retained=False)
     assert speed.stamp_ns == (stamp_ns if used else now_ns)
 

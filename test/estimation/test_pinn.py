@@ -165,6 +165,22 @@ def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(lea
     assert math.isnan(learner.predict(sample(9001)).energy)
 
 
+def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner):
+    """Energy of its first seconds is the integral of the power that is published."""
+    alone, powers = learner.predict(sample(0)).power, []
+    for tick in range(1, 600):
+        learner.advance(sample(tick))
+        learner.predict(sample(tick))
+        learner.battery_measured(sample(tick).stamp_ns)
+        learner.observe(sample(tick), alone + 3000.0)
+    for tick in range(600, 630):
+        learner.advance(sample(tick))
+        found = learner.predict(sample(tick))
+        powers.append(found.power)
+    assert powers[0] - alone > 1000.0
+    assert found.energy == pytest.approx(0.1 * sum(powers), rel=0.03)
+
+
 def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
     newest = replace(sample(5), profile=(), newest=True)
     first = learner.predict(newest)

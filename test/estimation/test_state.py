@@ -5,6 +5,7 @@ from functools import cache
 import json
 import math
 import os
+import tracemalloc
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -229,6 +230,17 @@ def test_a_file_that_is_no_state(tmp_path, content, reason):
         read_state(path)
     text = str(refused.value)
     assert text.startswith(f"{path}: ") and reason in text and "\n" not in text
+
+
+def test_the_largest_state_takes_no_200_mb(tmp_path):
+    """JSON of empty lists becomes thirty times as large: 20 MB took 594 MB."""
+    path = tmp_path / "state.json"
+    path.write_text('{"a":[' + "[]," * ((MAX_FILE_BYTES - 10) // 3) + "[]]}")
+    tracemalloc.start()
+    read_state(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 200e6
 
 
 def test_a_place_that_is_no_file(tmp_path):

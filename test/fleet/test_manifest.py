@@ -193,3 +193,31 @@ def test_vehicle_files_of_one_name_are_not_mixed(data):
     manifest.write_text("drive,car,vehicle\ndata/bob,b,car.yaml\ndata/ann,a,copy/car.yaml\n")
     with pytest.raises(InputError, match="both named car"):
         cars_by_manifest(manifest)
+
+
+def test_a_manifest_without_an_end_is_not_read(data):
+    """A file of holes costs its author nothing; a line of it filled the memory."""
+    path = data / "fleet.csv"
+    path.write_bytes(b"drive,car,vehicle\n")
+    os.truncate(path, 3 << 30)
+    with pytest.raises(InputError, match=r"fleet\.csv: larger than 10000000 bytes"):
+        cars_by_manifest(path)
+
+
+def test_a_pattern_walks_the_folders_once(data):
+    """Eight ** over forty folders in each other did not end."""
+    deep = data.joinpath(*["d"] * 40)
+    deep.mkdir(parents=True)
+    path = data / "fleet.yaml"
+    path.write_text("cars: {one: {vehicle: generic, drives: 'd/" + "**/" * 8 + "x.csv'}}")
+    with pytest.raises(InputError, match=r"more than one \*\* in a pattern"):
+        cars_by_manifest(path)
+
+
+def test_the_folder_of_a_manifest_is_no_pattern(data):
+    folder = data / "old [1]"
+    folder.mkdir()
+    (folder / "a.csv").write_text("t_s,speed_mps,power_w\n")
+    path = folder / "fleet.csv"
+    path.write_text("drive,car,vehicle\na*.csv,one,generic\n")
+    assert cars_by_manifest(path)[0].drives == (folder / "a.csv",)
