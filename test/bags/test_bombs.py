@@ -258,7 +258,7 @@ def test_a_database_whose_pages_lead_to_one_another_is_refused(tmp_path):
     content[28:32] = struct.pack(">I", len(pages))
     path.write_bytes(content)
     with pytest.raises(
-        InputError, match=r"a\.db3: no bag: its database holds over 8 times its file$"
+        InputError, match=r"a\.db3: no bag: its database holds more than its file$"
     ):
         BagReader(path)
 
@@ -283,7 +283,7 @@ def test_a_database_whose_messages_share_their_pages_is_refused(tmp_path):
     content[page + 3 : page + 5] = struct.pack(">H", count)
     content[page + 8 : page + 8 + 2 * count] = struct.pack(">H", first) * count
     path.write_bytes(content)
-    with pytest.raises(InputError, match="its database holds over 8 times its file"):
+    with pytest.raises(InputError, match="its database holds more than its file"):
         BagReader(path)
 
 
