@@ -20,9 +20,9 @@ from evpinn_ros.estimation.posterior import (
     NOISE_TIME,
     STANDING_NOISE,
     CarModel,
-    initial_state,
     wandered,
 )
+from evpinn_ros.estimation.size import model_of_file
 from evpinn_ros.estimation.states import PHYSICS, WEIGHTS, State
 from evpinn_ros.estimation.terms import (
     STANDING,
@@ -30,7 +30,6 @@ from evpinn_ros.estimation.terms import (
     Wheels,
     climate_powers,
     coldness,
-    equation_of,
 )
 from evpinn_ros.estimation.unevenness import Path, even_rows
 from evpinn_ros.vehicle.files import Vehicle
@@ -283,8 +282,7 @@ class PowerModel:
 
 def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:
     """The car of a vehicle file, of which nothing was learned yet."""
-    equation = equation_of(vehicle, seed)
-    return PowerModel(initial_state(equation).model(equation))
+    return PowerModel(model_of_file(vehicle, seed))
 
 
 def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:
